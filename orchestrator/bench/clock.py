@@ -89,7 +89,7 @@ def bench_clock(trials: int, seed: int = 1) -> list[ClockFigures]:
 def _measure_case(case: ClockCase, trials: int, seed: int) -> ClockFigures:
     errors: list[float] = []
     bounds: list[float] = []
-    others: tuple[list[float], list[float]] = ([], [])
+    other_errors: tuple[list[float], list[float]] = ([], [])
     for trial in range(trials):
         draw = Random(f"{seed} {case.name} {trial}")
         crystal = Oscillator(draw.randrange(10**12), draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, trial)
@@ -104,10 +104,10 @@ def _measure_case(case: ClockCase, trials: int, seed: int) -> ClockFigures:
         true_ns = crystal.true_ns(round(tick * case.tick_ns))
         errors.append(abs(mapping.to_host_ns(tick) - true_ns) / NS_PER_US)
         bounds.append(mapping.bound_at_ns(ahead_ns) / NS_PER_US)
-        for found, line in zip(
-            others, (_estimate_cristian(readings, case), _estimate_regression(readings, case)), strict=True
+        for error_list, line in zip(
+            other_errors, (_estimate_cristian(readings, case), _estimate_regression(readings, case)), strict=True
         ):
-            found.append(abs(line.to_host_ns(tick) - true_ns) / NS_PER_US)
+            error_list.append(abs(line.to_host_ns(tick) - true_ns) / NS_PER_US)
     errors_sorted = sorted(errors)
     return ClockFigures(
         link=case.name,
@@ -118,8 +118,8 @@ def _measure_case(case: ClockCase, trials: int, seed: int) -> ClockFigures:
         asked_us=case.asked_us,
         bound_us=round(_percentile(sorted(bounds), 0.5), 1),
         misses=sum(error > bound for error, bound in zip(errors, bounds, strict=True)),
-        cristian_us=round(_percentile(sorted(others[0]), 0.95), 1),
-        regression_us=round(_percentile(sorted(others[1]), 0.95), 1),
+        cristian_us=round(_percentile(sorted(other_errors[0]), 0.95), 1),
+        regression_us=round(_percentile(sorted(other_errors[1]), 0.95), 1),
     )
 
 

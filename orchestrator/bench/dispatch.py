@@ -101,7 +101,7 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
     """Run `rounds` jobs live, and some in virtual time. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     fleet = make_dispatch_fleet()
     virtual = await asyncio.to_thread(lambda: run_virtual(lambda clock: _measure_virtual(fleet, clock)))
-    found_rounds: list[_DispatchRound] = []
+    results: list[_DispatchRound] = []
     async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
         await run_steps(tutti, _make_preparation(fleet))
         truths = [TruthLog(live.state / "truth" / f"{name}.jsonl") for name in fleet.controllers]
@@ -115,17 +115,17 @@ async def bench_dispatch(state: Path, rounds: int) -> DispatchFigures:
                 raise NothingHappened(f"the benchmark's job is {report.state}: {report.reason}")
             first_ns = min(await asyncio.gather(*(truth.wait_for_event("start", asked_ns) for truth in truths)))
             parts = _measure_parts((await tutti.show_job(job)).transitions, accepted_ns)
-            found_rounds.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
-        sims_s, all_s = (after - before for before, after in zip(used_s, _read_cpu_s(live), strict=True))
-    counted_rounds = found_rounds[KEPT_STEPS + 1 :]
+            results.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
+        sims_s, all_s = (end_s - begin_s for begin_s, end_s in zip(used_s, _read_cpu_s(live), strict=True))
+    counted_rounds = results[KEPT_STEPS + 1 :]
     options = YaskawaOptions()
     release_ns = GateTiming.for_options(options).release_before * options.tick_ns
     return DispatchFigures(
         controllers=len(fleet.controllers),
-        first_motion=make_spread([each.first_ns for each in counted_rounds], p99_ms=P99_MS),
-        lead=make_spread([each.lead_ns for each in counted_rounds], max_ms=LEAD_MS),
-        armed_to_t0=make_spread([each.armed_to_t0_ns for each in counted_rounds]),
-        parts={name: make_spread([each.parts[name] for each in counted_rounds]) for name in PARTS},
+        first_motion=make_spread([dispatch.first_ns for dispatch in counted_rounds], p99_ms=P99_MS),
+        lead=make_spread([dispatch.lead_ns for dispatch in counted_rounds], max_ms=LEAD_MS),
+        armed_to_t0=make_spread([dispatch.armed_to_t0_ns for dispatch in counted_rounds]),
+        parts={name: make_spread([dispatch.parts[name] for dispatch in counted_rounds]) for name in PARTS},
         virtual_ms=round(virtual.first_ns / 1e6, 1),
         virtual_lead_ms=round(virtual.lead_ns / 1e6, 1),
         virtual_path_ms=round((sum(virtual.parts.values()) + release_ns) / 1e6, 1),
@@ -144,20 +144,18 @@ async def _measure_virtual(fleet: Fleet, clock: VirtualClock) -> _DispatchRound:
     rounds: list[_DispatchRound] = []
     for k in range(KNOWN_AFTER + 1):
         await sleep_ns(clock, NS_PER_S)
-        controllers_before = {
-            name: len(controller.commanded_motions) for name, controller in virtual.controllers.items()
-        }
+        motion_counts = {name: len(controller.commanded_motions) for name, controller in virtual.controllers.items()}
         asked_ns = clock.now_ns()
         job = await tutti.submit(_make_job(fleet, k % 2))
         accepted_ns = clock.now_ns() - asked_ns
         report = await job.result()
         first_ns = min(
-            controller.commanded_motions[controllers_before[name]].start_ns
+            controller.commanded_motions[motion_counts[name]].start_ns
             for name, controller in virtual.controllers.items()
         )
         parts = _measure_parts((await job.show()).transitions, accepted_ns)
         rounds.append(_DispatchRound(first_ns - asked_ns, *_measure_leads_ns(report), parts))
-    means = {name: sum(each.parts[name] for each in rounds) // len(rounds) for name in PARTS}
+    means = {name: sum(dispatch.parts[name] for dispatch in rounds) // len(rounds) for name in PARTS}
     return rounds[-1]._replace(parts=means)
 
 
@@ -198,5 +196,5 @@ def _read_cpu_s(live: LiveFleet) -> tuple[float, float]:
 
     by_child = {name: read_process_s(child.pid) for name, child in live.children.items()}
     simulators = sum(value for name, value in by_child.items() if name.startswith("sim/"))
-    mine = os.times()
-    return simulators, sum(by_child.values()) + mine.user + mine.system
+    own_times = os.times()
+    return simulators, sum(by_child.values()) + own_times.user + own_times.system

@@ -98,9 +98,9 @@ async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> Estop
         shells = [await rig.run_round(arming=False, serial=True, command=command) for _ in range(SHELL_ROUNDS)]
         return EstopFigures(
             controllers=len(fleet.controllers),
-            last=make_spread([max(each) for each in tcp], p99_ms=P99_MS),
+            last=make_spread([max(delays) for delays in tcp], p99_ms=P99_MS),
             uploading=make_spread(uploading, p99_ms=P99_MS),
-            first=make_spread([min(each) for each in tcp]),
+            first=make_spread([min(delays) for delays in tcp]),
             shell=make_spread([max(shell.values()) for shell in shells], max_ms=SHELL_MAX_MS),
             smc2000_19200=make_spread(serial["b"]),
             shrc203_38400=make_spread(serial["c"]),
@@ -212,5 +212,5 @@ class _EstopRig:
         # A stepper that was stopped at once loses its reference.
         lost_axes = [f"{name}.x" for name, state in states.items() if not state.axes["x"].referenced]
         home: Steps = [{"do": "home", "axes": [axis]} for axis in lost_axes]
-        back: dict[str, object] = {"do": "move", "to": middle, "sync": "none", "max_start_skew": "500 ms"}
-        await run_steps(self._tutti, [*home, back])
+        return_step: dict[str, object] = {"do": "move", "to": middle, "sync": "none", "max_start_skew": "500 ms"}
+        await run_steps(self._tutti, [*home, return_step])

@@ -93,8 +93,8 @@ class _JogRig:
 async def bench_jog(fleet: Fleet, state: Path, panel_code: str, presses: int, kills: int) -> JogFigures:
     """Run all measurements. Raises `UpFailed`, `Refusal`, `NothingHappened`."""
     async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
-        steps_here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
-        await run_steps(tutti, [*steps_here, {"do": "move", "to": {AXIS: MIDDLE}}])
+        first_steps: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
+        await run_steps(tutti, [*first_steps, {"do": "move", "to": {AXIS: MIDDLE}}])
         rig = _JogRig(live, tutti, panel_code)
         first_ns, release_ns = await _measure_presses(rig, presses)
         killed_ns = [await _measure_kill(rig) for _ in range(kills)]

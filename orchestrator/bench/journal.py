@@ -75,9 +75,9 @@ def _make_job(fleet: Fleet) -> Job:
 def _measure_fsync_ms(folder: Path) -> float:
     journal = SqliteJournal(folder / "fsync.db")
     took_s: list[float] = []
-    for seen in range(50):
+    for epoch in range(50):
         began_s = time.perf_counter()
-        journal.take_epoch(seen)
+        journal.take_epoch(epoch)
         took_s.append(time.perf_counter() - began_s)
     journal.close()
     return sorted(took_s)[len(took_s) // 2] * 1000

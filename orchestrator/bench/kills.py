@@ -73,22 +73,24 @@ async def bench_kills(fleet: Fleet, state: Path, rounds: int, on_line: Callable[
     async with run_measured_fleet(fleet, state, standby=True) as (live, tutti), WakeUpNoise() as noise:
         rig = _KillRig(live, tutti, Random(SEED))
         await rig.wait_for_recovery()
-        seen: list[_KillRound] = []
+        results: list[_KillRound] = []
         for k in range(rounds):
             target, number = TARGETS[k % len(TARGETS)], SIGNALS[k // len(TARGETS) % len(SIGNALS)]
-            seen.append(await rig.run_round(target, number))
-            rest_ns = seen[-1].rest_ns
-            rest = "" if rest_ns is None else f", at rest after {rest_ns / 1e6:.0f} ms"
-            on_line(f"{k + 1} of {rounds}: {number.name} of {target}: job {seen[-1].state}{rest}")
-        rests = [each.rest_ns for each in seen if each.rest_ns is not None]
+            results.append(await rig.run_round(target, number))
+            rest_ns = results[-1].rest_ns
+            rest_text = "" if rest_ns is None else f", at rest after {rest_ns / 1e6:.0f} ms"
+            on_line(f"{k + 1} of {rounds}: {number.name} of {target}: job {results[-1].state}{rest_text}")
+        rests = [result.rest_ns for result in results if result.rest_ns is not None]
         return KillFigures(
-            rounds=len(seen),
+            rounds=len(results),
             rest=make_spread(rests or [0]),
-            back=make_spread([each.back_ns for each in seen]),
-            lost=sum(each.lost for each in seen),
-            doubled=sum(each.doubled for each in seen),
+            back=make_spread([result.back_ns for result in results]),
+            lost=sum(result.lost for result in results),
+            doubled=sum(result.doubled for result in results),
             moved_on=sum(rest_ns > (DECLARED_S * 1e9 + noise.make_spread().max_ms * 1e6) for rest_ns in rests),
-            ends={state: sum(each.state == state for each in seen) for state in sorted({e.state for e in seen})},
+            ends={
+                state: sum(result.state == state for result in results) for state in sorted({e.state for e in results})
+            },
             noise=noise.make_spread(),
         )
 
@@ -130,7 +132,7 @@ class _KillRig:
 
     async def wait_for_recovery(self) -> None:
         """Wait until a job over all axes is done."""
-        why = ""
+        reason = ""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(RECOVERY_TIMEOUT_S):
                 while True:
@@ -138,11 +140,11 @@ class _KillRig:
                         report = await self._tutti.wait_for_job(await self._tutti.submit(self._prepare), poll_s=POLL_S)
                         if report.state == "done":
                             return
-                        why = report.reason
+                        reason = report.reason
                     except Refusal as error:
-                        why = error.text
+                        reason = error.text
                     await asyncio.sleep(POLL_S)
-        raise NothingHappened(f"the fleet does not recover within {RECOVERY_TIMEOUT_S:g} s: {why}")
+        raise NothingHappened(f"the fleet does not recover within {RECOVERY_TIMEOUT_S:g} s: {reason}")
 
     async def _wait_for_end(self, job: str) -> str:
         """Return the final state of the job; `lost` when it is not in the journal."""
@@ -160,9 +162,9 @@ class _KillRig:
         host = next(name for name in children if name.startswith("host/"))
         if target == "host":
             guardian = children[host].pid
-            below = Path(f"/proc/{guardian}/task/{guardian}/children").read_text(encoding="utf-8").split()
+            child_ids = Path(f"/proc/{guardian}/task/{guardian}/children").read_text(encoding="utf-8").split()
             # A guardian may be between two hosts; then the guardian itself gets the signal.
-            return int(below[0]) if below else guardian
+            return int(child_ids[0]) if child_ids else guardian
         return children[{"guardian": host, "standby": STANDBY}.get(target, target)].pid
 
 

@@ -116,24 +116,26 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
         return OTHER_BENCHES[make](moves, seed)
     subject = BENCHED_MAKES[make]
     at_record: list[float] = []
-    between: list[float] = []
-    beyond: list[float] = []
-    each = max(1, moves // TRAPEZOIDS_PER_CONTOUR)
+    errors_between: list[float] = []
+    errors_beyond: list[float] = []
+    contour_count = max(1, moves // TRAPEZOIDS_PER_CONTOUR)
     for number, ppm in enumerate(CRYSTALS_PPM if subject.record_samples is not None else ()):
-        for records, rest, sag in _measure_contours(subject, ppm, each, seed + number):
+        for records, distances, sag in _measure_contours(subject, ppm, contour_count, seed + number):
             at_record += records
-            between += rest
-            beyond += [distance - sag for distance in rest]
+            errors_between += distances
+            errors_beyond += [distance - sag for distance in distances]
     figures = (
         []
         if subject.record_samples is None
         else [
             make_figure("contour, at record instants", at_record, "counts", "max<=1", lambda f: f.max <= ASKED_RECORD),
-            make_figure("contour, between them", between, "counts"),
-            make_figure("contour, between, less a·h²/8", beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN),
+            make_figure("contour, between them", errors_between, "counts"),
+            make_figure(
+                "contour, between, less a·h²/8", errors_beyond, "counts", "max<=1", lambda f: f.max <= ASKED_BETWEEN
+            ),
         ]
     )
-    chosen_choices: list[LoweringChoices] = []
+    choices: list[LoweringChoices] = []
     for number, (cruise, (low, high, share)) in enumerate(CRUISES.items()):
         trapezoids = _measure_trapezoids(subject, low, high, max(moves // share, 1), seed + 100 + number)
         # Slower moves are shown for information: their accuracy depends on the make's speed resolution.
@@ -145,8 +147,8 @@ def bench_lowering(make: str, moves: int, seed: int = SEED) -> LoweringFigures:
             ),
             make_figure(f"{cruise}, real-planned", trapezoids.planned_ms, "ms"),
         ]
-        chosen_choices.append(LoweringChoices(cruise, trapezoids.ways))
-    return LoweringFigures(make, moves, figures, chosen_choices)
+        choices.append(LoweringChoices(cruise, trapezoids.ways))
+    return LoweringFigures(make, moves, figures, choices)
 
 
 def _meets_duration(found: BenchFigure) -> bool:
@@ -251,13 +253,13 @@ def _measure_contours(
 
     async def measure(world: _LoweringBench) -> list[tuple[list[float], list[float], float]]:
         draw = Random(seed)
-        found: list[tuple[list[float], list[float], float]] = []
+        results: list[tuple[list[float], list[float], float]] = []
         at = dict.fromkeys(world.config.axes, 0)
         for _ in range(count):
             profiles = _draw_contour(at, draw)
-            found.append(await _measure_contour(world, subject, profiles))
+            results.append(await _measure_contour(world, subject, profiles))
             at = {axis: profile.end_counts for axis, profile in profiles.items()}
-        return found
+        return results
 
     return _run_with_driver(subject, ppm, seed, measure)
 
@@ -284,30 +286,33 @@ def _draw_contour(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
 async def _measure_contour(
     world: _LoweringBench, subject: BenchedMake, profiles: Mapping[str, Profile]
 ) -> tuple[list[float], list[float], float]:
-    lowered, mapping, t0_ns = await _start_step(world, profiles)
-    before = len(world.controller.commanded_motions)
+    lowering, mapping, t0_ns = await _start_step(world, profiles)
+    motion_count = len(world.controller.commanded_motions)
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
-    begun_sample = world.sample_at(world.clock.now_ns())
+    first_sample = world.sample_at(world.clock.now_ns())
     assert subject.record_samples is not None
-    record, samples = subject.record_samples(lowered), ceil(lowered.durations_s[max(profiles)] * 1e9 / lowered.tick_ns)
+    record, samples = (
+        subject.record_samples(lowering),
+        ceil(lowering.durations_s[max(profiles)] * 1e9 / lowering.tick_ns),
+    )
     watching = asyncio.get_running_loop().create_task(_finish_step(world))
-    seen: list[tuple[int, dict[str, float]]] = []
+    sightings: list[tuple[int, dict[str, float]]] = []
     # From some samples before the start, which is not determined yet, to some after the end.
-    for sample in range(begun_sample + 1, begun_sample + samples + 40):
+    for sample in range(first_sample + 1, first_sample + samples + 40):
         await sleep_until_ns(world.clock, world.sample_begin_ns(sample))
-        seen.append((sample, {axis: world.controller.position(world.motor_of(axis)) for axis in profiles}))
+        sightings.append((sample, {axis: world.controller.position(world.motor_of(axis)) for axis in profiles}))
     await watching
-    start = world.sample_at(min(motion.start_ns for motion in world.controller.commanded_motions[before:]))
+    start = world.sample_at(min(motion.start_ns for motion in world.controller.commanded_motions[motion_count:]))
     plans = {axis: (profile.start_counts, profile.make_evaluator()) for axis, profile in profiles.items()}
     at_record: list[float] = []
-    between: list[float] = []
-    for sample, positions in seen:
+    distances_between: list[float] = []
+    for sample, positions in sightings:
         time_s = (mapping.to_host_ns(sample) - t0_ns) * 1e-9
         for axis, (origin, plan) in plans.items():
             distance = abs(positions[axis] - origin - plan(time_s).position)
-            (between if (sample - start) % record else at_record).append(distance)
+            (distances_between if (sample - start) % record else at_record).append(distance)
     steepest = max(profile.peak_acceleration for profile in profiles.values())
-    return at_record, between, steepest * (record * lowered.tick_ns * 1e-9) ** 2 / 8
+    return at_record, distances_between, steepest * (record * lowering.tick_ns * 1e-9) ** 2 / 8
 
 
 # Trapezoids
@@ -328,7 +333,7 @@ def _measure_trapezoids(subject: BenchedMake, low: float, high: float, count: in
     async def measure(world: _LoweringBench) -> _TrapezoidResults:
         draw = Random(seed)
         results = _TrapezoidResults([], [], [], {})
-        executed_sample = set(draw.sample(range(count), min(count, max(MIN_SIMULATED, count // SIMULATED_EVERY))))
+        sample_numbers = set(draw.sample(range(count), min(count, max(MIN_SIMULATED, count // SIMULATED_EVERY))))
         at = 0
         for number in range(count):
             profile = _draw_trapezoid(at, low, high, draw)
@@ -336,15 +341,15 @@ def _measure_trapezoids(subject: BenchedMake, low: float, high: float, count: in
             way = subject.way(lowered_profiles)
             results.ways[way] = results.ways.get(way, 0) + 1
             results.lowered_ms.append(abs(lowered_profiles.durations_s["a"] - profile.duration_s) * 1e3)
-            if number not in executed_sample:
+            if number not in sample_numbers:
                 continue
             motion = await _execute_profile(world, profile)
             at = profile.end_counts
             if motion.end_ns is None:
                 raise RuntimeError("a move of the benchmark has no end")
             samples = world.sample_at(motion.end_ns) - world.sample_at(motion.start_ns)
-            predicted = lowered_profiles.durations_s["a"] * 1e9 / lowered_profiles.tick_ns
-            results.simulated_samples.append(abs(samples - predicted))
+            prediction = lowered_profiles.durations_s["a"] * 1e9 / lowered_profiles.tick_ns
+            results.simulated_samples.append(abs(samples - prediction))
             results.planned_ms.append(abs((motion.end_ns - motion.start_ns) * 1e-6 - profile.duration_s * 1e3))
         return results
 

@@ -97,9 +97,9 @@ def bench_ppsmc(moves: int, seed: int) -> LoweringFigures:
         of_class = [move.lowered_ms for move in made_moves if low <= move.rate < high]
         if of_class:
             figures.append(make_figure(f"{low:g}-{high:g}, lowered-planned", of_class, "ms"))
-    within = sum(move.lowered_ms <= ASKED_P99_MS for move in made_moves)
-    chosen_choices = [LoweringChoices("all", {"within 1 ms": within, "further away": len(made_moves) - within})]
-    return LoweringFigures(MAKE, moves, figures, chosen_choices)
+    count_within = sum(move.lowered_ms <= ASKED_P99_MS for move in made_moves)
+    choices = [LoweringChoices("all", {"within 1 ms": count_within, "further away": len(made_moves) - count_within})]
+    return LoweringFigures(MAKE, moves, figures, choices)
 
 
 def _meets_p99(found: BenchFigure) -> bool:
@@ -121,20 +121,20 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
     await driver.configure()
     await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
-    executed_sample = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
-    at, found_moves = 0, list[_PpsmcMove]()
-    while len(found_moves) < moves:
+    sample_numbers = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
+    at, results = 0, list[_PpsmcMove]()
+    while len(results) < moves:
         profile = _draw_feasible(at, draw)
         if profile is None:
             continue
         lowered_s = driver.lower_profiles({"a": profile}, StartOptions(), None).durations_s["a"]
         rate = abs(profile.end_counts - profile.start_counts) / profile.duration_s
         predicted_ms = planned_ms = None
-        if len(found_moves) in executed_sample:
+        if len(results) in sample_numbers:
             real_s = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             predicted_ms, planned_ms = abs(real_s - lowered_s) * 1e3, abs(real_s - profile.duration_s) * 1e3
-        found_moves.append(
+        results.append(
             _PpsmcMove(
                 rate=rate,
                 duration_s=profile.duration_s,
@@ -145,7 +145,7 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
             )
         )
     await driver.close()
-    return found_moves
+    return results
 
 
 def _measure_proposal_ms(driver: Driver, profile: Profile, answered_s: float) -> float:

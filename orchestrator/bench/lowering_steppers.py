@@ -130,8 +130,8 @@ class _StepperMove(NamedTuple):
 def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
     """Lower `moves` of one of `STEPPERS` and execute a part of them."""
     subject = STEPPERS[make]
-    refused = [0]
-    made_moves: list[_StepperMove] = run_virtual(lambda clock: _measure_moves(clock, subject, moves, seed, refused))
+    refusals = [0]
+    made_moves: list[_StepperMove] = run_virtual(lambda clock: _measure_moves(clock, subject, moves, seed, refusals))
     executed_moves = [move for move in made_moves if move.predicted_ms is not None]
     figures = [
         make_figure("all, lowered-planned", [move.lowered_ms for move in made_moves], "ms", "p99<=0.2", _meets_p99),
@@ -147,23 +147,21 @@ def bench_stepper(make: str, moves: int, seed: int) -> LoweringFigures:
         ),
     ]
     if subject.alone is not None:
-        alone = [move.alone_ms for move in made_moves if move.alone_ms is not None]
-        figures.append(make_figure("all, lowered-planned by one command", alone, "ms"))
-    chosen_choices: list[LoweringChoices] = [
-        LoweringChoices("refused", {"slower than the controller supports": refused[0]})
-    ]
+        times_alone = [move.alone_ms for move in made_moves if move.alone_ms is not None]
+        figures.append(make_figure("all, lowered-planned by one command", times_alone, "ms"))
+    choices: list[LoweringChoices] = [LoweringChoices("refused", {"slower than the controller supports": refusals[0]})]
     # Visible where one step of the cruise speed changes the duration by more than the longest ramp can compensate.
-    within = [move.lowered_ms for move in made_moves if move.planned_s < move.rate]
-    if within:
-        figures.append(make_figure("seconds < steps/s, lowered-planned", within, "ms", "p99<=0.2", _meets_p99))
+    times_within = [move.lowered_ms for move in made_moves if move.planned_s < move.rate]
+    if times_within:
+        figures.append(make_figure("seconds < steps/s, lowered-planned", times_within, "ms", "p99<=0.2", _meets_p99))
     for low, high in pairwise((*CLASSES, subject.quickest)):
         of_class = [move for move in made_moves if low <= move.rate < high]
         name = f"{low:g}-{high:g}"
         if of_class:
             figures.append(make_figure(f"{name}, lowered-planned", [move.lowered_ms for move in of_class], "ms"))
         split = sum(move.commands > 1 for move in of_class)
-        chosen_choices.append(LoweringChoices(name, {"one command": len(of_class) - split, "several commands": split}))
-    return LoweringFigures(make, moves, figures, chosen_choices)
+        choices.append(LoweringChoices(name, {"one command": len(of_class) - split, "several commands": split}))
+    return LoweringFigures(make, moves, figures, choices)
 
 
 def _meets_p99(found: BenchFigure) -> bool:
@@ -200,9 +198,9 @@ async def _measure_moves(
     await driver.configure()
     await driver.set_enabled(["a"], on=True)
     draw = Random(seed)
-    executed_sample = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
-    at, found_moves = 0, list[_StepperMove]()
-    while len(found_moves) < moves:
+    sample_numbers = set(draw.sample(range(moves), min(moves, max(MIN_SIMULATED, moves // SIMULATED_EVERY))))
+    at, results = 0, list[_StepperMove]()
+    while len(results) < moves:
         profile = _draw_feasible(subject, at, draw)
         if profile is None:
             continue
@@ -218,13 +216,13 @@ async def _measure_moves(
         predicted_ms = planned_ms = alone_ms = None
         if subject.alone is not None:
             alone_ms = abs(subject.alone(config, profile) - profile.duration_s) * 1e3
-        if len(found_moves) in executed_sample:
+        if len(results) in sample_numbers:
             start_ns, end_ns = await _measure_execution(clock, driver, unit, profile)
             at = profile.end_counts
             device_s = (crystal.device_ns(end_ns) - crystal.device_ns(start_ns)) * 1e-9
             predicted_ms = abs(device_s - predicted_s) * 1e3
             planned_ms = abs((end_ns - start_ns) * 1e-9 - profile.duration_s) * 1e3
-        found_moves.append(
+        results.append(
             _StepperMove(
                 rate,
                 profile.duration_s,
@@ -236,7 +234,7 @@ async def _measure_moves(
             )
         )
     await driver.close()
-    return found_moves
+    return results
 
 
 def _draw_feasible(subject: BenchedStepper, at: int, draw: Random) -> Profile | None:
@@ -257,7 +255,7 @@ async def _measure_execution(
     clock: Clock, driver: Driver, unit: SimulatedController, profile: Profile
 ) -> tuple[int, int]:
     """Return the true instants of the motion's start and end."""
-    before = len(unit.commanded_motions)
+    motion_count = len(unit.commanded_motions)
     lowered_profiles = driver.lower_profiles({"a": profile}, StartOptions(), None)
     t0_ns = clock.now_ns() + lowered_profiles.costs.arm_ns + lowered_profiles.costs.disarm_ns + 50 * NS_PER_MS
     await driver.arm_move(lowered_profiles, t0_ns, None)
@@ -269,4 +267,4 @@ async def _measure_execution(
     if outcome.state != "done" or end_ns is None:
         raise RuntimeError(f"a move of the benchmark ended unexpectedly: {outcome.reason}")
     await sleep_ns(clock, 10 * NS_PER_MS)
-    return unit.commanded_motions[before].start_ns, end_ns
+    return unit.commanded_motions[motion_count].start_ns, end_ns

@@ -141,12 +141,12 @@ class _ScriptPort:
         return await self._read_reply()
 
     async def _read_reply(self) -> bytes:
-        seen = b""
+        reply = b""
         with suppress(TimeoutError):
             async with asyncio.timeout(ANSWER_S):
-                while not seen.endswith(self.make.ends):
-                    seen += (await self.link.read()).data
-        return seen
+                while not reply.endswith(self.make.ends):
+                    reply += (await self.link.read()).data
+        return reply
 
     async def is_at_rest(self) -> bool:
         """Whether a query shows the controller at rest."""

@@ -81,7 +81,7 @@ async def bench_permit(gantry: Controller, state: Path, rounds: int) -> PermitFi
 
             async def is_permit_restored() -> bool:
                 states = (await tutti.status()).values()
-                return all(each.mode == "idle" and not any(each.inputs.values()) for each in states)
+                return all(state.mode == "idle" and not any(state.inputs.values()) for state in states)
 
             await wait_until(is_permit_restored, "the permit is restored")
         poll_ms = 1000 / gantry.state.moving_hz

@@ -31,7 +31,7 @@ class PollCase(NamedTuple):
     at_once: int
 
 
-CASES = tuple(PollCase(*each) for each in ((1, 0, 1), (1, 16, 1), (1, 16, 2), (3, 0, 1), (3, 16, 1)))
+CASES = tuple(PollCase(*values) for values in ((1, 0, 1), (1, 16, 1), (1, 16, 2), (3, 0, 1), (3, 16, 1)))
 
 
 class PollRate(NamedTuple):
@@ -74,12 +74,20 @@ async def _measure_rate(clock: VirtualClock, case: PollCase, seconds: float, see
     wire.to_far = wire.to_near = count_bytes
     began_ns = clock.now_ns()
     until_ns = began_ns + round(seconds * NS_PER_S)
-    polls = sum(await asyncio.gather(*(_poll_until(clock, each, until_ns) for each in drivers for _ in range(at_once))))
+    polls = sum(
+        await asyncio.gather(*(_poll_until(clock, driver, until_ns) for driver in drivers for _ in range(at_once)))
+    )
     rate = polls * NS_PER_S / (clock.now_ns() - began_ns)
-    each = characters / polls
-    allowed = NS_PER_S / (each * wire.model.char_ns)
+    characters_per_poll = characters / polls
+    line_rate = NS_PER_S / (characters_per_poll * wire.model.char_ns)
     return PollRate(
-        units, hold_ms, at_once, round(rate, 2), round(each, 1), round(allowed, 2), round(100 * rate / allowed, 1)
+        units,
+        hold_ms,
+        at_once,
+        round(rate, 2),
+        round(characters_per_poll, 1),
+        round(line_rate, 2),
+        round(100 * rate / line_rate, 1),
     )
 
 
@@ -107,14 +115,14 @@ def _make_line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tupl
     line = build_line(find_simulator(MAKE), clock, branches)
     model = serial_wire(BAUD, hold_ns=hold_ms * NS_PER_MS)
     wire = MemoryWire(clock, model, line.endpoint, "serial", "serial line", copy_context(), seed)
-    shared: dict[str, Any] = {}
+    line_options: dict[str, Any] = {}
     drivers: list[Driver] = []
     for name, branch in branches.items():
         config = _make_config(branch.address)
         options = make.options_model.model_validate({})
         drivers.append(
             make.create_driver(
-                DriverSetup(name, config, options, clock, wire.open_link, LoopTimedWriter(clock), shared)
+                DriverSetup(name, config, options, clock, wire.open_link, LoopTimedWriter(clock), line_options)
             )
         )
     return wire, drivers

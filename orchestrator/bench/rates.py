@@ -138,9 +138,9 @@ def bench_rates(trials: int, seed: int = 1) -> tuple[list[RateFigures], list[Sta
     rates: list[RateFigures] = []
     starts: list[StartFigures] = []
     for case in CASES:
-        found_trials = [_run_trial(case, Random(f"{seed} {case.name} {trial}"), trial) for trial in range(trials)]
+        results = [_run_trial(case, Random(f"{seed} {case.name} {trial}"), trial) for trial in range(trials)]
         for number, moves in enumerate(MOVES):
-            at = [each[number] for each in found_trials]
+            at = [trial[number] for trial in results]
             rates.append(_make_rate_figures(case.name, moves, at))
             starts.append(_make_start_figures(case.name, moves, at))
     return rates, starts
@@ -158,27 +158,29 @@ class _RateTrial(NamedTuple):
 def _run_trial(case: RateCase, draw: Random, number: int) -> list[_RateTrial]:
     crystal = Oscillator(0, draw.uniform(-DRIFT_PPM, DRIFT_PPM), WANDER_PPM, number)
     learned_clock = InferredClock(0.0, REACH_PPM, case.declared)
-    measured: list[float] = []
-    acknowledged: list[int] = []
+    rates_ppm: list[float] = []
+    delays_ns: list[int] = []
     known_trials: list[_RateTrial] = []
     now_ns = NS_PER_S
-    outside = False
+    is_outside = False
     for count in range(1, MOVES[-1] + 1):
         arrived_ns = now_ns + round(draw.uniform(*PAUSES_S) * NS_PER_S)
         duration_s = draw.uniform(SHORTEST_S, LONGEST_S)
         promised_latency = learned_clock.start_latency_at(now_ns)
         started_ns = arrived_ns + _draw_latency_ns(case, draw) + _draw_decoding_ns(case, draw)
-        outside = outside or not promised_latency.earliest_ns <= started_ns - arrived_ns <= promised_latency.latest_ns
+        is_outside = (
+            is_outside or not promised_latency.earliest_ns <= started_ns - arrived_ns <= promised_latency.latest_ns
+        )
         move, now_ns = _simulate_observations(case, draw, crystal, (arrived_ns, started_ns), duration_s)
         learned_clock.learn_from_move(move, arrived_ns, None if case.asked_behind else move.started_ns[1], now_ns)
         heard_ns = move.started_ns[1]
-        measured.append((duration_s * NS_PER_S / (now_ns - heard_ns) - 1) * 1e6)
-        acknowledged.append(heard_ns - arrived_ns)
+        rates_ppm.append((duration_s * NS_PER_S / (now_ns - heard_ns) - 1) * 1e6)
+        delays_ns.append(heard_ns - arrived_ns)
         if count in MOVES:
             known_trials.append(
                 _compare_estimates(
-                    case, learned_clock, crystal, now_ns, (_compute_mean(measured), _compute_mean(acknowledged))
-                )._replace(outside=outside)
+                    case, learned_clock, crystal, now_ns, (_compute_mean(rates_ppm), _compute_mean(delays_ns))
+                )._replace(outside=is_outside)
             )
     return known_trials
 
@@ -190,14 +192,14 @@ def _compare_estimates(
     ahead_ns = round(LONGEST_S * NS_PER_S)
     true_ppm = ((crystal.device_ns(now_ns + ahead_ns) - crystal.device_ns(now_ns)) / ahead_ns - 1) * 1e6
     middle_ns = case.decode_ns + case.spread_ns / 2 + case.way_ns + case.jitter_ns / 2
-    usual, declared, mean = (
+    usual, declaration, mean = (
         abs(duration_ns - middle_ns) / NS_PER_US
         for duration_ns in (learned.start_latency_at(now_ns).usual_ns, case.declared.usual_ns, means[1])
     )
     return _RateTrial(
         rate=(abs(learned.crystal_rate.rate_ppm - true_ppm), abs(true_ppm), abs(means[0] - true_ppm)),
         bound_ppm=learned.crystal_rate.bound_ppm(now_ns, LONGEST_S),
-        start=(usual, declared, mean),
+        start=(usual, declaration, mean),
         outside=False,
     )
 
@@ -270,7 +272,7 @@ def _make_rate_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> RateF
 
 
 def _make_start_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> StartFigures:
-    errors, declared, mean = (sorted(trial.start[k] for trial in at) for k in range(3))
+    errors, declarations, mean = (sorted(trial.start[k] for trial in at) for k in range(3))
     return StartFigures(
         link=link,
         moves=moves,
@@ -279,7 +281,7 @@ def _make_start_figures(link: str, moves: int, at: Sequence[_RateTrial]) -> Star
         p95_us=round(_percentile(errors, 0.95)),
         max_us=round(errors[-1]),
         misses=sum(trial.outside for trial in at),
-        declared_us=round(_percentile(declared, 0.95)),
+        declared_us=round(_percentile(declarations, 0.95)),
         mean_us=round(_percentile(mean, 0.95)),
     )
 

@@ -173,13 +173,13 @@ async def _measure_shares(clock: VirtualClock, seconds: float) -> dict[str, floa
     profile.enable()
     await sleep_ns(clock, round(seconds * NS_PER_S))
     profile.disable()
-    spent = dict.fromkeys((*PARTS, OTHER), 0.0)
+    time_s = dict.fromkeys((*PARTS, OTHER), 0.0)
     for entry in profile.getstats():
         code = entry.code
-        spent[OTHER if isinstance(code, str) else _find_part(code.co_filename)] += entry.inlinetime
-    total = sum(spent.values()) or 1.0
-    return {part: round(100 * share / total, 1) for part, share in spent.items()}
+        time_s[OTHER if isinstance(code, str) else _find_part(code.co_filename)] += entry.inlinetime
+    total = sum(time_s.values()) or 1.0
+    return {part: round(100 * share / total, 1) for part, share in time_s.items()}
 
 
 def _find_part(source: str) -> str:
-    return next((part for part, places in PARTS.items() if any(place in source for place in places)), OTHER)
+    return next((part for part, places in PARTS.items() if any(part_path in source for part_path in places)), OTHER)

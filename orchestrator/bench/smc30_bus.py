@@ -126,14 +126,14 @@ def _build_bus(clock: VirtualClock, seed: int) -> _Smc30Bus:
 
     line = build_line(find_simulator(MAKE), clock, {f"u{address}": make_device(address) for address in CONTROLLERS})
     wire = MemoryWire(clock, serial_wire(BAUD), line.endpoint, "serial", "bus", copy_context(), seed)
-    make, shared = find_make(MAKE), dict[str, Any]()
+    make, bus_options = find_make(MAKE), dict[str, Any]()
     firer = LoopTimedWriter(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
     drivers: list[Driver] = []
     for address in CONTROLLERS:
         config = Controller.model_validate(_make_config(address))
         options = make.options_model.model_validate(config.options)
         drivers.append(
-            make.create_driver(DriverSetup(f"u{address}", config, options, clock, wire.open_link, firer, shared))
+            make.create_driver(DriverSetup(f"u{address}", config, options, clock, wire.open_link, firer, bus_options))
         )
     return _Smc30Bus(clock, [line.devices[f"u{address}"] for address in CONTROLLERS], drivers, wire, draw)
 
@@ -156,18 +156,18 @@ async def _start_together(bus: _Smc30Bus, *, line: bool) -> tuple[list[int], int
         await driver.configure()
         await driver.set_enabled(["a"], on=True)
     profiles = dict(plan_step([AxisMove("a", 0, STEPS, VELOCITY, ACCELERATION)]).profiles)
-    how = (
+    start_options = (
         StartOptions(wait=TriggerWait(input="go", earliest_ns=-EDGE_NS, latest_ns=EDGE_NS))
         if line
         else StartOptions(start_class="host")
     )
-    lowered_profiles = [driver.lower_profiles(profiles, how, None) for driver in bus.drivers]
-    lead_ns = sum(each.costs.arm_ns for each in lowered_profiles) + max(
-        each.costs.disarm_ns for each in lowered_profiles
+    lowered_profiles = [driver.lower_profiles(profiles, start_options, None) for driver in bus.drivers]
+    lead_ns = sum(lowering.costs.arm_ns for lowering in lowered_profiles) + max(
+        lowering.costs.disarm_ns for lowering in lowered_profiles
     )
     t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(bus.drivers, lowered_profiles, strict=True))
-    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.arm_move(lowering, t0_ns, None) for driver, lowering in pairs))
     await asyncio.gather(*(driver.verify_armed() for driver in bus.drivers))
     await asyncio.gather(*(driver.go() for driver in bus.drivers))
     if line:

@@ -25,14 +25,14 @@ def make_spread(
     durations_ns: Sequence[int], p99_ms: float | None = None, max_ms: float | None = None
 ) -> DurationSpread:
     """Compute percentiles by nearest rank, with a target for the 99th or for the largest."""
-    ordered = sorted(duration_ns / 1e6 for duration_ns in durations_ns)
-    p50, p99 = (ordered[math.ceil(share * len(ordered)) - 1] for share in (0.5, 0.99))
-    asked, met = "", None
+    values = sorted(duration_ns / 1e6 for duration_ns in durations_ns)
+    p50, p99 = (values[math.ceil(share * len(values)) - 1] for share in (0.5, 0.99))
+    target, is_met = "", None
     if p99_ms is not None:
-        asked, met = f"p99 < {p99_ms:g} ms", p99 < p99_ms
+        target, is_met = f"p99 < {p99_ms:g} ms", p99 < p99_ms
     elif max_ms is not None:
-        asked, met = f"max < {max_ms:g} ms", ordered[-1] < max_ms
-    return DurationSpread(len(ordered), round(p50, 3), round(p99, 3), round(ordered[-1], 3), asked, met)
+        target, is_met = f"max < {max_ms:g} ms", values[-1] < max_ms
+    return DurationSpread(len(values), round(p50, 3), round(p99, 3), round(values[-1], 3), target, is_met)
 
 
 class WakeUpNoise:

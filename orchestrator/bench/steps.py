@@ -99,7 +99,7 @@ def _make_fleet(
     named_controllers = {f"c{number}": controller for number, controller in enumerate(controllers)}
     fleet = Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "steps", "controllers": named_controllers})
     return StepsFleet(
-        name, fleet, {f"{each}.x": counts for each in named_controllers}, [naive] * len(named_controllers), asked_ms
+        name, fleet, {f"{name}.x": counts for name in named_controllers}, [naive] * len(named_controllers), asked_ms
     )
 
 
@@ -204,8 +204,8 @@ def _count_breaks(report: JobReport) -> dict[str, int]:
 def list_breaks(rows: Iterable[StepsFigures]) -> list[str]:
     """One line for each reason why steps were not chained."""
     return [
-        f"{row.fleet}, {where}: {count} steps from rest: {reason}"
+        f"{row.fleet}, {world}: {count} steps from rest: {reason}"
         for row in rows
-        for where, broken in (("virtual", row.broken), ("live", row.live_broken or {}))
-        for reason, count in broken.items()
+        for world, breaks in (("virtual", row.broken), ("live", row.live_broken or {}))
+        for reason, count in breaks.items()
     ]

@@ -132,7 +132,7 @@ def make_sync_fleet(name: str, seed: int, **limits: float) -> Fleet:
     draw = Random(f"{name} {seed}")
     plain = FLEETS[name]
     controllers: dict[str, Any] = {}
-    for each, config in plain["controllers"].items():
+    for controller, config in plain["controllers"].items():
         crystal = {
             "offset_s": draw.uniform(0, 600),
             "drift_ppm": draw.uniform(-DRIFT_PPM, DRIFT_PPM),
@@ -140,5 +140,5 @@ def make_sync_fleet(name: str, seed: int, **limits: float) -> Fleet:
         }
         axis = config["axes"]["x"]
         axes = {"x": {**axis, "limits": {**axis["limits"], **limits}}}
-        controllers[each] = {**config, "axes": axes, "simulate": {**config["simulate"], **crystal}}
+        controllers[controller] = {**config, "axes": axes, "simulate": {**config["simulate"], **crystal}}
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "sync", **plain, "controllers": controllers})

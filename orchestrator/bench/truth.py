@@ -69,6 +69,6 @@ class TruthLog:
     def _read_entries(self) -> None:
         with self._path.open("rb") as file:
             file.seek(self._offset)
-            whole, newline, _ = file.read().rpartition(b"\n")
-        self._offset += len(whole) + len(newline)
-        self._entries += [json.loads(line) for line in whole.splitlines()]
+            lines, newline, _ = file.read().rpartition(b"\n")
+        self._offset += len(lines) + len(newline)
+        self._entries += [json.loads(line) for line in lines.splitlines()]

@@ -37,9 +37,9 @@ async def _run_fleet(fleet: Fleet, clock: VirtualClock, hours: float, seed: int)
     steps: list[dict[str, object]] = [{"do": "enable", "axes": controllers}, {"do": "home"}]
     await _run_job(client, "prepare", steps)
     moves, end_ns = 0, clock.now_ns() + round(hours * 3600 * NS_PER_S)
-    there, back = (_make_move(fleet, share) for share in (0.75, 0.25))
+    first_move, second_move = (_make_move(fleet, share) for share in (0.75, 0.25))
     while clock.now_ns() < end_ns:
-        await _run_job(client, "to and fro", [there, back] * 25)
+        await _run_job(client, "to and fro", [first_move, second_move] * 25)
         moves += 50
     return clock.now_ns() / NS_PER_S, moves
 

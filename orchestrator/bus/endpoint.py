@@ -30,8 +30,8 @@ def split_endpoints(text: str) -> list[str]:
     """The endpoints in `text`, in its order. Raises `BadEndpoint`."""
     endpoints = text.split(",")
     for endpoint in endpoints:
-        found = _parse(endpoint)
-        if not _LOCAL.fullmatch(endpoint) and (found is None or not 0 < int(found[2]) < 65_536):
+        match = _parse(endpoint)
+        if not _LOCAL.fullmatch(endpoint) and (match is None or not 0 < int(match[2]) < 65_536):
             raise BadEndpoint(f"{endpoint!r} is not an endpoint; {_FORM}")
     if len(endpoints) > MAX_ENDPOINTS:
         raise BadEndpoint(f"{len(endpoints)} endpoints; at most {MAX_ENDPOINTS} routers are tried")
@@ -40,8 +40,8 @@ def split_endpoints(text: str) -> list[str]:
 
 def is_private(endpoint: str) -> bool:
     """Whether no other computer reaches a router that listens there: a loopback address, or a socket in a folder."""
-    found = _parse(endpoint)
-    return is_socket(endpoint) if found is None else _LOOPBACK.fullmatch(found[1]) is not None
+    match = _parse(endpoint)
+    return is_socket(endpoint) if match is None else _LOOPBACK.fullmatch(match[1]) is not None
 
 
 def uses_tls(endpoint: str) -> bool:

@@ -23,17 +23,17 @@ def describe_expiry(expires: datetime, now: datetime) -> str:
     """In words for a list: `valid`, `ends in 6 days`, `expired`."""
     if now >= expires:
         return "expired"
-    left = expires - now
-    return "valid" if left > timedelta(days=ALARMS[0][0]) else f"ends in {_format_left(left)}"
+    time_left = expires - now
+    return "valid" if time_left > timedelta(days=ALARMS[0][0]) else f"ends in {_format_left(time_left)}"
 
 
 def find_priority(expires: datetime, now: datetime) -> AlarmPriority | None:
     """The priority of the alarm for a certificate; None while it has more than 30 days."""
-    found_priority: AlarmPriority | None = None
+    alarm_priority: AlarmPriority | None = None
     for days, priority in ALARMS:
         if expires - now <= timedelta(days=days):
-            found_priority = priority
-    return found_priority
+            alarm_priority = priority
+    return alarm_priority
 
 
 def _format_left(left: timedelta) -> str:

@@ -11,11 +11,12 @@ ANSWER_TIMEOUT_S = 2.0
 async def find_fleets(bus: Bus) -> list[str]:
     """The fleets that have a coordinator or an adapter which answers, sorted by name."""
     question_keys = [ANY_TIME, ANY_STATE]
-    gather = await asyncio.gather(
-        *(bus.request_all(each, b"", ANSWER_TIMEOUT_S) for each in question_keys), return_exceptions=True
+    answers = await asyncio.gather(
+        *(bus.request_all(question_key, b"", ANSWER_TIMEOUT_S) for question_key in question_keys),
+        return_exceptions=True,
     )
     keys: set[str] = set()
-    for replies in gather:
+    for replies in answers:
         if isinstance(replies, dict):
             keys |= replies.keys()
         elif not isinstance(replies, BusError):

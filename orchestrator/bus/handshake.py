@@ -17,12 +17,12 @@ def shake_hands(client: ssl.SSLContext, server: ssl.SSLContext) -> tuple[Peer, P
     to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
     connecting = client.wrap_bio(to_client, to_server, server_side=False)
     accepting = server.wrap_bio(to_server, to_client, server_side=True)
-    waiting_objects = [connecting, accepting]
-    while waiting_objects:
-        for end in list(waiting_objects):
+    ends = [connecting, accepting]
+    while ends:
+        for end in list(ends):
             try:
                 end.do_handshake()
-                waiting_objects.remove(end)
+                ends.remove(end)
             except ssl.SSLWantReadError:
                 continue
     return connecting.getpeercert() or {}, accepting.getpeercert() or {}

@@ -60,8 +60,8 @@ class Identity:
 
 def find_identity() -> Path | None:
     """The folder that the environment names."""
-    named = os.environ.get(VARIABLE, "")
-    return Path(named) if named else None
+    folder = os.environ.get(VARIABLE, "")
+    return Path(folder) if folder else None
 
 
 def find_session_identity(endpoint: str = "") -> Identity | None:
@@ -89,7 +89,7 @@ def read_identity(folder: Path) -> Identity:
             raise BadIdentity(f"{path} can be read by other users; `chmod 600 {path}`")
     certificate = _shake_hands(folder)
     try:
-        subject = dict(pair for each in certificate["subject"] for pair in each)
+        subject = dict(pair for names in certificate["subject"] for pair in names)
         return Identity(
             folder, subject["commonName"], read_instant(certificate["notBefore"]), read_instant(certificate["notAfter"])
         )

@@ -50,7 +50,7 @@ def is_wanted(environment: Mapping[str, str] = os.environ) -> bool:
 
 
 def _make_name(name: str) -> str:
-    return "".join(each if each.isascii() and each.isalnum() else "_" for each in name.upper())[:50]
+    return "".join(character if character.isascii() and character.isalnum() else "_" for character in name.upper())[:50]
 
 
 def _encode_field(name: str, value: str) -> bytes:

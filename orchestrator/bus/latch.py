@@ -70,8 +70,8 @@ class LatchKeeper:
 
     async def close(self) -> None:
         """Leave the bus. The stored latch stays."""
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
         self._declared.clear()
         await asyncio.gather(*self._saves)
 

@@ -78,7 +78,7 @@ class ProcessLog:
         entry = {"utc": self._clock.utc(), "fleet_ns": self.fleet_ns(), "level": level, **self._origin, "text": text}
         line = json.dumps(entry | fields, default=str)
         if len(line) > MAX_LINE_CHARS:
-            shortened = f"{text[: MAX_LINE_CHARS // 8]}… (the line had {len(line)} characters)"
-            line = json.dumps({**entry, "text": shortened})
+            excerpt = f"{text[: MAX_LINE_CHARS // 8]}… (the line had {len(line)} characters)"
+            line = json.dumps({**entry, "text": excerpt})
         self._sink(line)
         return line

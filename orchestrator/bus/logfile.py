@@ -47,19 +47,19 @@ class LogFile:
 
     def _write_line(self, line: str) -> None:
         data = line.encode("utf-8", "replace") + b"\n"
-        written = os.write(self._fd, data)
-        if written != len(data):  # the disk is full in the middle of the line
+        count = os.write(self._fd, data)
+        if count != len(data):  # the disk is full in the middle of the line
             os.write(self._fd, b"\n")
 
     def _use_present_file(self) -> None:
         """Open the file again if another process has rotated it, or it was deleted; rotate it if it is too large."""
-        ours = os.fstat(self._fd)
-        if not self._is_present(ours):
+        status = os.fstat(self._fd)
+        if not self._is_present(status):
             self._open_again()
-        elif ours.st_size >= self._max_bytes:
+        elif status.st_size >= self._max_bytes:
             # One of the processes rotates it; the others find that it is done.
             fcntl.flock(self._fd, fcntl.LOCK_EX)
-            if self._is_present(ours):
+            if self._is_present(status):
                 rotate_files(self._path)
             self._open_again()
 

@@ -58,7 +58,7 @@ class ArbitraryReplies:
 
     def change_frames(self, data: bytes) -> bytes:
         """Return what arrives instead of frames of a CAN bus: they are always whole ones."""
-        changed_frames = [each for frame in decode_frames(data) for each in self._change_frame(frame)]
+        changed_frames = [new_frame for frame in decode_frames(data) for new_frame in self._change_frame(frame)]
         return encode_frames(*changed_frames)
 
     def _change_frame(self, frame: CanFrame) -> list[CanFrame]:

@@ -48,8 +48,8 @@ class BusFaults:
         opened_ways = [self._block_way(*end, lasts_ns) for end in ends]
 
         def open_all() -> None:
-            for each in opened_ways:
-                each()
+            for reopen_way in opened_ways:
+                reopen_way()
 
         return open_all
 

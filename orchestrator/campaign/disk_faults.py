@@ -48,26 +48,26 @@ def flip_bit(fleet: VirtualFleet, draw: Random) -> None:
         disk.files[name] = _with_flipped_bit(disk.files[name], draw)
     else:
         table, column, row, value = values[number - len(files)]
-        changed = _with_flipped_bit(value, draw)
+        new_value = _with_flipped_bit(value, draw)
         fleet.journal.database.execute(
             f"UPDATE {table} SET {column} = CAST(? AS TEXT) WHERE rowid = ?",
-            (changed, row),
+            (new_value, row),
         )
 
 
 def _find_values(fleet: VirtualFleet) -> list[tuple[str, str, int, bytes]]:
     """Table, column, row number and value of each text that the next coordinator reads when it starts."""
-    db, found = fleet.journal.database, list[tuple[str, str, int, Any]]()
-    found += [("meta", "value", *row) for row in db.execute("SELECT rowid, CAST(value AS BLOB) FROM meta")]
+    db, rows = fleet.journal.database, list[tuple[str, str, int, Any]]()
+    rows += [("meta", "value", *row) for row in db.execute("SELECT rowid, CAST(value AS BLOB) FROM meta")]
     for job in fleet.journal.list_unfinished():
         for column in _START_COLUMNS:
             query = f"SELECT rowid, CAST({column} AS BLOB) FROM jobs WHERE id = ?"
-            found += [("jobs", column, *row) for row in db.execute(query, (job.id,))]
-    return [each for each in found if each[3]]
+            rows += [("jobs", column, *row) for row in db.execute(query, (job.id,))]
+    return [row for row in rows if row[3]]
 
 
 def _with_flipped_bit(data: bytes, draw: Random) -> bytes:
-    place = draw.randrange(8 * len(data))
-    flipped = bytearray(data)
-    flipped[place // 8] ^= 1 << place % 8
-    return bytes(flipped)
+    bit = draw.randrange(8 * len(data))
+    new_data = bytearray(data)
+    new_data[bit // 8] ^= 1 << bit % 8
+    return bytes(new_data)

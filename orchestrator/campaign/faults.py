@@ -196,9 +196,11 @@ class FaultInjector:
                 bus = fleet.net.join_process(f"campaign-{event}")
                 bus.put(fleet.keys.estop, EstopMessage(event=event, actor="campaign").to_json(), Priority.ESTOP)
             case "permit-lost":
-                door, number, lost = self._find_permit_input()
-                fleet.act_on_controller(door, lambda controller: controller.set_input(number, level=lost))
-                return lambda: fleet.act_on_controller(door, lambda each: each.set_input(number, level=not lost))
+                door, number, lost_level = self._find_permit_input()
+                fleet.act_on_controller(door, lambda controller: controller.set_input(number, level=lost_level))
+                return lambda: fleet.act_on_controller(
+                    door, lambda controller: controller.set_input(number, level=not lost_level)
+                )
             case "fleet-restarted":
                 return self._kill_all_processes()
             case "coordinator-cut":
@@ -286,11 +288,13 @@ class FaultInjector:
                 switch_power(on=False)
                 self._schedule_call(POWER_CYCLE_NS, lambda: switch_power(on=True))
             case "limit":
-                fleet.act_on_controller(member, lambda each: each.set_limit(axis, "both"))
-                return lambda: fleet.act_on_controller(member, lambda each: each.set_limit(axis, "none"))
+                fleet.act_on_controller(member, lambda controller: controller.set_limit(axis, "both"))
+                return lambda: fleet.act_on_controller(member, lambda controller: controller.set_limit(axis, "none"))
             case "stall":
-                fleet.act_on_controller(member, lambda each: each.set_stalled(axis, stalled=True))
-                return lambda: fleet.act_on_controller(member, lambda each: each.set_stalled(axis, stalled=False))
+                fleet.act_on_controller(member, lambda controller: controller.set_stalled(axis, stalled=True))
+                return lambda: fleet.act_on_controller(
+                    member, lambda controller: controller.set_stalled(axis, stalled=False)
+                )
             case "second-master":  # over a connection of its own
                 pass
             case _:  # crystal

@@ -55,11 +55,11 @@ class InvariantChecker:
                 most = axis.limits.velocity * scale
                 if speed > most * 1.02 + begin:
                     self.add_violation("5", f"{name}.{motor} moves at {speed:.0f} counts/s; its limit is {most:.0f}")
-                then_ns, before = self._speeds.get((name, motor), (now_ns, speed))
+                then_ns, speed_before = self._speeds.get((name, motor), (now_ns, speed))
                 grown_acceleration = axis.limits.acceleration * scale * (now_ns - then_ns) / NS_PER_S
-                if speed - before > grown_acceleration * 1.1 + 2 * begin + most * 0.01:
+                if speed - speed_before > grown_acceleration * 1.1 + 2 * begin + most * 0.01:
                     self.add_violation(
-                        "5", f"{name}.{motor}: accelerated from {before:.0f} to {speed:.0f} counts/s too quickly"
+                        "5", f"{name}.{motor}: accelerated from {speed_before:.0f} to {speed:.0f} counts/s too quickly"
                     )
                 self._speeds[name, motor] = (now_ns, speed)
 
@@ -68,12 +68,12 @@ class InvariantChecker:
         current states from the adapters."""
         for name, state in states.items():
             for axis_name, axis in self._whole_fleet.controllers[name].axes.items():
-                told, label = state.axes[axis_name], f"{name}.{axis_name}"
+                axis_state, label = state.axes[axis_name], f"{name}.{axis_name}"
                 # Some axes take their current position as reference when they are homed.
                 anywhere = axis.homing.method == HOME_AT_CURRENT_POSITION or name in self._position_lost
-                if state.mode == "offline" or not told.referenced or anywhere:
+                if state.mode == "offline" or not axis_state.referenced or anywhere:
                     continue
-                origin = self._fleet.controllers[name].physical_position(axis.motors[0]) - told.commanded_counts
+                origin = self._fleet.controllers[name].physical_position(axis.motors[0]) - axis_state.commanded_counts
                 off = origin - self._home_offsets.setdefault(label, origin)
                 if abs(off) > HOMING_SPREAD_COUNTS:
                     self.add_violation(
@@ -121,7 +121,9 @@ class InvariantChecker:
     def _check_promises(self, phase: CampaignPhase) -> None:
         """Check invariants 1, 7, 9 and 10 on the requests: no member receives `go` before all have made the same
         promise."""
-        asked_requests = [each for each in self._recorder.requests if each.verb == "lease" or each.job_id in phase.jobs]
+        asked_requests = [
+            request for request in self._recorder.requests if request.verb == "lease" or request.job_id in phase.jobs
+        ]
         highest: dict[str, int] = {}
         for request in asked_requests:
             if request.accepted and request.fields["epoch"] < highest.get(request.member, 0):
@@ -135,36 +137,36 @@ class InvariantChecker:
         for request in asked_requests:
             if request.verb in ("arm", "commit"):
                 promises.setdefault(request.step_id, []).append(request)
-        for go in (each for each in asked_requests if each.verb == "go"):
-            requests_before = [each for each in promises.get(go.step_id, ()) if each.sent_ns < go.sent_ns]
-            of_step = [each for each in requests_before if each.fields["epoch"] == go.fields["epoch"]]
+        for go in (request for request in asked_requests if request.verb == "go"):
+            requests_before = [request for request in promises.get(go.step_id, ()) if request.sent_ns < go.sent_ns]
+            of_step = [request for request in requests_before if request.fields["epoch"] == go.fields["epoch"]]
             # The members of the last arming: arming again with a longer lead time starts over.
-            members = {each.member for each in of_step if each.verb == "arm"}
+            members = {request.member for request in of_step if request.verb == "arm"}
             for member in sorted(members):
                 self._check_promise(go, member, of_step)
         if phase.fault.name == "host-other-file" and phase.fault_ns is not None and phase.repair_ns is not None:
             for request in asked_requests:
-                between = phase.fault_ns < request.sent_ns < phase.repair_ns
-                begun = request.verb in ("home", "arm") and request.accepted
-                if begun and request.member == phase.member and between:
+                is_between = phase.fault_ns < request.sent_ns < phase.repair_ns
+                has_begun = request.verb in ("home", "arm") and request.accepted
+                if has_begun and request.member == phase.member and is_between:
                     self.add_violation(
                         "10", f"{request.member} accepted {request.verb} with a configuration other than its host's"
                     )
 
     def _check_promise(self, go: RecordedRequest, member: str, before: Sequence[RecordedRequest]) -> None:
         """Check invariant 1: `member` was armed, and has promised, before any member received `go`."""
-        last: dict[str, RecordedRequest] = {each.verb: each for each in before if each.member == member}
+        last: dict[str, RecordedRequest] = {request.verb: request for request in before if request.member == member}
         begins_ns = go.fields["t0_fleet_ns"] + go.fields["advance_ns"]
         shift_ns = abs(last["arm"].fields["t0_fleet_ns"] - begins_ns)
         for verb in ("arm", "commit"):
             request = last.get(verb)
-            kept = (
+            is_kept = (
                 request is not None
                 and request.accepted
                 and request.answered_ns is not None
                 and request.answered_ns <= go.sent_ns
             )
-            if not kept:
+            if not is_kept:
                 self.add_violation("1", f"{go.member} received go for {go.step_id} before {member} had answered {verb}")
         if "commit" in last and last["commit"].promise_terms != last["arm"].promise_terms:
             self.add_violation(
@@ -179,7 +181,7 @@ class InvariantChecker:
     def _check_jobs(self, phase: CampaignPhase, reports: Mapping[str, JobReport | None]) -> None:
         """Check invariants 6 and 7: every job ends exactly once, and jobs that the fault does not affect are done."""
         journal = self._fleet.journal
-        broken = phase.fault_ns is not None
+        is_broken = phase.fault_ns is not None
         for job_id, order in phase.jobs.items():
             row, report = journal.load_record(job_id), reports[job_id]
             if row is None:
@@ -189,14 +191,18 @@ class InvariantChecker:
                 self.add_violation("6", f"job {order.job.name} has not ended: {row.state} ({row.reason})")
                 continue
             ends = sum(change.state in FINISHED_STATES for change in report.transitions)
-            decided = [step for step, _ in journal.list_decisions(job_id)]
-            if ends != 1 or len(set(decided)) != len(decided):
-                self.add_violation("6", f"job {order.job.name} ended {ends} times; decisions for its steps: {decided}")
+            decisions = [step for step, _ in journal.list_decisions(job_id)]
+            if ends != 1 or len(set(decisions)) != len(decisions):
+                self.add_violation(
+                    "6", f"job {order.job.name} ended {ends} times; decisions for its steps: {decisions}"
+                )
             if row.state == "done":
                 continue
             if not row.reason:
                 self.add_violation("3", f"job {order.job.name} is {row.state} without a reason")
-            touched_controllers = broken and not phase.fault.harmless and set(order.controllers) & set(phase.affected)
+            touched_controllers = (
+                is_broken and not phase.fault.harmless and set(order.controllers) & set(phase.affected)
+            )
             if not touched_controllers:
                 self.add_violation(
                     "7", f"job {order.job.name}, which the fault does not affect, is {row.state}: {row.reason}"

@@ -65,34 +65,38 @@ def draw_orders(
 ) -> list[JobOrder]:
     """Draw two or three jobs; the first one, of this kind, moves `member`. positions: position of each axis, in its
     unit."""
-    together = [line for line in _group_inseparable(fleet) if member not in line]
-    draw.shuffle(together)
-    others = max(1, len(together) - draw.choice((0, 1, 2)))
-    main = sorted([*_find_inseparable(fleet, member), *chain(*together[:others])])
-    beside = sorted(chain(*together[others:]))
-    positions_there = dict(positions)
+    groups = [line for line in _group_inseparable(fleet) if member not in line]
+    draw.shuffle(groups)
+    group_count = max(1, len(groups) - draw.choice((0, 1, 2)))
+    main = sorted([*_find_inseparable(fleet, member), *chain(*groups[:group_count])])
+    other_controllers = sorted(chain(*groups[group_count:]))
+    all_positions = dict(positions)
     first: list[dict[str, Any]] = []
     if kind == "home":
         first = [{"do": "home", "axes": [member]}]
-        positions_there |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
-    axes = _JobAxes(fleet, main, positions_there)
+        all_positions |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
+    axes = _JobAxes(fleet, main, all_positions)
     if kind == "path":
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
-        beside = [name for name in beside if name not in main]
-        job = _draw_path("main", _JobAxes(fleet, main, positions_there), draw)
+        other_controllers = [name for name in other_controllers if name not in main]
+        job = _draw_path("main", _JobAxes(fleet, main, all_positions), draw)
     else:
         job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
     if kind == "trigger":
         job = _add_triggers(job, fleet, main)
     orders = [JobOrder(job, QueueTerms(), tuple(main))]
-    if beside:
+    if other_controllers:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
         orders.append(
-            JobOrder(_draw_moves("beside", _JobAxes(fleet, beside, positions_there), draw), terms, tuple(beside))
+            JobOrder(
+                _draw_moves("beside", _JobAxes(fleet, other_controllers, all_positions), draw),
+                terms,
+                tuple(other_controllers),
+            )
         )
     late = sorted(chain(*draw.sample(_group_inseparable(fleet), 2)))
     terms = QueueTerms(priority=draw.choice((-1, 0)))
-    orders.append(JobOrder(_draw_moves("late", _JobAxes(fleet, late, positions_there), draw), terms, tuple(late)))
+    orders.append(JobOrder(_draw_moves("late", _JobAxes(fleet, late, all_positions), draw), terms, tuple(late)))
     return orders
 
 
@@ -159,13 +163,17 @@ def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random) -> Job:
     """Draw a job of short moves, one after the other, all of `member` and most of the others; some with a dwell in
     between."""
     steps: list[dict[str, Any]] = []
-    groups = [each for each in _group_inseparable(axes.fleet) if set(each) <= set(axes.controllers)]
+    groups = [group for group in _group_inseparable(axes.fleet) if set(group) <= set(axes.controllers)]
     begins = dict(axes.positions)
     for number in range(CHAIN_STEPS):
         share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
         moved_groups = [group for group in groups if member in group or not number or draw.random() < CHAIN_SHARE]
         targets: dict[str, float] = {}
-        for axis in (f"{each}.{axis}" for each in chain(*moved_groups) for axis in axes.fleet.controllers[each].axes):
+        for axis in (
+            f"{controller}.{axis}"
+            for controller in chain(*moved_groups)
+            for axis in axes.fleet.controllers[controller].axes
+        ):
             reach = axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION
             way = reach if begins[axis] < reach * MAX_MOVE_S / 2 else -reach
             targets[axis] = round(begins[axis] + way * share, 2)
@@ -234,26 +242,26 @@ def _draw_targets(
     targets: dict[str, float] = {}
     for axis in axes:
         reach = fleet.axis(axis).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
-        far = positions[axis] < 0.5 * reach
-        targets[axis] = round(reach * (draw.uniform(0.75, 1.0) if far else draw.uniform(0.0, 0.25)), 2)
+        is_far = positions[axis] < 0.5 * reach
+        targets[axis] = round(reach * (draw.uniform(0.75, 1.0) if is_far else draw.uniform(0.0, 0.25)), 2)
     return targets
 
 
 def _draw_start_options(fleet: Fleet, controllers: list[str], draw: Random) -> dict[str, Any]:
     """Draw how the move is synchronised and started, among the options that the makes support."""
-    drawn = draw.random()
+    chance = draw.random()
     makes = {fleet.controllers[name].adapter for name in controllers}
     waiting_targets = {connection.target for connection in fleet.connections} & set(controllers)
-    if drawn < 0.15:
+    if chance < 0.15:
         return {"sync": "none"}
-    if drawn < 0.3:
+    if chance < 0.3:
         return {"sync": "phase"}
-    if drawn < 0.55 and waiting_targets:
+    if chance < 0.55 and waiting_targets:
         return {"start": "line"}
     classes = {find_traits(make).start_class for make in makes}
-    if drawn < 0.65 and classes == {"host"}:
+    if chance < 0.65 and classes == {"host"}:
         return {"start": "host"}
-    if drawn < 0.75 and classes in ({"clock"}, {"sync"}):
+    if chance < 0.75 and classes in ({"clock"}, {"sync"}):
         return {"start": classes.pop()}
     return {}
 

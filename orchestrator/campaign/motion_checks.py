@@ -85,10 +85,10 @@ class MotionChecker:
             return
         if step.t0_ns is not None or phase.fault.name != "limit" or self._is_first_motor(name, motion):
             self._check_stop(phase, label, motion, step)
-        ended = report.transitions[-1].fleet_ns if report is not None and row.state != "interrupted" else None
+        end_ns = report.transitions[-1].fleet_ns if report is not None and row.state != "interrupted" else None
         ramp_ns = self._ramp_ns(label)
-        if ended is not None and motion.end_ns > ended + self._records.origin_ns() + REST_AFTER_END_NS + ramp_ns:
-            late_ns = motion.end_ns - ended - self._records.origin_ns()
+        if end_ns is not None and motion.end_ns > end_ns + self._records.origin_ns() + REST_AFTER_END_NS + ramp_ns:
+            late_ns = motion.end_ns - end_ns - self._records.origin_ns()
             self.add_violation("3", f"{label} moved until {_format_seconds(late_ns)} after its job was {row.state}")
 
     def _check_asked_for(self, phase: CampaignPhase, label: str, motion: CommandedMotion, step: StepRecord) -> None:
@@ -97,15 +97,15 @@ class MotionChecker:
         order, broken_ns = phase.jobs.get(step.job), phase.fault_ns
         if order is None or broken_ns is None:
             return
-        attended = order.terms.session is not None
-        if phase.fault.name in BREAKS and not attended:
+        is_attended = order.terms.session is not None
+        if phase.fault.name in BREAKS and not is_attended:
             until_ns = phase.queue_started_ns
             if step.requested_ns > broken_ns + REQUESTED_STOP_NS and (until_ns is None or step.requested_ns < until_ns):
                 at = _format_seconds(motion.start_ns)
                 self.add_violation(
                     "11", f"{label} moved at {at}, after {phase.fault.name}, and no one had asked for it"
                 )
-        if not (attended and phase.fault.attended and order.job.name == "main"):
+        if not (is_attended and phase.fault.attended and order.job.name == "main"):
             return
         if step.requested_ns > broken_ns + ABSENCE_NS:
             self.add_violation("11", f"{label} moved for a command that had ended ({phase.fault.name})")
@@ -135,9 +135,9 @@ class MotionChecker:
     def _check_jog(self, phase: CampaignPhase, label: str, motion: CommandedMotion, step: StepRecord | None) -> bool:
         """Check invariant 3 of a jog; return whether the motion was one."""
         name, axis = split_name(label)
-        mine = (record for record in phase.jogs if (record.controller, record.motor) == (name, motion.axis))
+        own_jogs = (record for record in phase.jogs if (record.controller, record.motor) == (name, motion.axis))
         jog = next(
-            (record for record in mine if record.from_ns <= motion.start_ns <= record.renewed_ns + JOG_END_NS), None
+            (record for record in own_jogs if record.from_ns <= motion.start_ns <= record.renewed_ns + JOG_END_NS), None
         )
         # A new leader gave the axis to a job immediately.
         by_job = jog is not None and step is not None and step.begins_ns[name, axis] > jog.from_ns
@@ -148,9 +148,9 @@ class MotionChecker:
         if motion.end_ns > jog.renewed_ns + JOG_END_NS + self._ramp_ns(label):
             late_ns = motion.end_ns - jog.renewed_ns
             self.add_violation("3", f"{label} moved until {_format_seconds(late_ns)} after the last renewal of its jog")
-        before = phase.fault_ns is not None and motion.start_ns < phase.fault_ns
+        is_before = phase.fault_ns is not None and motion.start_ns < phase.fault_ns
         stops = name in phase.affected and (phase.fault.reach != "power" or name == phase.member)
-        if before and stops and not phase.fault.jog_may_continue:
+        if is_before and stops and not phase.fault.jog_may_continue:
             self._check_braking(phase, label, motion)
         return True
 
@@ -186,19 +186,24 @@ class MotionChecker:
         """Check invariant 7: the step's job had the lease of the axis when it began to move, and no other job
         acquired it before it came to rest."""
         given_requests = [
-            each
-            for each in self._recorder.find_requests("lease")
-            if each.member == name and axis in each.fields["axes"] and each.fields["ttl_ms"] and each.accepted
+            request
+            for request in self._recorder.find_requests("lease")
+            if request.member == name
+            and axis in request.fields["axes"]
+            and request.fields["ttl_ms"]
+            and request.accepted
         ]
-        requests_before = [each for each in given_requests if each.sent_ns <= motion.start_ns]
+        requests_before = [request for request in given_requests if request.sent_ns <= motion.start_ns]
         # A new leader has no record of earlier leases; its jobs wait for motions that still begin or brake.
-        epoch = next((each.fields["epoch"] for each in reversed(requests_before) if each.job_id == step.job), None)
+        epoch = next(
+            (request.fields["epoch"] for request in reversed(requests_before) if request.job_id == step.job), None
+        )
         if epoch is None or (requests_before[-1].job_id != step.job and requests_before[-1].fields["epoch"] == epoch):
             holder = requests_before[-1].job_id if requests_before else "no job"
             self.add_violation("7", f"{label} moved for job {step.job} while {holder} had its lease")
         for request in given_requests[len(requests_before) :]:
-            other = request.job_id != step.job and request.fields["epoch"] == epoch
-            if motion.end_ns is not None and request.sent_ns < motion.end_ns and other:
+            is_other = request.job_id != step.job and request.fields["epoch"] == epoch
+            if motion.end_ns is not None and request.sent_ns < motion.end_ns and is_other:
                 late_ns = motion.end_ns - request.sent_ns
                 self.add_violation(
                     "7", f"{label} moved for {_format_seconds(late_ns)} more after {request.job_id} acquired its lease"

@@ -35,8 +35,8 @@ class NamedCommands:
     async def run_named(self, waiting: Sequence[QueueEntry]) -> str:
         """Run the first command that the jobs name; return it, empty if none is named."""
         for entry in waiting:
-            named = _COMMAND.search(entry.reason)
-            words = f"job release {entry.id}" if entry.held_by else named[1] if named else ""
+            match = _COMMAND.search(entry.reason)
+            words = f"job release {entry.id}" if entry.held_by else match[1] if match else ""
             if words:
                 self.commands.append(words)
                 with suppress(Refusal):  # the next look shows what is still named

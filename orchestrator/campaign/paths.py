@@ -31,11 +31,11 @@ class PathChecker:
                 continue
             lines = [piece for piece in step.pieces if isinstance(piece, LinePiece)]
             points = np.array([step.start, *(piece.to for piece in lines)], dtype=np.float64)
-            here = np.array([self._find_position(axis) for axis in step.axes])
+            position = np.array([self._find_position(axis) for axis in step.axes])
             corner_radius = max(float(line.corner.within) for line in lines if isinstance(line.corner, Within))
-            distance = _find_distance(points, here)
+            distance = _find_distance(points, position)
             if distance > float(step.tolerance) + corner_radius:
-                self._add_violation("17", f"{', '.join(step.axes)} are {distance:.3f} off their path, at {here}")
+                self._add_violation("17", f"{', '.join(step.axes)} are {distance:.3f} off their path, at {position}")
 
     def _find_position(self, name: str) -> float:
         axis = self._fleet.fleet.axis(name)

@@ -47,8 +47,8 @@ class RecordedRequest:
     @property
     def promise_terms(self) -> tuple[str, int, int, str, int]:
         """Job, step, epoch, coordinator and T0: these must be equal for all members."""
-        said = self.fields
-        return said["job"], said["step"], said["epoch"], said["coordinator"], said["t0_fleet_ns"]
+        fields = self.fields
+        return fields["job"], fields["step"], fields["epoch"], fields["coordinator"], fields["t0_fleet_ns"]
 
 
 class BusRecorder:
@@ -109,17 +109,17 @@ class BusRecorder:
         have been meant to begin later than the one after it: it is not before that one."""
         step, t0_ns = go.step_id, go.fields["t0_fleet_ns"]
         for axis in self.find_armed_axes(step, go.member):
-            started = self._started.setdefault((go.member, axis), [])
-            before_ns = next((ns for other, ns in reversed(started) if other != step and ns < t0_ns), None)
+            starts = self._started.setdefault((go.member, axis), [])
+            before_ns = next((ns for step_id, ns in reversed(starts) if step_id != step and ns < t0_ns), None)
             if before_ns is not None:
                 key = (step, go.member, axis)
                 self.preceding_t0_ns[key] = max(before_ns, self.preceding_t0_ns.get(key, before_ns))
-            started.append((step, t0_ns))
+            starts.append((step, t0_ns))
 
     def record_replies(self, key: str, requests: list[RecordedRequest], payload: bytes) -> None:
         """Record the reply, for all members that answered."""
-        together = key.split("/")[3] == "host"
-        texts = json.loads(payload)["replies"] if together else {each.member: payload for each in requests}
+        is_batch = key.split("/")[3] == "host"
+        texts = json.loads(payload)["replies"] if is_batch else {request.member: payload for request in requests}
         for request in requests:
             if request.member in texts:
                 request.answered_ns = self._clock.now_ns()

@@ -103,10 +103,10 @@ class PhaseRecords:
         axes: dict[tuple[str, int], dict[str, Sequence[str]]] = {}
         for arm in self._recorder.find_requests("arm"):
             axes.setdefault(arm.step_id, {})[arm.member] = arm.fields["axes"]
-        gone: dict[tuple[str, int], list[RecordedRequest]] = {}
+        releases: dict[tuple[str, int], list[RecordedRequest]] = {}
         for go in self._recorder.find_requests("go"):
             if go.job_id in phase.jobs:
-                gone.setdefault(go.step_id, []).append(go)
+                releases.setdefault(go.step_id, []).append(go)
         homes = [request for request in self._recorder.find_requests("home") if request.job_id in phase.jobs]
         records: list[StepRecord] = []
         for home in homes:
@@ -118,7 +118,7 @@ class PhaseRecords:
             axes_of = {home.member: home.fields["axes"]}
             begins_ns = {(home.member, axis): home.sent_ns for axis in home.fields["axes"]}
             records.append(StepRecord(*home.step_id, home.sent_ns, begins_ns, until_ns, None, axes_of))
-        for (job, index), requests in gone.items():
+        for (job, index), requests in releases.items():
             # With a trigger line each member has a T0 of its own.
             t0_ns = min(go.fields["t0_fleet_ns"] for go in requests) + self.origin_ns()
             members = axes[job, index]
@@ -150,8 +150,8 @@ class PhaseRecords:
         self, name: str, axis: str, motion: CommandedMotion, steps: Sequence[StepRecord]
     ) -> StepRecord | None:
         """Return the last step that had begun, or was about to, when the axis began to move."""
-        mine = [step for step in steps if (name, axis) in step.begins_ns]
-        begun_records = [step for step in mine if step.begins_ns[name, axis] <= motion.start_ns]
+        own_records = [step for step in steps if (name, axis) in step.begins_ns]
+        begun_records = [step for step in own_records if step.begins_ns[name, axis] <= motion.start_ns]
         if not begun_records or (
             begun_records[-1].until_ns is not None and begun_records[-1].until_ns < motion.start_ns
         ):
@@ -169,7 +169,7 @@ class PhaseRecords:
 
     def find_axis(self, name: str, motion: CommandedMotion) -> tuple[str, Axis] | None:
         axes = self._fleet.fleet.controllers[name].axes
-        return next(((each, axis) for each, axis in axes.items() if axis.motors[0] == motion.axis), None)
+        return next(((axis_name, axis) for axis_name, axis in axes.items() if axis.motors[0] == motion.axis), None)
 
     def find_motions(
         self, phase: CampaignPhase, name: str, axis: str, step: tuple[str, int], t0_host_ns: int
@@ -177,8 +177,8 @@ class PhaseRecords:
         """Return the motions of an axis in the step that begins at T0 and moves it, up to the next step, homing or jog.
         Slow motions consist of several pieces."""
         motor = self._fleet.fleet.controllers[name].axes[axis].motors[0]
-        later = self._find_later_begins(phase, name, axis, step, t0_host_ns)
-        until_ns = min(later, default=None)
+        later_begins = self._find_later_begins(phase, name, axis, step, t0_host_ns)
+        until_ns = min(later_begins, default=None)
         from_ns = self.earliest_motion_ns(step, t0_host_ns, name, axis)
         return [
             motion

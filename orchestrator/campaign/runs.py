@@ -53,11 +53,11 @@ def _make_round() -> list[FaultCell]:
     cells: list[FaultCell] = []
     for lap, turn in product(range(1, 4), range(len(MAKES))):
         for number, (name, fault) in enumerate(ROUND_FAULTS.items()):
-            for place, stage in enumerate(STAGES):
+            for offset, stage in enumerate(STAGES):
                 makes = fault.makes or MAKES
                 if turn >= len(makes):
                     continue  # each of them had its turn
-                make = makes[(turn + number + place) % len(makes)]
+                make = makes[(turn + number + offset) % len(makes)]
                 if fault.reach != "fleet" or stage in SINGLE_MEMBER_STAGES or (lap + turn) % 3:
                     cells.append(FaultCell(stage, name, make))
     return cells
@@ -77,8 +77,8 @@ def cells_of_seed(seed: int, choice: SeedChoice = EVERY_SEED) -> list[FaultCell]
     if choice.is_narrowed:
         cells = choice.list_cells()
         return [cells[seed % len(cells)]]
-    seed_again = seed // len(ROUND)
-    return [ROUND[(seed + act * (PAIRS // PHASES + 157 * seed_again)) % len(ROUND)] for act in range(PHASES)]
+    round_number = seed // len(ROUND)
+    return [ROUND[(seed + act * (PAIRS // PHASES + 157 * round_number)) % len(ROUND)] for act in range(PHASES)]
 
 
 @dataclass(slots=True)

@@ -217,15 +217,15 @@ class _Scenario:
     async def _run_phase(self, client: Tutti, cell: FaultCell, *, last: bool) -> None:
         fleet, fault = self._seed_run.fleet, FAULTS[cell.fault]
         member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
-        controllers_before = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
-        act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), controllers_before)
-        reached: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
-        self._target = act, cell, reached
+        motion_counts = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
+        act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), motion_counts)
+        arrival: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
+        self._target = act, cell, arrival
         self._phase = act
         keys: dict[str, str] = {}
         by_hand: asyncio.Task[None] | None = None
         if cell.stage == "jog":
-            by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, reached))
+            by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, arrival))
             while not self._jogging and not by_hand.done():
                 await sleep_ns(self._clock, NS_PER_MS)
         kind = _KINDS.get(cell.stage, "move")
@@ -246,7 +246,7 @@ class _Scenario:
         self._seed_run.jobs += len(act.jobs)
         if by_hand is None and self._draw.random() < JOG_CHANCE:
             by_hand = asyncio.get_running_loop().create_task(self._jog_free_axis(act))
-        step = await self._wait_for_stage(reached, act)
+        step = await self._wait_for_stage(arrival, act)
         self._target = None
         if step is not None:
             await self._inject_fault(act, cell, step)
@@ -272,9 +272,9 @@ class _Scenario:
     def _axis_positions(self) -> dict[str, float]:
         """Return the position of each axis, in its unit."""
         return {
-            f"{name}.{axis}": each.to_unit(self.virtual.controllers[name].position(each.motors[0]))
+            f"{name}.{axis}": axis_config.to_unit(self.virtual.controllers[name].position(axis_config.motors[0]))
             for name, config in self._seed_run.fleet.controllers.items()
-            for axis, each in config.axes.items()
+            for axis, axis_config in config.axes.items()
         }
 
     async def _wait_for_stage(
@@ -298,8 +298,8 @@ class _Scenario:
         now_ns = phase.fault_ns = self._clock.now_ns()
         hit = cell._replace(stage=stage)
         all_of_step = phase.fault.reach == "fleet" and stage not in SINGLE_MEMBER_STAGES
-        together_controllers = phase.jobs[step[0]].controllers if all_of_step else [phase.member]
-        makes = dict.fromkeys(self._seed_run.fleet.controllers[name].adapter for name in together_controllers)
+        controllers = phase.jobs[step[0]].controllers if all_of_step else [phase.member]
+        makes = dict.fromkeys(self._seed_run.fleet.controllers[name].adapter for name in controllers)
         self._seed_run.hit.append(hit)
         self._seed_run.affected += [hit._replace(make=make) for make in makes]
         self._log_event(f"{cell.fault} of {phase.member} at {stage}")
@@ -355,7 +355,7 @@ class _Scenario:
                     await self._submit_witness(client, phase)
                 queued_jobs = (await client.list_jobs(state="queued")).jobs
                 waiting_entries = sorted(
-                    (entry for entry in queued_jobs if entry.id in phase.jobs), key=lambda each: each.place or 0
+                    (entry for entry in queued_jobs if entry.id in phase.jobs), key=lambda entry: entry.place or 0
                 )
                 command = await operator.run_named(waiting_entries)
                 if command:
@@ -365,8 +365,8 @@ class _Scenario:
                 break
             if operator.is_repeating or self._clock.now_ns() - since_ns > LIVENESS_NS:
                 reasons = "; ".join(f"{entry.name}: {entry.reason}" for entry in waiting_entries)
-                said = ", ".join(operator.commands) or "no command was named"
-                self.checker.add_violation("13", f"jobs do not go on after the repair ({said}): {reasons}")
+                commands = ", ".join(operator.commands) or "no command was named"
+                self.checker.add_violation("13", f"jobs do not go on after the repair ({commands}): {reasons}")
                 break
             await sleep_ns(self._clock, OPERATOR_PERIOD_NS)
         await sleep_ns(self._clock, NS_PER_S)
@@ -432,9 +432,11 @@ class _Scenario:
         # The fault may have been detected only after its repair.
         await self._wait_until_ready(client)
         states = await client.status()
-        axes = [(f"{name}.{axis}", each) for name, state in states.items() for axis, each in state.axes.items()]
-        off = [name for name, each in axes if not each.enabled]
-        lost_axes = [name for name, each in axes if not each.referenced or each.limit != "none"]
+        axes = [
+            (f"{name}.{axis}", axis_state) for name, state in states.items() for axis, axis_state in state.axes.items()
+        ]
+        off = [name for name, axis_state in axes if not axis_state.enabled]
+        lost_axes = [name for name, axis_state in axes if not axis_state.referenced or axis_state.limit != "none"]
         if not off and not lost_axes:
             return True
         self._log_event(f"homing {', '.join(lost_axes)}" if lost_axes else f"enabling {', '.join(off)}")
@@ -499,15 +501,15 @@ class _Scenario:
             at.setdefault("t0", self._t0_host_ns(request))
         if self._target is None:
             return
-        act, cell, reached = self._target
-        if request.job_id not in act.jobs or request.member != act.member or reached.done():
+        act, cell, arrival = self._target
+        if request.job_id not in act.jobs or request.member != act.member or arrival.done():
             return
         at_ns = self._find_fault_instant(cell.stage, request, now_ns)
         if at_ns is not None:
             self._target = None
             step = request.step_id
             self._clock.call_at_ns(
-                at_ns, lambda: None if reached.done() else reached.set_result(step), context=Context()
+                at_ns, lambda: None if arrival.done() else arrival.set_result(step), context=Context()
             )
 
     def _find_fault_instant(self, stage: Stage, request: RecordedRequest, now_ns: int) -> int | None:
@@ -544,9 +546,9 @@ class _Scenario:
         shortest_ns = min(
             request.answered_ns - request.sent_ns for request in asked_requests if request.answered_ns is not None
         )
-        where = self._axis_positions()
+        positions = self._axis_positions()
         ways_s = (
-            abs(where[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
+            abs(positions[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
             for name, axis in config.axes.items()
             if axis.homing.method == "default"
         )
@@ -555,14 +557,14 @@ class _Scenario:
     def _expected_arming_ns(self, member: str) -> int:
         """Return the duration of the member's last arming; before the first one, a tenth of the limit that it
         declared."""
-        taken_replies = {
+        replies = {
             request.verb: request.reply
             for request in self.recorder.requests
             if request.member == member and request.accepted
         }
-        if "arm" in taken_replies:
-            return taken_replies["arm"]["took_ns"]
-        return (taken_replies["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
+        if "arm" in replies:
+            return replies["arm"]["took_ns"]
+        return (replies["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
 
     def _find_stage(self, step: tuple[str, int], member: str) -> Stage | None:
         """Return the stage that `member` has reached in the step; None when its job has ended."""
@@ -588,8 +590,8 @@ class _Scenario:
         """Check invariant 9: no adapter goes back to an older epoch."""
         if not sample.payload.startswith(b'{"schema":"tutti.state/1"'):
             return  # garbage of an adversary
-        _, _, rest = sample.payload.partition(b'"epoch":')
-        epoch = int(rest[: rest.index(b",")])
+        _, _, remainder = sample.payload.partition(b'"epoch":')
+        epoch = int(remainder[: remainder.index(b",")])
         if epoch < self._epochs.get(sample.key, 0):
             self.checker.add_violation("9", f"{sample.key}: epoch {epoch} after {self._epochs[sample.key]}")
         self._epochs[sample.key] = epoch

@@ -46,7 +46,7 @@ class TriggerChecker:
         """Check invariant 16 for all edges of a phase."""
         for name, rises in self._rises.items():
             begun_steps = [step for step in steps if step.t0_ns is not None and name in step.axes]
-            found: dict[tuple[str, int], list[int]] = {}
+            instants: dict[tuple[str, int], list[int]] = {}
             for at_ns in rises:
                 step = next(
                     (
@@ -59,18 +59,18 @@ class TriggerChecker:
                 if step is None:
                     self._add_violation("16", f"an output of {name} is active before any step, at {at_ns}")
                     continue
-                found.setdefault((step.job, step.index), []).append(at_ns)
+                instants.setdefault((step.job, step.index), []).append(at_ns)
                 report = reports.get(step.job)
-                done = any(step.index == index for index, _ in self._records.completed_steps(report))
-                end_ns = self._find_end_ns(phase, list(step.axes) if done else [name], step)
+                is_done = any(step.index == index for index, _ in self._records.completed_steps(report))
+                end_ns = self._find_end_ns(phase, list(step.axes) if is_done else [name], step)
                 late_ns = NOTICED_NS if phase.fault.name in STOPPED_BY_ITSELF else LATE_NS
                 if end_ns is None or at_ns > end_ns + late_ns:
                     text = f"an output of {name} is active at {at_ns}, after the end of its step at {end_ns}"
                     self._add_violation("16", text)
             if name not in untrusted:
                 for job_id, report in reports.items():
-                    for each in report.steps if report is not None else ():
-                        self._check_rows(name, each, found.get((job_id, each.index), []))
+                    for step_report in report.steps if report is not None else ():
+                        self._check_rows(name, step_report, instants.get((job_id, step_report.index), []))
             rises.clear()
             if self._fleet.controllers[name].output_level(TRIGGER_NUMBER):
                 self._add_violation("16", f"an output of {name} is still active after all jobs")

@@ -97,8 +97,8 @@ def _to_plain(value: Any) -> Any:
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):
-        return {str(key): _to_plain(each) for key, each in cast(Mapping[Any, Any], value).items()}
-    return [_to_plain(each) for each in cast(Iterable[Any], value)] if isinstance(value, list | tuple) else value
+        return {str(key): _to_plain(item) for key, item in cast(Mapping[Any, Any], value).items()}
+    return [_to_plain(item) for item in cast(Iterable[Any], value)] if isinstance(value, list | tuple) else value
 
 
 def _print_layout(benchmark: Benchmark, document: Document) -> None:
@@ -130,8 +130,8 @@ def _format_cell(column: BenchColumn, row: Any) -> str:
     match _find_value(column.value, row):
         case None:
             return ""
-        case bool(met):
-            return "yes" if met else "NO"
+        case bool(is_met):
+            return "yes" if is_met else "NO"
         case int(number) | float(number) if column.spec:
             return format(number * column.scale, column.spec)
         case value:

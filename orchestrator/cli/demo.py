@@ -94,16 +94,16 @@ def demo(
     report, truths = run_main(run_demo())
     unsure = [step for step in report.steps if step.verdict not in ("green", "none")]
     if as_json:
-        print_json(make_summary(report) | {"truth": [each._asdict() for each in truths]})
+        print_json(make_summary(report) | {"truth": [check._asdict() for check in truths]})
     else:
         from orchestrator.monitor.report_table import make_report_tables
 
         console.print(make_report_tables(report, detailed=verbose))
         for check in truths:
             holds = "the verdict contains it" if check.held else "[yellow]outside the verdict[/]"
-            outside = f"; outside their evidence: {', '.join(check.outside)}" if check.outside else ""
-            console.print(f"step {check.step}: true start skew {check.skew_ns / 1e6:.2f} ms; {holds}{outside}")
-        if not all(each.held and not each.outside for each in truths):
+            axes_outside = f"; outside their evidence: {', '.join(check.outside)}" if check.outside else ""
+            console.print(f"step {check.step}: true start skew {check.skew_ns / 1e6:.2f} ms; {holds}{axes_outside}")
+        if not all(check.held and not check.outside for check in truths):
             console.print("Simulated controllers react late on a busy machine, unlike real ones.")
     # For programs the summary says all of it.
     if report.state != "done" or (unsure and as_json):

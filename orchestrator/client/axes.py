@@ -45,8 +45,8 @@ class AxisRequests(FleetConnection):
     async def list_leases(self) -> list[LeaseState]:
         """The lease of each controller; where several holders have its axes, one of them."""
         replies = await self.bus.request_all(self.keys.leases, b"", ANSWER_S)
-        messages = [LeaseState.read_message(payload) for payload in replies.values()]
-        return sorted(messages, key=lambda state: state.controller)
+        states = [LeaseState.read_message(payload) for payload in replies.values()]
+        return sorted(states, key=lambda state: state.controller)
 
     async def send_raw(self, controller: str, command: str, *, i_know: bool) -> str:
         """Send a command in the controller's own language, with all its axes acquired meanwhile. Raises `Refusal`.

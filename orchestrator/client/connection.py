@@ -104,11 +104,11 @@ class FleetConnection:
     async def subscribe_samples(self, *expressions: str) -> AsyncGenerator[asyncio.Queue[BusSample]]:
         """A queue that receives every sample on the given key expressions while the context lasts."""
         queue: asyncio.Queue[BusSample] = asyncio.Queue()
-        declared = [await self.bus.subscribe(expression, queue.put_nowait) for expression in expressions]
+        subscriptions = [await self.bus.subscribe(expression, queue.put_nowait) for expression in expressions]
         try:
             yield queue
         finally:
-            for declaration in declared:
+            for declaration in subscriptions:
                 await declaration.undeclare()
 
     def request_fields(self) -> dict[str, Any]:
@@ -163,9 +163,9 @@ class FleetConnection:
         if self.keys.fleet in fleets:
             text = f"no controller of fleet {self.keys.fleet} answers"
             return Refusal("no-fleet", text, "are its adapter hosts running? see `tutti up`")
-        there = f"there are: {', '.join(fleets)}" if fleets else "no fleet is on this bus"
+        fleet_list = f"there are: {', '.join(fleets)}" if fleets else "no fleet is on this bus"
         remedy = "choose one with --fleet" if fleets else "start it: `tutti up FILE`"
-        absent = Refusal("no-fleet", f"no fleet {self.keys.fleet}; {there}", remedy)
+        absent = Refusal("no-fleet", f"no fleet {self.keys.fleet}; {fleet_list}", remedy)
         return await self._explain_silence(absent, "status")
 
     async def request_controller(

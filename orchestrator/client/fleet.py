@@ -55,7 +55,7 @@ class FleetRequests(FleetConnection):
         for payload in (await self.bus.request_all(self.keys.state(), b"", timeout_s)).values():
             with suppress(ValidationError):
                 states.append(ControllerState.read_message(payload))
-        return FleetStates({state.controller: state for state in sorted(states, key=lambda each: each.controller)})
+        return FleetStates({state.controller: state for state in sorted(states, key=lambda state: state.controller)})
 
     async def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.
@@ -68,7 +68,7 @@ class FleetRequests(FleetConnection):
         # The coordinator stops all controllers and jobs, but may be away; so each adapter is addressed directly, too.
         service = asyncio.ensure_future(self.request_service("stop", fleet, Reply))
         loop = asyncio.get_running_loop()
-        stops = {each: loop.create_task(self.request_controller(each, "stop", request, Reply)) for each in known}
+        stops = {name: loop.create_task(self.request_controller(name, "stop", request, Reply)) for name in known}
         for name in await self.status(STOP_STATUS_S):
             if name not in stops:
                 stops[name] = loop.create_task(self.request_controller(name, "stop", request, Reply))
@@ -85,14 +85,14 @@ class FleetRequests(FleetConnection):
 
     async def wait_for_latch(self, timeout_s: float = 2.0) -> dict[str, bool]:
         """Wait until all controllers report an e-stop latch, at most `timeout_s`; return which do, by id."""
-        is_latched: dict[str, bool] = {}
+        latches: dict[str, bool] = {}
         try:
             async with asyncio.timeout(timeout_s):
-                while not is_latched or not all(is_latched.values()):
-                    is_latched = {name: state.estop is not None for name, state in (await self.status()).items()}
+                while not latches or not all(latches.values()):
+                    latches = {name: state.estop is not None for name, state in (await self.status()).items()}
         except TimeoutError:
             pass
-        return is_latched
+        return latches
 
     async def reset(self, event: str | None = None) -> dict[str, Refusal | None]:
         """Release the e-stop latch named `event` (None: any) on every controller, and clear faults that can be cleared.
@@ -131,14 +131,14 @@ class FleetRequests(FleetConnection):
 
     async def load_fleet(self) -> Fleet:
         """The fleet file as it runs, without `notify`. Raises `Refusal`."""
-        service = await self.request_service("configuration", Request(**self.request_fields()), FleetLoaded)
+        reply = await self.request_service("configuration", Request(**self.request_fields()), FleetLoaded)
         try:
-            fleet = Fleet.model_validate(service.configuration)
+            fleet = Fleet.model_validate(reply.configuration)
         except ValidationError as error:
             text = f"the configuration of the fleet cannot be read: {first_error_text(error)}"
             raise Refusal("bad-reply", text, "use the same version of Tutti everywhere") from None
-        if fleet.digest != service.digest:
-            text = f"the configuration has digest {fleet.digest} here, {service.digest or 'none'} in the coordinator"
+        if fleet.digest != reply.digest:
+            text = f"the configuration has digest {fleet.digest} here, {reply.digest or 'none'} in the coordinator"
             raise Refusal("other-configuration", text, "use the same version of Tutti everywhere")
         return fleet
 
@@ -205,8 +205,8 @@ class FleetRequests(FleetConnection):
             entries += part.entries
         entries.sort(key=lambda entry: entry.at_ns)
         return TraceReply(
-            entries=[(each.at_ns, each.direction, b64decode(each.data).decode("latin-1")) for each in entries],
-            newest=max((each.number for each in entries), default=first.newest),
+            entries=[(entry.at_ns, entry.direction, b64decode(entry.data).decode("latin-1")) for entry in entries],
+            newest=max((entry.number for entry in entries), default=first.newest),
             lost=first.lost,
             make=part.make,
             options=part.options,

@@ -113,8 +113,8 @@ class JobRequests(QueueRequests):
             **self.request_fields(), job=job, client_key=client_key or self.new_id(), terms=terms or QueueTerms()
         )
         # Every step is planned before the job is accepted.
-        written = sum(1 for _ in iterate_steps(job.steps))
-        timeout_s = ANSWER_S + SUBMIT_STEP_S * written * request.terms.repeat
+        step_count = sum(1 for _ in iterate_steps(job.steps))
+        timeout_s = ANSWER_S + SUBMIT_STEP_S * step_count * request.terms.repeat
         entry = (await self.request_service("submit", request, JobSubmitted, timeout_s)).entry
         assert entry is not None
         return entry
@@ -133,11 +133,11 @@ class JobRequests(QueueRequests):
         for first in range(0, len(job.steps), DRY_RUN_STEPS):
             part = job.model_copy(update={"steps": job.steps[first : first + DRY_RUN_STEPS]})
             request = DryRun(**self.request_fields(), job=part, first=first, begin=axes)
-            done_service = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
-            axes = done_service.end
-            steps += done_service.forecast.steps
-            problems += done_service.forecast.problems
-            conditions |= dict.fromkeys(done_service.forecast.conditions)
+            reply = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
+            axes = reply.end
+            steps += reply.forecast.steps
+            problems += reply.forecast.problems
+            conditions |= dict.fromkeys(reply.forecast.conditions)
             if on_steps is not None:
                 on_steps(len(steps))
         return JobForecast(steps=steps, problems=problems, conditions=list(conditions))
@@ -242,7 +242,7 @@ class JobRequests(QueueRequests):
         Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
         changed_event = asyncio.Event()
-        failed: list[Exception] = []
+        failures: list[Exception] = []
 
         def receive_progress(sample: BusSample) -> None:
             try:
@@ -253,7 +253,7 @@ class JobRequests(QueueRequests):
                 try:
                     on_progress(progress)
                 except Exception as error:
-                    failed.append(error)  # raised where the caller waits
+                    failures.append(error)  # raised where the caller waits
                     changed_event.set()
             if progress.state in FINISHED_STATES:
                 changed_event.set()
@@ -261,10 +261,10 @@ class JobRequests(QueueRequests):
         subscription = await self.bus.subscribe(self.keys.job_state(job_id), receive_progress)
         try:
             while True:
-                shown = await self.show_job_when_available(job_id, poll_s)
-                if shown.report is not None:
-                    return shown.report
-                entry, job = shown.entry, shown.job
+                shown_job = await self.show_job_when_available(job_id, poll_s)
+                if shown_job.report is not None:
+                    return shown_job.report
+                entry, job = shown_job.entry, shown_job.job
                 if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
                     steps = len(StepOrder(job.steps, entry.terms.repeat))
                     on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
@@ -274,8 +274,8 @@ class JobRequests(QueueRequests):
                         await changed_event.wait()
                 except TimeoutError:
                     continue
-                if failed:
-                    raise failed[0]
+                if failures:
+                    raise failures[0]
         finally:
             await subscription.undeclare()
 
@@ -301,7 +301,7 @@ class SubmittedJob(str):
 
         Ends with the job. Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
         """
-        delivered = 0
+        count = 0
         samples: asyncio.Queue[BusSample] = asyncio.Queue()
         requests = self._requests
         subscription = await requests.bus.subscribe(requests.keys.job_state(self), samples.put_nowait)
@@ -309,11 +309,11 @@ class SubmittedJob(str):
             progress: JobProgress | None = None
             while True:
                 transitions = (await requests.show_job_when_available(self)).transitions
-                for transition in transitions[delivered:]:
+                for transition in transitions[count:]:
                     yield transition
                     if transition.state in FINISHED_STATES:
                         return
-                delivered = len(transitions)
+                count = len(transitions)
                 if progress is not None and progress.state not in FINISHED_STATES:
                     yield progress
                 progress = await _next_progress(samples)

@@ -126,12 +126,12 @@ class ManualControl:
 
         Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
         """
-        changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
+        has_changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving_velocities = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
         await self._send_velocities(
             _JogOrder(
-                moving_velocities, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if changed else ANSWER_S
+                moving_velocities, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if has_changed else ANSWER_S
             )
         )
 
@@ -147,9 +147,9 @@ class ManualControl:
     async def stop(self) -> None:
         """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
         answer."""
-        begun = dict.fromkeys(self._velocities, 0.0)
+        zeros = dict.fromkeys(self._velocities, 0.0)
         self._velocities.clear()
-        for error in await asyncio.gather(*self._start_requests(_JogOrder(begun)), return_exceptions=True):
+        for error in await asyncio.gather(*self._start_requests(_JogOrder(zeros)), return_exceptions=True):
             # The end of a lease stops its motion, so there is nothing left to stop.
             if error is not None and not (isinstance(error, Refusal) and error.code in _LEASE_OVER):
                 raise error
@@ -177,17 +177,17 @@ class ManualControl:
         if self.lost is not None:
             raise self.lost
         requests = self._start_requests(order)
-        refused = [error for error in await asyncio.gather(*requests, return_exceptions=True) if error is not None]
-        if not refused:
+        errors = [error for error in await asyncio.gather(*requests, return_exceptions=True) if error is not None]
+        if not errors:
             return
         if len(requests) > 1:
             with contextlib.suppress(Refusal):
                 await self.stop()
-        for error in refused:
+        for error in errors:
             if isinstance(error, Refusal) and error.code == "not-leased":
                 self._end_renewal()
                 self.lost = self.lost or error
-        raise refused[0]
+        raise errors[0]
 
     def _start_requests(self, order: _JogOrder) -> "list[asyncio.Task[None]]":
         """Start one request per controller. Their number increases: an older one that arrives late is refused."""

@@ -163,8 +163,8 @@ def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
 
 def place_points(scan: Scan, table: PointTable) -> Scan:
     """The scan with the points of `table`. Raises `Refusal` if a step at its points moves one of their axes."""
-    for number, twice in find_moved_twice(table.axis_names, scan.at_each):
-        text = f"at_each[{number}] moves {', '.join(twice)}, which the scan positions"
+    for number, repetitions in find_moved_twice(table.axis_names, scan.at_each):
+        text = f"at_each[{number}] moves {', '.join(repetitions)}, which the scan positions"
         raise Refusal("bad-points", text, "move other axes there")
     return scan.model_copy(update={"points": table, "scanspec": None})
 

@@ -36,8 +36,8 @@ class QueueRequests(PointRequests):
     async def approve_job(self, job_id: str, plan: JobPlan | str) -> None:
         """Approve the plan of a proposed job, and release it: it begins only with this plan. plan: the one that was
         seen, or its hash. Raises `Refusal`: codes `plan-changed`, `not-proposed`, `not-queued`, `journal`."""
-        approved = plan.hash if isinstance(plan, JobPlan) else plan
-        request = ApproveJob(**self.request_fields(), job_id=job_id, plan=approved)
+        plan_hash = plan.hash if isinstance(plan, JobPlan) else plan
+        request = ApproveJob(**self.request_fields(), job_id=job_id, plan=plan_hash)
         await self.request_service("approve", request, Reply)
 
     async def reorder_job(self, job_id: str, before: str) -> None:

@@ -60,15 +60,16 @@ class ReadingRequests(FleetRequests):
                 return  # not of an adapter
             states[state.controller] = state
 
-        declared = [
-            await self.bus.subscribe(self.keys.state(each), receive_state) for each in group_by_controller(wanted_axes)
+        subscriptions = [
+            await self.bus.subscribe(self.keys.state(controller), receive_state)
+            for controller in group_by_controller(wanted_axes)
         ]
         try:
             while True:
                 yield {axis: _find_position(states, axis) for axis in wanted_axes}
                 await asyncio.sleep(1 / hz)
         finally:
-            for declaration in declared:
+            for declaration in subscriptions:
                 await declaration.undeclare()
 
     async def events(self, controller: str | None = None) -> AsyncGenerator[ControllerEvent]:
@@ -92,5 +93,5 @@ def _find_position(states: dict[str, ControllerState], axis: str) -> float:
 
 
 def _unknown_axis(axis: str, states: dict[str, ControllerState]) -> Refusal:
-    known = ", ".join(f"{name}.{each}" for name, state in states.items() for each in state.axes)
-    return Refusal("unknown-axis", f"the fleet has no axis {axis!r}; its axes are: {known}", "see `tutti axis ls`")
+    axis_list = ", ".join(f"{name}.{axis_name}" for name, state in states.items() for axis_name in state.axes)
+    return Refusal("unknown-axis", f"the fleet has no axis {axis!r}; its axes are: {axis_list}", "see `tutti axis ls`")

@@ -236,8 +236,8 @@ class _GateSet:
         low, high = self._find_offset_range(np.array([rate]))
         middle, half = float(high[0] + low[0]) / 2, max(0.0, float(high[0] - low[0]) / 2)
         # Between two rates of the grid a line may reach further, in proportion to the age of the oldest sample.
-        between = (fastest - slowest) / _GRID * float(np.abs(self._ages).max())
-        bound = max(float(highs.max()) - middle, middle - float(lows.min())) + between
+        slack = (fastest - slowest) / _GRID * float(np.abs(self._ages).max())
+        bound = max(float(highs.max()) - middle, middle - float(lows.min())) + slack
         return _FeasibleLines(middle, half, bound, rate, (fastest - slowest) / 2)
 
     def find_offset_limits(self, slowest: float, fastest: float) -> tuple[float, float]:
@@ -293,12 +293,12 @@ def _find_lines(samples: _Ints, origin: _Ints, nominal_tick_ns: float) -> tuple[
 
 def upper_hull(ages: _Floats, values: _Floats) -> _Ints:
     """Find the points that a straight line from above can touch, by index; a few more do no harm."""
-    kept: _Ints = np.argsort(ages, kind="stable")
-    while len(kept) > 2:
-        x, y = ages[kept], values[kept]
+    hull: _Ints = np.argsort(ages, kind="stable")
+    while len(hull) > 2:
+        x, y = ages[hull], values[hull]
         # A point below the line between its neighbours is no corner, whatever other points are dropped.
-        below = (x[1:-1] - x[:-2]) * (y[2:] - y[:-2]) > (x[2:] - x[:-2]) * (y[1:-1] - y[:-2])
-        if not below.any():
+        is_below = (x[1:-1] - x[:-2]) * (y[2:] - y[:-2]) > (x[2:] - x[:-2]) * (y[1:-1] - y[:-2])
+        if not is_below.any():
             break
-        kept = kept[np.concatenate(([True], ~below, [True]))]
-    return kept
+        hull = hull[np.concatenate(([True], ~is_below, [True]))]
+    return hull

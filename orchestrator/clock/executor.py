@@ -25,11 +25,11 @@ async def run_while_recording(record: Coroutine[Any, Any, None], work: Coroutine
     """Await `work` while `record` writes to disk, and return the result of `work`.
 
     Not for an act that must not happen before it is on disk; but consecutive records reach the disk in order."""
-    told = asyncio.ensure_future(record)
+    task = asyncio.ensure_future(record)
     try:
         return await work
     finally:
-        await told
+        await task
 
 
 async def run_inline(function: Callable[..., T], *values: Any) -> T:

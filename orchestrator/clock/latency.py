@@ -104,12 +104,12 @@ class LatencyEstimator:
         and where the acknowledgement is that of another query after the command, the declared value is nearer than
         anything that acknowledgements and ends can show, by milliseconds.
         """
-        declared_latency, answered = self._declared, self._answered
+        declared_latency, answers = self._declared, self._answered
         if (
-            len(answered) >= _MIN_STARTS
-            and max(answered) - min(answered) <= declared_latency.latest_ns - declared_latency.earliest_ns
+            len(answers) >= _MIN_STARTS
+            and max(answers) - min(answers) <= declared_latency.latest_ns - declared_latency.earliest_ns
         ):
-            return min(max(sum(answered) // len(answered), declared_latency.earliest_ns), declared_latency.latest_ns)
+            return min(max(sum(answers) // len(answers), declared_latency.earliest_ns), declared_latency.latest_ns)
         if len(self._starts) < _MIN_STARTS:
             return declared_latency.usual_ns
         first, last = min(start[0] for start in self._starts), max(start[1] for start in self._starts)
@@ -118,5 +118,5 @@ class LatencyEstimator:
 
 def _second_largest_ns(found: list[UnusualStart], now_ns: int) -> int:
     """Return what the second of the unusual starts on one side leaves: one alone may lie anywhere."""
-    left = sorted((start.remaining_ns(now_ns) for start in found), reverse=True)
-    return ceil(left[1]) if len(left) > 1 else 0
+    times_left = sorted((start.remaining_ns(now_ns) for start in found), reverse=True)
+    return ceil(times_left[1]) if len(times_left) > 1 else 0

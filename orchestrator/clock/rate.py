@@ -126,11 +126,11 @@ class RateEstimator:
         """Learn from a move that ends now. Return False when it contradicts the earlier ones: all are then
         discarded."""
         fresh = [gate for gate in gates if self._narrows_range(gate, now_ns)]
-        measured = [measure for measure in measures if measure.error_ppm < self._reach_ppm]
-        if not fresh and not measured:
+        usable_measures = [measure for measure in measures if measure.error_ppm < self._reach_ppm]
+        if not fresh and not usable_measures:
             return True  # too short, or observed too poorly, to show anything
         self._gates.extend(fresh)
-        self._measurements.extend(measured)
+        self._measurements.extend(usable_measures)
         self._moves += 1
         rate = self._estimate_rate(now_ns)
         if rate is None:

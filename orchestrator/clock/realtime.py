@@ -50,9 +50,9 @@ def set_realtime_priority(priority: RealtimePriority, *, children: bool = True) 
 def can_set_realtime_priority(priority: RealtimePriority) -> bool:
     """Return whether this user may set `priority`. Nothing changes."""
     try:
-        policy, before = os.sched_getscheduler(0), os.sched_getparam(0)
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
-        os.sched_setscheduler(0, policy, before)
+        os.sched_setscheduler(0, policy, parameters)
     except (OSError, AttributeError):
         return False
     return True

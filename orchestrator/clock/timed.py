@@ -85,10 +85,10 @@ class _LeastSquares:
             return None
         n = self._n
         over = self._host2 - self._host**2 / n
-        both_host = self._both - self._host * self._off / n
-        scatter = max(0.0, self._off2 - self._off**2 / n - both_host * both_host / over) / (n - 2)
+        covariance = self._both - self._host * self._off / n
+        scatter = max(0.0, self._off2 - self._off**2 / n - covariance * covariance / over) / (n - 2)
         middle_ns = begin_ns + round(self._host / n * NS_PER_S)
-        return RateMeasurement(both_host / over * 1e6, sqrt(scatter / over) * 1e6 + _MIN_ERROR_PPM, middle_ns)
+        return RateMeasurement(covariance / over * 1e6, sqrt(scatter / over) * 1e6 + _MIN_ERROR_PPM, middle_ns)
 
 
 class TimedMove:
@@ -163,8 +163,8 @@ class TimedMove:
         evenly where the host is busy: the set with less scatter about a straight line is used.
         """
         lines = [fit.measure_rate(self.started_ns[0]) for fit in (self._query_fit, self._reply_fit)]
-        told = [line for line in lines if line is not None]
-        return [min(told, key=lambda measurement: measurement.error_ppm)] if told else []
+        measurements = [line for line in lines if line is not None]
+        return [min(measurements, key=lambda measurement: measurement.error_ppm)] if measurements else []
 
     def _narrowest_pair(self) -> RateGate:
         """Return the narrowest gate of all pairs of readings."""
@@ -201,14 +201,14 @@ class TimedMove:
 
 
 def _find_cruise(legs: Iterable[tuple[float, float, float]]) -> _CruiseLeg | None:
-    found: list[tuple[float, _CruiseLeg]] = []
+    cruises: list[tuple[float, _CruiseLeg]] = []
     begin_s = begin = 0.0
     for duration_s, speed, acceleration in legs:
         end = begin + duration_s * (speed + duration_s * acceleration / 2)
         if acceleration == 0.0 and speed > 0.0:
-            found.append((duration_s, _CruiseLeg(begin, end, begin_s, speed)))
+            cruises.append((duration_s, _CruiseLeg(begin, end, begin_s, speed)))
         begin_s, begin = begin_s + duration_s, end
-    return max(found, key=lambda each: each[0])[1] if found else None
+    return max(cruises, key=lambda cruise: cruise[0])[1] if cruises else None
 
 
 def _select_best(readings: list[_PositionReading]) -> list[_PositionReading]:
@@ -220,7 +220,10 @@ def _select_best(readings: list[_PositionReading]) -> list[_PositionReading]:
     kept_readings: list[_PositionReading] = []
     for reading in stretches.values():
         kept_readings += dict.fromkeys(
-            (max(reading, key=lambda one: one.earliest_start_ns), min(reading, key=lambda one: one.latest_start_ns))
+            (
+                max(reading, key=lambda position_reading: position_reading.earliest_start_ns),
+                min(reading, key=lambda position_reading: position_reading.latest_start_ns),
+            )
         )
     return kept_readings
 

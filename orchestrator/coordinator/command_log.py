@@ -65,9 +65,9 @@ class CommandLog:
 
     def _is_renewal(self, request: AcquireAxes) -> bool:
         """Whether the holder has these axes already."""
-        leased = self._find_leased(request.holder)
+        leased_axes = self._find_leased(request.holder)
         with suppress(UnknownName):
-            return bool(leased) and set(self._services.view.fleet.expand_names(request.axes)) <= set(leased)
+            return bool(leased_axes) and set(self._services.view.fleet.expand_names(request.axes)) <= set(leased_axes)
         return False
 
     def _find_leased(self, holder: str) -> tuple[str, ...]:

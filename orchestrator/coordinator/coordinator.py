@@ -135,8 +135,8 @@ class Coordinator:
 
     async def close(self, reason: str = "the coordinator was stopped") -> None:
         """Stop running jobs and leave."""
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
         self._declared.clear()
         await self.scheduler.close(reason)
         self._manual.close()
@@ -162,8 +162,8 @@ class Coordinator:
 
     def _receive_state(self, state: ControllerState) -> None:
         controller = state.controller
-        ours = self._view.adopted.get(controller) == state.instance and state.epoch == self.leadership.epoch
-        if ours or controller in self._adopting or self.leadership.over or not self.leadership.epoch:
+        is_ours = self._view.adopted.get(controller) == state.instance and state.epoch == self.leadership.epoch
+        if is_ours or controller in self._adopting or self.leadership.over or not self.leadership.epoch:
             return
         refusal = self._view.find_refusal(controller)
         if refusal is not None:
@@ -231,9 +231,9 @@ class Coordinator:
     def _report_defect(self, error: BaseException, vital: bool) -> None:  # noqa: FBT001 - a callback
         """A task has ended with an exception that nothing handles: a defect, which is logged with its place."""
         frames = traceback.extract_tb(error.__traceback__)
-        place = [frame for frame in frames if "site-packages" not in frame.filename][-1:]
-        where = f" ({Path(place[0].filename).name}:{place[0].lineno})" if place else ""
-        self._log.warning(f"a defect of the coordinator: {error!r}{where}")
+        last_frames = [frame for frame in frames if "site-packages" not in frame.filename][-1:]
+        location = f" ({Path(last_frames[0].filename).name}:{last_frames[0].lineno})" if last_frames else ""
+        self._log.warning(f"a defect of the coordinator: {error!r}{location}")
         if vital:
             self.broken.set()
 
@@ -264,8 +264,8 @@ class Coordinator:
             with suppress(TimeoutError):
                 async with asyncio.timeout(LEAVE_S):
                     await self._alarms.close()
-                    for declared in self._declared:
-                        await declared.undeclare()
+                    for declaration in self._declared:
+                        await declaration.undeclare()
             self._declared.clear()
             self.leadership_lost.set()
 

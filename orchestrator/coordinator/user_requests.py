@@ -176,9 +176,9 @@ class UserRequests:
 
     async def _read_points(self, request: ReadPoints) -> PointsRead:
         services = self._services
-        steps_after = request.after_step, request.after_point
+        cursor = request.after_step, request.after_point
         load = services.journal.point_rows.load_points
-        return PointsRead(points=await services.execute(load, request.job_id, steps_after, request.limit))
+        return PointsRead(points=await services.execute(load, request.job_id, cursor, request.limit))
 
     async def _list_jobs(self, request: ListJobs) -> QueueState:
         services = self._services

@@ -48,14 +48,14 @@ def read_web_certificate(file: Path, key: Path) -> WebCertificate:
     _load_pair(server, file, key)
     try:
         client.load_verify_locations(file)
-        hand = shake_hands(client, server)[0]
+        fields = shake_hands(client, server)[0]
         return WebCertificate(
             file,
             key,
-            _list_names(hand),
+            _list_names(fields),
             sha256(file.read_bytes()).hexdigest(),
-            read_instant(hand["notBefore"]),
-            read_instant(hand["notAfter"]),
+            read_instant(fields["notBefore"]),
+            read_instant(fields["notAfter"]),
         )
     except ssl.SSLCertVerificationError as error:
         text = f"the certificate {file} cannot be used: {error.verify_message}"

@@ -40,8 +40,8 @@ class CertificateWatch:
         while True:
             await self._read_again()
             self._judge()
-            left = self.certificate.expires - parse_utc(self.clock.utc())
-            left_ns = int(left.total_seconds() * NS_PER_S)
+            time_left = self.certificate.expires - parse_utc(self.clock.utc())
+            left_ns = int(time_left.total_seconds() * NS_PER_S)
             await sleep_ns(self.clock, min(LOOK_NS, left_ns) if left_ns > 0 else LOOK_NS)
 
     async def _read_again(self) -> None:
@@ -61,13 +61,13 @@ class CertificateWatch:
 
     def _judge(self) -> None:
         """Answer to the names of the certificate while it counts, and announce its end."""
-        certificate, now = self.certificate, parse_utc(self.clock.utc())
+        certificate, utc = self.certificate, parse_utc(self.clock.utc())
         if self.beyond:
-            over = now >= certificate.expires
-            why = f"its certificate has expired on {certificate.expires:%Y-%m-%d %H:%M} UTC" if over else ""
-            self.admit(() if over else list_names_beyond(certificate), why)
-        priority = find_priority(certificate.expires, now)
-        text = f"the certificate of the page {describe_expiry(certificate.expires, now)}"
+            over = utc >= certificate.expires
+            reason = f"its certificate has expired on {certificate.expires:%Y-%m-%d %H:%M} UTC" if over else ""
+            self.admit(() if over else list_names_beyond(certificate), reason)
+        priority = find_priority(certificate.expires, utc)
+        text = f"the certificate of the page {describe_expiry(certificate.expires, utc)}"
         text = f"{text} ({certificate.expires:%Y-%m-%d %H:%M} UTC)"
         action = f"renew it (`tutti keys renew`, or its authority), and replace {certificate.file} and its key"
         if self._fault:

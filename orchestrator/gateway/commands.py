@@ -57,7 +57,7 @@ class FleetCommands:
         answers: dict[str, Refusal | None]
         if what == "estop":
             latched_estop = await tutti.estop(reason or "on the operators' page")
-            answers = {name: None if done else _NOT_LATCHED for name, done in latched_estop.items()}
+            answers = {name: None if is_latched else _NOT_LATCHED for name, is_latched in latched_estop.items()}
         else:
             answers = await tutti.stop(known=self.known_controllers())
         plain = {name: None if answer is None else describe_refusal(answer) for name, answer in answers.items()}
@@ -123,9 +123,11 @@ _NOT_LATCHED = Refusal("not-latched", "the controller reports no e-stop", "use t
 
 def make_request(verb: ServiceVerb, fields: Mapping[str, Any], request_id: str, actor: str) -> Request:
     """A request of its fields. Raises `Refusal`, code `bad-request`, with every mistake."""
-    taken = [name for name in ("request_id", "actor") if name in fields]
-    if taken:
-        raise Refusal("bad-request", f"{taken[0]} is given by the gateway", "leave it out; see `Idempotency-Key`")
+    reserved_names = [name for name in ("request_id", "actor") if name in fields]
+    if reserved_names:
+        raise Refusal(
+            "bad-request", f"{reserved_names[0]} is given by the gateway", "leave it out; see `Idempotency-Key`"
+        )
     try:
         return verb.request.model_validate({**fields, "request_id": request_id, "actor": actor})
     except ValidationError as error:

@@ -82,7 +82,7 @@ class Guard:
         return None
 
     async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        taken = 0
+        size = 0
         headers = find_headers(scope)
         added_headers = dict(SECURITY_HEADERS)
         if self._scheme == "https" and headers["host"].lower() not in self._own_hosts:
@@ -90,10 +90,10 @@ class Guard:
             added_headers["Strict-Transport-Security"] = STRICT_TRANSPORT
 
         async def receive_limited() -> Message:
-            nonlocal taken
+            nonlocal size
             message = await receive()
-            taken += len(message.get("body", b""))
-            if taken > MAX_BODY_BYTES:
+            size += len(message.get("body", b""))
+            if size > MAX_BODY_BYTES:
                 raise RefusedRequest(413, explain_size())
             return message
 

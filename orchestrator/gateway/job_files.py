@@ -38,10 +38,10 @@ class JobFiles:
 
         Raises `Refusal` for a body that is not as it should be, and a template that is not there.
         """
-        found: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
+        answer: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
         parameters, problems, filled_job = await self._execute(self._fill_job, body)
-        found |= {"parameters": parameters, "problems": describe_problems(problems)}
-        return found if filled_job is None else found | await self.forecast_job(tutti, filled_job.job, filled_job)
+        answer |= {"parameters": parameters, "problems": describe_problems(problems)}
+        return answer if filled_job is None else answer | await self.forecast_job(tutti, filled_job.job, filled_job)
 
     async def forecast_job(self, tutti: Tutti, job: Job, filled: FilledJob | None = None) -> dict[str, Any]:
         """What a job will do now: its forecast, with what each controller would be sent if it is not too long, and its
@@ -81,9 +81,9 @@ class JobFiles:
             raise Refusal("bad-request", "give either `text`, a job file, or `template`, the name of one", "")
         names = {} if self._folder is None else {path.name: path for path in self._folder.glob(PATTERN)}
         if template not in names:
-            there = ", ".join(sorted(names)[:20]) or "none"
+            template_list = ", ".join(sorted(names)[:20]) or "none"
             raise Refusal(
-                "no-file", f"there is no template {template[:100]!r}; there are: {there}", "choose one of them"
+                "no-file", f"there is no template {template[:100]!r}; there are: {template_list}", "choose one of them"
             )
         return read_file(names[template])
 
@@ -102,7 +102,7 @@ def _describe_parameters(template: Template) -> list[dict[str, Any]]:
 
 def _read_values(values: object) -> dict[str, ParameterSetting]:
     given_values = cast(Mapping[str, object], values) if isinstance(values, dict) else {"": 0}
-    if not all(isinstance(each, str) for each in given_values.values()):
+    if not all(isinstance(value, str) for value in given_values.values()):
         raise Refusal("bad-request", "`values` must be an object of texts", 'for example {"width": "20 mm"}')
     return {name: ParameterSetting(value, "the form", written=True) for name, value in given_values.items() if value}
 

@@ -60,10 +60,10 @@ def _make_schemas() -> tuple[dict[type[Model], str], dict[str, Any]]:
     """The schema of every model, and its name."""
     verbs = [*SERVICE_VERBS.values(), *CONTROLLER_VERBS.values()]
     requests, replies = {verb.request for verb in verbs}, {verb.reply for verb in verbs}
-    ordered_requests = sorted(requests | replies | {RefusalDetails}, key=lambda each: each.__name__)
-    places, found = models_json_schema([(each, "validation") for each in ordered_requests], ref_template=_PLACE)
-    names = {each: places[each, "validation"]["$ref"].rpartition("/")[2] for each in ordered_requests}
-    schemas: dict[str, Any] = found["$defs"]
+    ordered_requests = sorted(requests | replies | {RefusalDetails}, key=lambda model: model.__name__)
+    places, definitions = models_json_schema([(model, "validation") for model in ordered_requests], ref_template=_PLACE)
+    names = {model: places[model, "validation"]["$ref"].rpartition("/")[2] for model in ordered_requests}
+    schemas: dict[str, Any] = definitions["$defs"]
     for request in requests:
         schema = schemas[names[request]]
         schema["properties"] = {name: value for name, value in schema["properties"].items() if name not in _GIVEN}
@@ -72,12 +72,12 @@ def _make_schemas() -> tuple[dict[type[Model], str], dict[str, Any]]:
 
 
 def _describe_verb(verb: str, models: ServiceVerb, names: dict[type[Model], str]) -> dict[str, Any]:
-    body, reply = (_PLACE.format(model=names[each]) for each in (models.request, models.reply))
+    body, reply = (_PLACE.format(model=names[model]) for model in (models.request, models.reply))
     key = {"name": "Idempotency-Key", "in": "header", "schema": {"type": "string"}}
-    described = getdoc(models.request) or verb
+    description = getdoc(models.request) or verb
     return {
         "operationId": verb,
-        "summary": described.split("\n")[0],
+        "summary": description.split("\n")[0],
         "description": f"Least role: {LEAST_ROLES[verb]}.",
         "parameters": [
             key,
@@ -115,8 +115,8 @@ def _list_places(path: str) -> list[dict[str, Any]]:
 
 
 def _describe_responses(schema: dict[str, Any]) -> dict[str, Any]:
-    refused = {"type": "object", "properties": {"refused": {"$ref": _PLACE.format(model="RefusalDetails")}}}
+    refusal_schema = {"type": "object", "properties": {"refused": {"$ref": _PLACE.format(model="RefusalDetails")}}}
     return {
         "200": {"description": "done", "content": {"application/json": {"schema": schema}}},
-        "default": {"description": "refused", "content": {"application/json": {"schema": refused}}},
+        "default": {"description": "refused", "content": {"application/json": {"schema": refusal_schema}}},
     }

@@ -61,9 +61,9 @@ async def draw_job(
         drawing.note_gap(0, error.text)
         return drawing.finish()
     for index in range(min(len(order), MAX_STEPS)):
-        place = order.locate(index)
+        location = order.locate(index)
         try:
-            drawing.take(index, place.choose_step(partial(_find_move, fleet, place)))
+            drawing.take(index, location.choose_step(partial(_find_move, fleet, location)))
         except Refusal as error:
             drawing.note_gap(index, error.text)
         if index % STEPS_AT_ONCE == 0:

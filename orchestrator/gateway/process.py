@@ -120,10 +120,10 @@ def _check_reach(place: GatewayPlace) -> WebCertificate | None:
 def _make_alarm(bus: Bus, keys: FleetKeys, place: GatewayPlace) -> Callable[[AlarmRequest], None]:
     """What publishes an alarm about the certificate. The identity's own one is announced by its session already."""
     identity = find_identity() if "tls/" in place.connect else None
-    announced = identity is not None and identity / CERTIFICATE_FILE == place.certificate
+    is_announced = identity is not None and identity / CERTIFICATE_FILE == place.certificate
 
     def raise_alarm(request: AlarmRequest) -> None:
-        if not announced:
+        if not is_announced:
             bus.put(keys.alarm_request("gateway", "page"), request.to_json(), Priority.EVENT)
 
     return raise_alarm
@@ -148,7 +148,7 @@ def main() -> int:
     parser.add_argument("--service", action="store_true", help="a service of its own: announce that it is ready")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     given_args = parser.parse_args()
-    place = GatewayPlace(
+    gateway_place = GatewayPlace(
         fleet=given_args.fleet,
         connect=given_args.connect,
         state=given_args.state,
@@ -162,7 +162,7 @@ def main() -> int:
     )
     if given_args.parent:
         die_with_parent(given_args.parent)
-    return run_service(serve_gateway(place, _print_ready), place.log, {NotServed: BAD_INPUT})
+    return run_service(serve_gateway(gateway_place, _print_ready), gateway_place.log, {NotServed: BAD_INPUT})
 
 
 if __name__ == "__main__":

@@ -27,9 +27,9 @@ def require_reach(address: str, certificate: WebCertificate | None, users: UserF
     `bad-certificate`, `no-users`, and those of the file of users."""
     if is_own_address(address):
         return
-    place = f"the page is not served on {address[:100]}"
+    start = f"the page is not served on {address[:100]}"
     if certificate is None:
-        text = f"{place}: other computers would reach it without TLS"
+        text = f"{start}: other computers would reach it without TLS"
         remedy = (
             "give the keys of the fleet (`tutti keys add-gateway`, --keys), or another certificate (--web-cert); or "
         )
@@ -37,14 +37,14 @@ def require_reach(address: str, certificate: WebCertificate | None, users: UserF
         raise Refusal("not-own-address", text, remedy)
     renewal = "renew it: `tutti keys renew gateway-NAME`, or with its authority"
     if now >= certificate.expires:
-        text = f"{place}: its certificate {certificate.file} has expired on {certificate.expires:%Y-%m-%d %H:%M} UTC"
+        text = f"{start}: its certificate {certificate.file} has expired on {certificate.expires:%Y-%m-%d %H:%M} UTC"
         raise Refusal("bad-certificate", text, renewal)
     if now < certificate.begins:
-        text = f"{place}: its certificate {certificate.file} counts from {certificate.begins:%Y-%m-%d %H:%M} UTC only"
+        text = f"{start}: its certificate {certificate.file} counts from {certificate.begins:%Y-%m-%d %H:%M} UTC only"
         raise Refusal("bad-certificate", text, "set the clock of this computer")
     if not list_names_beyond(certificate):
-        text = f"{place}: its certificate {certificate.file} has no name or address of this computer in subjectAltName"
+        text = f"{start}: its certificate {certificate.file} has no name or address of this computer in subjectAltName"
         raise Refusal("bad-certificate", text, "`tutti keys add-gateway NAME --address …`: what browsers will open")
     if not users.load().users:
-        text = f"{place}: the fleet has no users, and each computer that reaches it would be an operator"
+        text = f"{start}: the fleet has no users, and each computer that reaches it would be an operator"
         raise Refusal("no-users", f"{text} ({users.path})", "add one: `tutti user add NAME --role operator`")

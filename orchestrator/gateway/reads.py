@@ -163,8 +163,8 @@ class FleetReads:
     # Service
 
     async def _read_statistics(self, request: ReadRequest) -> Response:
-        since = request.values.get("since") or shift_utc(self._hub.clock.utc(), -STATISTICS_S)[:10]
-        return await self._ask(request, "statistics", since=since)
+        begin_utc = request.values.get("since") or shift_utc(self._hub.clock.utc(), -STATISTICS_S)[:10]
+        return await self._ask(request, "statistics", since=begin_utc)
 
     async def _list_recordings(self, _: ReadRequest) -> Response:
         return JSONResponse({"files": await self._execute(self._find_recordings)})
@@ -172,7 +172,7 @@ class FleetReads:
     def _find_recordings(self) -> list[dict[str, Any]]:
         recordings: list[dict[str, Any]] = []
         paths = [] if self._recordings is None else list(self._recordings.glob(f"*{RECORDED}"))
-        for path in sorted(paths, key=lambda each: each.name, reverse=True)[:MAX_RECORDINGS]:
+        for path in sorted(paths, key=lambda path: path.name, reverse=True)[:MAX_RECORDINGS]:
             try:
                 stat = path.stat()
             except OSError:
@@ -199,8 +199,8 @@ class FleetReads:
         return JSONResponse({"clocks": plain, "history": self._hub.clock_history.show()})
 
     async def _read_trace(self, request: ReadRequest) -> Response:
-        after = request.read_int("after", 0)
-        reply = await self._connect(request).read_trace(request.values["controller"], after=after)
+        number = request.read_int("after", 0)
+        reply = await self._connect(request).read_trace(request.values["controller"], after=number)
         frames = [
             {
                 "at_s": round(frame.after_s, 6),
@@ -230,10 +230,10 @@ def _draw_axis(axis: AxisRecording, t0_ns: int) -> dict[str, Any]:
     evaluate, duration_s = axis.profile.make_evaluator(), axis.profile.duration_s
     instants = [duration_s * number / PLAN_POINTS for number in range(PLAN_POINTS + 1)]
     start, scale = axis.profile.start_counts, axis.counts_per_unit
-    planned = [round((start + evaluate(at).position) / scale, DIGITS) for at in instants]
+    plan = [round((start + evaluate(at).position) / scale, DIGITS) for at in instants]
     return {
         "unit": axis.unit,
-        "planned": {"t": [round(at, DIGITS) for at in instants], "v": planned},
+        "planned": {"t": [round(at, DIGITS) for at in instants], "v": plan},
         "actual": {
             "t": [round((at_ns - t0_ns) / 1e9, DIGITS) for at_ns, _ in axis.sampled],
             "v": [round(counts / scale, DIGITS) for _, counts in axis.sampled],

@@ -33,15 +33,17 @@ class NotServed(TuttiError):
 def open_port(address: str, port: int | None) -> socket.socket:
     """Listen on a port of this machine. port: None: the first free one from 8080 on. Raises `NotServed`."""
     ports = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + PORTS))
-    for each in ports:
+    for candidate in ports:
         try:
             family = socket.AF_INET6 if ":" in address else socket.AF_INET
-            return socket.create_server((address, each), family=family, backlog=512)
+            return socket.create_server((address, candidate), family=family, backlog=512)
         except OSError as error:
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise NotServed(f"the page is not served on {address}: {error.strerror}") from None
-    tried = f"port {port} of {address} is" if port is not None else f"ports {ports[0]} to {ports[-1]} of {address} are"
-    raise NotServed(f"the page is not served: {tried} in use; choose another with --web-port")
+    port_text = (
+        f"port {port} of {address} is" if port is not None else f"ports {ports[0]} to {ports[-1]} of {address} are"
+    )
+    raise NotServed(f"the page is not served: {port_text} in use; choose another with --web-port")
 
 
 class LimitedProtocol(H11Protocol):
@@ -81,9 +83,9 @@ class LimitedServer(Server):
             return LimitedProtocol(config=config, server_state=self.server_state, app_state=self.lifespan.state)
 
         limit_s = None if config.ssl is None else HANDSHAKE_S
-        for each in sockets or ():
+        for sock in sockets or ():
             server = await loop.create_server(
-                make_protocol, sock=each, ssl=config.ssl, backlog=config.backlog, ssl_handshake_timeout=limit_s
+                make_protocol, sock=sock, ssl=config.ssl, backlog=config.backlog, ssl_handshake_timeout=limit_s
             )
             self.servers.append(server)
 

@@ -59,18 +59,18 @@ class Authority:
             text = f"the authority has ended on {expires:%Y-%m-%d}"
             raise Refusal("authority-expired", text, "make a new one: `tutti keys init` in another folder")
         key = ec.generate_private_key(ec.SECP256R1())
-        issued_begin = _begin(common_name, self._certificate.subject, key.public_key(), now - SKEW, expires)
-        issued_begin = issued_begin.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = _begin(common_name, self._certificate.subject, key.public_key(), now - SKEW, expires)
+        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if addresses:
             uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
             names = x509.SubjectAlternativeName([_parse_address(address) for address in addresses])
-            issued_begin = issued_begin.add_extension(names, critical=False)
-        issued_begin = issued_begin.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
-        issued_begin = issued_begin.add_extension(_make_usage(authority=False), critical=True)
+            builder = builder.add_extension(names, critical=False)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+        builder = builder.add_extension(_make_usage(authority=False), critical=True)
         issuer = x509.AuthorityKeyIdentifier.from_issuer_public_key(self._key.public_key())
-        issued_begin = issued_begin.add_extension(issuer, critical=False)
-        signed_certificate = issued_begin.sign(self._key, hashes.SHA256())
+        builder = builder.add_extension(issuer, critical=False)
+        signed_certificate = builder.sign(self._key, hashes.SHA256())
         return IssuedKey(
             signed_certificate.public_bytes(Encoding.PEM), _encode_key(key), signed_certificate.not_valid_after_utc
         )
@@ -81,11 +81,11 @@ def make_authority(fleet: str, now: datetime, days: float = AUTHORITY_DAYS) -> t
     key = ec.generate_private_key(ec.SECP256R1())
     name = f"authority of fleet {fleet}"[:64]
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    begin = _begin(name, subject, key.public_key(), now - SKEW, now + timedelta(days=days))
-    begin = begin.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-    begin = begin.add_extension(_make_usage(authority=True), critical=True)
-    begin = begin.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    return Authority(begin.sign(key, hashes.SHA256()), key), _encode_key(key)
+    builder = _begin(name, subject, key.public_key(), now - SKEW, now + timedelta(days=days))
+    builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    builder = builder.add_extension(_make_usage(authority=True), critical=True)
+    builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    return Authority(builder.sign(key, hashes.SHA256()), key), _encode_key(key)
 
 
 def load_authority(certificate: bytes, key: bytes) -> Authority:

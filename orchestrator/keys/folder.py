@@ -48,10 +48,10 @@ class KeyFolder:
             if (self.folder / AUTHORITY_KEY_FILE).exists() or (self.folder / REGISTER_FILE).exists():
                 text = f"{self.folder} has an authority already"
                 raise Refusal("key-exists", text, "use it, or give another folder: --keys")
-            authority, key = make_authority(fleet, now, days)
-            register = Register(fleet=fleet, authority=authority.fingerprint)
+            parts, key = make_authority(fleet, now, days)
+            register = Register(fleet=fleet, authority=parts.fingerprint)
             replace_private_file(self.folder / AUTHORITY_KEY_FILE, key)
-            replace_private_file(self.folder / AUTHORITY_FILE, authority.certificate)
+            replace_private_file(self.folder / AUTHORITY_FILE, parts.certificate)
             write_register(self.folder, register)
             return register
 
@@ -60,15 +60,15 @@ class KeyFolder:
     ) -> RegisterEntry:
         """Issue the first certificate of a name, or the next one after it was revoked."""
         with self._locked():
-            opened = self._open()
-            return self._issue(opened, opened[0].name_to_add(role, name), now, days, addresses)
+            parts = self._open()
+            return self._issue(parts, parts[0].name_to_add(role, name), now, days, addresses)
 
     def renew(self, subject: str, now: datetime, days: float = CERTIFICATE_DAYS) -> RegisterEntry:
         """Issue the next generation of a name: the one before it counts no more, once the router has the new table."""
         with self._locked():
-            opened = self._open()
-            addresses = tuple(opened[0].require(subject).addresses)
-            return self._issue(opened, opened[0].name_to_renew(subject), now, days, addresses)
+            parts = self._open()
+            addresses = tuple(parts[0].require(subject).addresses)
+            return self._issue(parts, parts[0].name_to_renew(subject), now, days, addresses)
 
     def revoke(self, subject: str, *, at_once: bool = False) -> RegisterEntry:
         """Take a name out of the table. at_once: routers do not wait until the fleet is at rest, but stop it."""
@@ -93,12 +93,12 @@ class KeyFolder:
     def _issue(
         self, opened: tuple[Register, Authority], name: KeyName, now: datetime, days: float, addresses: tuple[str, ...]
     ) -> RegisterEntry:
-        register, authority = opened
-        issued_key = authority.issue(str(name), now, days, addresses)
+        register, parts = opened
+        issued_key = parts.issue(str(name), now, days, addresses)
         # The identity first: a name in the table without a certificate is harmless, the reverse is puzzling.
         folder = self.identity(name.subject)
         make_private_folder(folder)
-        replace_private_file(folder / AUTHORITY_FILE, authority.certificate)
+        replace_private_file(folder / AUTHORITY_FILE, parts.certificate)
         replace_private_file(folder / KEY_FILE, issued_key.key)
         replace_private_file(folder / CERTIFICATE_FILE, issued_key.certificate)
         changed_register = register.admit(name, format_rfc3339(issued_key.expires), addresses)
@@ -118,6 +118,6 @@ class KeyFolder:
             lock = open_private_file(self.folder / _LOCK, os.O_RDWR | os.O_CREAT)
         except FileNotFoundError:
             raise Refusal("no-keys", f"{self.folder} is no folder", "make it: `tutti keys init`") from None
-        with os.fdopen(lock, "w") as held:
-            fcntl.flock(held, fcntl.LOCK_EX)
+        with os.fdopen(lock, "w") as lock_file:
+            fcntl.flock(lock_file, fcntl.LOCK_EX)
             yield

@@ -25,8 +25,10 @@ def find_identity_folder(keys: Path, role: Role, name: str | None = None) -> Pat
         if entry.role == role and name in (None, entry.name) and not entry.revoked and (folder / subject).is_dir()
     ]
     if not found_entries:
-        wanted = f"{role}-{name}" if name else f"of the role {role}"
-        raise Refusal("no-keys", f"{keys} has no identity {wanted}", "see `tutti keys ls`; add it: `tutti keys add-…`")
+        identity_text = f"{role}-{name}" if name else f"of the role {role}"
+        raise Refusal(
+            "no-keys", f"{keys} has no identity {identity_text}", "see `tutti keys ls`; add it: `tutti keys add-…`"
+        )
     if len(found_entries) > 1:
         text = f"{keys} has several identities of the role {role}: {', '.join(found_entries)}"
         raise Refusal("which-key", text, f"give the folder of one: {folder / found_entries[0]}")

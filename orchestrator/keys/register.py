@@ -60,8 +60,8 @@ class Register(Model):
         """An entry by its subject. Raises `Refusal`, code `unknown-name`."""
         entry = self.names.get(subject)
         if entry is None:
-            known = ", ".join(sorted(self.names)) or "none"
-            text = f"there is no certificate for {subject[:80]}; there are: {known}"
+            subject_list = ", ".join(sorted(self.names)) or "none"
+            text = f"there is no certificate for {subject[:80]}; there are: {subject_list}"
             raise Refusal("unknown-name", text, "see `tutti keys ls`")
         return entry
 
@@ -113,8 +113,8 @@ def read_register(folder: Path) -> Register:
         raise Refusal("no-keys", text, "give the folder that `tutti keys init` has made, or a router's") from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(map(str, first["loc"])) or "it"
-        raise Refusal("bad-keys", f"{path}: {where}: {first['msg']}", "restore it from a backup") from None
+        field = ".".join(map(str, first["loc"])) or "it"
+        raise Refusal("bad-keys", f"{path}: {field}: {first['msg']}", "restore it from a backup") from None
 
 
 def write_register(folder: Path, register: Register) -> None:

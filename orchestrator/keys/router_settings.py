@@ -87,14 +87,14 @@ def list_controllers(fleet: Fleet) -> dict[str, list[str]]:
 
 def nest_settings(settings: Mapping[str, object]) -> dict[str, Any]:
     """The same settings as one object, as a configuration file has them: `a/b` becomes `{a: {b: …}}`."""
-    nested: dict[str, Any] = {}
+    tree: dict[str, Any] = {}
     for path, value in settings.items():
         *outer, last = path.split("/")
-        place = nested
+        branch = tree
         for part in outer:
-            place = place.setdefault(part, {})
-        place[last] = value
-    return nested
+            branch = branch.setdefault(part, {})
+        branch[last] = value
+    return tree
 
 
 def _list_rules(name: str, rights: Rights) -> Sequence[dict[str, object]]:

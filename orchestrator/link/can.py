@@ -115,8 +115,8 @@ class FrameReader:
     def add_bytes(self, data: bytes) -> list[CanFrame]:
         """Add `data` and return the frames that are complete."""
         self._rest += data
-        whole = len(self._rest) // FRAME_BYTES * FRAME_BYTES
-        frames, self._rest = decode_frames(self._rest[:whole]), self._rest[whole:]
+        size = len(self._rest) // FRAME_BYTES * FRAME_BYTES
+        frames, self._rest = decode_frames(self._rest[:size]), self._rest[size:]
         return frames
 
 

@@ -55,13 +55,13 @@ _RUN = re.compile("0+|1+")
 def exact_bits(frame: CanFrame) -> int:
     """Bits of `frame` on the bus with its actual stuff bits, and the intermission after it."""
     bits = stuffable_bits(frame)
-    stuffed = carried = 0
+    stuff_bits = carry = 0
     for run in _RUN.findall(bits):
         # The bit that is stuffed after five equal ones is the first of the next run.
-        length = len(run) + carried
-        stuffed += length // 5
-        carried = length % 5 == 0
-    return len(bits) + stuffed + FIXED_BITS
+        length = len(run) + carry
+        stuff_bits += length // 5
+        carry = length % 5 == 0
+    return len(bits) + stuff_bits + FIXED_BITS
 
 
 def stuffable_bits(frame: CanFrame) -> str:
@@ -268,12 +268,12 @@ class MemoryCanBus:
         senders = [node for node, _ in same_nodes]
         begin_ns = planned_ns
         self._sending = True
-        acknowledged = self._is_acknowledged(senders)
+        is_acknowledged = self._is_acknowledged(senders)
         spoilt = any(head != frame or not node.is_active for node, head in same_nodes) or self._is_disturbed()
         bits = exact_bits(frame)
         if spoilt:
             bits = self._draw.randint(1, bits - INTERMISSION_BITS) + ERROR_FRAME_BITS + INTERMISSION_BITS
-        elif not acknowledged:
+        elif not is_acknowledged:
             bits += ERROR_FRAME_BITS
         self._free_ns = begin_ns + round(bits * self.bit_ns)
         self.busy_ns += self._free_ns - begin_ns
@@ -284,7 +284,7 @@ class MemoryCanBus:
             self._sending = False
             if spoilt or any(frame not in node.waiting for node in senders):
                 self._handle_destroyed(senders)
-            elif not acknowledged:
+            elif not is_acknowledged:
                 self._handle_unacknowledged(senders)
             else:
                 self._deliver_frame(senders, frame, begin_ns, end_ns)
@@ -310,7 +310,7 @@ class MemoryCanBus:
             self._suspend_node(node)
         for listener in self._listeners:
             listener(frame, begin_ns, end_ns)
-        for node in [each for each in self._nodes if each.is_active and each not in senders]:
+        for node in [listener for listener in self._nodes if listener.is_active and listener not in senders]:
             if node.receive_errors:
                 node.count_errors(receive=-1)
             if node.accepts is None or frame.id in node.accepts:

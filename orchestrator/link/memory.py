@@ -116,20 +116,20 @@ class MemoryWire:
             # A port can be opened again at once; the last bytes of one connection arrive before the next one begins.
             await sleep_until_ns(self.clock, self.closed_ns)
         link = MemoryLink(self, clock or self.clock)
-        opened: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+        opening: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
         def connect_far() -> None:
-            if opened.done():
+            if opening.done():
                 return  # given up while the controller's process hung
             try:
                 link.connect_far()
             except Exception as error:
-                opened.set_result(str(error))
+                opening.set_result(str(error))
             else:
-                opened.set_result(None)
+                opening.set_result(None)
 
         self.run_far(connect_far)
-        reason = await opened
+        reason = await opening
         if reason is not None:
             raise LinkRefused(f"{self.endpoint}: {reason}")
         self.links.append(link)
@@ -208,12 +208,12 @@ class MemoryLink:
         return self._clock.now_ns()
 
     def _arrive_far(self, data: bytes) -> None:
-        far = self._far
-        if self._wire.cut or far is None:
+        far_end = self._far
+        if self._wire.cut or far_end is None:
             return
-        received = far.supply.cut_received(data, self._wire.clock.now_ns(), self._wire.model.char_ns)
-        if received:
-            self._wire.run_far(lambda: far.receive_bytes(received))
+        arrival = far_end.supply.cut_received(data, self._wire.clock.now_ns(), self._wire.model.char_ns)
+        if arrival:
+            self._wire.run_far(lambda: far_end.receive_bytes(arrival))
 
     def _from_far(self, data: bytes) -> None:
         wire, now_ns = self._wire, self._wire.clock.now_ns()
@@ -277,9 +277,9 @@ class MemoryLink:
         if not self._open:
             return
         self._mark_closed()
-        far = self._far
-        if far is not None and not self._wire.lose_close:
+        far_end = self._far
+        if far_end is not None and not self._wire.lose_close:
             wire = self._wire
             closed_ns = wire.clock.now_ns() + wire.delay_ns()
             wire.closed_ns = max(wire.closed_ns, closed_ns)
-            wire.schedule_call(closed_ns, lambda: wire.run_far(far.close))
+            wire.schedule_call(closed_ns, lambda: wire.run_far(far_end.close))

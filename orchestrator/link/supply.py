@@ -31,5 +31,5 @@ class PowerSupply:
         power."""
         if self.back_ns <= ends_ns - len(data) * char_ns:
             return data
-        received = max(0, ends_ns - self.back_ns) // char_ns if char_ns else len(data)
-        return data[len(data) - received :]
+        count = max(0, ends_ns - self.back_ns) // char_ns if char_ns else len(data)
+        return data[len(data) - count :]

@@ -36,21 +36,21 @@ def convert_rates(data: Any) -> tuple[Any, list[Problem]]:
         unit = Unit(axis.get("unit", ""))
     except ValueError:
         unit = None  # reported by the field itself
-    converted, problems = dict(axis), list[Problem]()
-    for place, order in _RATES.items():
-        block = converted if len(place) == 1 else converted.get(place[0])
+    new_axis, problems = dict(axis), list[Problem]()
+    for path, order in _RATES.items():
+        block = new_axis if len(path) == 1 else new_axis.get(path[0])
         if not isinstance(block, Mapping):
             continue
-        found_block = cast(Mapping[str, Any], block).get(place[-1])
+        found_block = cast(Mapping[str, Any], block).get(path[-1])
         if not isinstance(found_block, str):
             continue
         value = _VALID
         try:
             value = value if unit is None else parse_rate(found_block, unit, order)
         except UnitError as error:
-            problems.append(Problem(place, str(error), found_block))
-        if len(place) == 1:
-            converted[place[0]] = value
+            problems.append(Problem(path, str(error), found_block))
+        if len(path) == 1:
+            new_axis[path[0]] = value
         else:
-            converted[place[0]] = {**cast(Mapping[str, Any], block), place[-1]: value}
-    return converted, problems
+            new_axis[path[0]] = {**cast(Mapping[str, Any], block), path[-1]: value}
+    return new_axis, problems

@@ -21,11 +21,11 @@ def parse_duration(value: object) -> int:
     """
     match = _TEXT.match(value) if isinstance(value, str) and len(value) <= MAX_TEXT else None
     if not match:
-        shown = value[:MAX_TEXT] if isinstance(value, str) else value
+        text = value[:MAX_TEXT] if isinstance(value, str) else value
         hint = suggest_number(value) if isinstance(value, str) else ""
         hint = f" ({hint})" if hint else ""
         raise ValueError(
-            f'{shown!r} is not a duration; write a number and a unit (ns, us, ms, s, min, h), e.g. "10 ms"{hint}'
+            f'{text!r} is not a duration; write a number and a unit (ns, us, ms, s, min, h), e.g. "10 ms"{hint}'
         )
     number, unit = match.groups()
     duration_ns = int(Decimal(number) * _NS[unit.replace("µ", "u")])

@@ -43,8 +43,8 @@ def explain_error(error: Mapping[str, Any], model: type[BaseModel]) -> str:
         case "literal_error" | "enum":
             return f"found {show_value(value)}; allowed: {context['expected']}{_suggest_choice(value, context)}"
         case "union_tag_invalid":
-            tags, what = context["expected_tags"], context["discriminator"]
-            return f"found {context['tag']!r} for {what}; allowed: {tags}"
+            tags, discriminator = context["expected_tags"], context["discriminator"]
+            return f"found {context['tag']!r} for {discriminator}; allowed: {tags}"
         case "union_tag_not_found":
             return f"needs the field {context['discriminator']}, which selects its kind"
         case "string_pattern_mismatch":
@@ -75,43 +75,43 @@ def show_value(value: object) -> str:
 
 def _expect_type(kind: str, found: object) -> str:
     """What to write where a value of another type is expected; empty for other kinds of error."""
-    expected = kind.removesuffix("_type").removesuffix("_parsing").removesuffix("_from")
+    type_name = kind.removesuffix("_type").removesuffix("_parsing").removesuffix("_from")
     text = found if isinstance(found, str) else ""
-    if expected in ("float", "int"):
-        number = "a number" if expected == "float" else "a whole number"
+    if type_name in ("float", "int"):
+        number = "a number" if type_name == "float" else "a whole number"
         return f"must be {number}" + (f"; {hint}" if (hint := suggest_number(text)) else "")
-    if expected == "bool":
+    if type_name == "bool":
         return suggest_flag(text) if text else "must be true or false"
-    if expected == "string":
-        quoted = isinstance(found, int | float) and not isinstance(found, bool)
-        return "must be text" + (f'; write it in quotes: "{found}"' if quoted else "")
-    return {"list": "must be a list", "dict": "must be a mapping", "model": "must be a mapping"}.get(expected, "")
+    if type_name == "string":
+        needs_quotes = isinstance(found, int | float) and not isinstance(found, bool)
+        return "must be text" + (f'; write it in quotes: "{found}"' if needs_quotes else "")
+    return {"list": "must be a list", "dict": "must be a mapping", "model": "must be a mapping"}.get(type_name, "")
 
 
 def _suggest_choice(found: object, context: Mapping[str, Any]) -> str:
     choices = [part.strip(" '") for part in str(context["expected"]).replace(" or ", ",").split(",")]
-    near = difflib.get_close_matches(found, choices, 1) if isinstance(found, str) else []
-    return f"; did you mean {near[0]!r}?" if near else ""
+    matches = difflib.get_close_matches(found, choices, 1) if isinstance(found, str) else []
+    return f"; did you mean {matches[0]!r}?" if matches else ""
 
 
 def _explain_unknown_field(error: Mapping[str, Any], model: type[BaseModel]) -> str:
-    *place, name = cast(Sequence[str | int], error["loc"])
-    allowed_fields = find_fields(model, place)
+    *path, name = cast(Sequence[str | int], error["loc"])
+    allowed_fields = find_fields(model, path)
     if not allowed_fields:
         return "unknown field; see `tutti schema` for the fields that are allowed here"
-    near = difflib.get_close_matches(str(name), allowed_fields, 1)
-    return f"unknown field; {f'did you mean {near[0]}? ' if near else ''}allowed: {', '.join(allowed_fields)}"
+    matches = difflib.get_close_matches(str(name), allowed_fields, 1)
+    return f"unknown field; {f'did you mean {matches[0]}? ' if matches else ''}allowed: {', '.join(allowed_fields)}"
 
 
 def find_fields(model: type[BaseModel], place: Sequence[str | int]) -> list[str]:
     """The fields that `model` allows at `place`, a location of pydantic's; empty if the place is not known."""
     schema = _schema_of(model)
-    here = _resolve(schema, schema)
+    node = _resolve(schema, schema)
     for part in place:
-        here = _step_into(schema, here, part)
-        if here is None:
+        node = _step_into(schema, node, part)
+        if node is None:
             return []
-    return sorted(here.get("properties", {}))
+    return sorted(node.get("properties", {}))
 
 
 @lru_cache(maxsize=8)
@@ -130,7 +130,7 @@ def _step_into(schema: dict[str, Any], here: dict[str, Any], part: str | int) ->
     tags: dict[str, str] = here.get("discriminator", {}).get("mapping", {})
     if part in tags:
         return _resolve(schema, {"$ref": tags[str(part)]})
-    options = [_resolve(schema, each) for each in here.get("anyOf", here.get("oneOf", [here]))]
+    options = [_resolve(schema, option) for option in here.get("anyOf", here.get("oneOf", [here]))]
     for option in options:
         if isinstance(part, int) and "items" in option:
             return _resolve(schema, option["items"])

@@ -159,8 +159,8 @@ class Axis(Model):
     @model_validator(mode="wrap")
     @classmethod
     def _convert_units(cls, data: Any, handler: ModelWrapValidatorHandler["Axis"]) -> "Axis":
-        converted, problems = convert_rates(data)
-        return validate_with(problems, cls.__name__, lambda: handler(converted))
+        plain, problems = convert_rates(data)
+        return validate_with(problems, cls.__name__, lambda: handler(plain))
 
     @field_validator("motors")
     @classmethod
@@ -388,9 +388,9 @@ class TriggerWire(Model):
         least_us, most_us = self.delay_us
         if not 0 <= least_us <= most_us <= 100_000:
             raise ValueError(f"delay_us is [{least_us}, {most_us}]; it must be [least, most], from 0 to 100000")
-        twice = sorted({end for end in self.to if self.to.count(end) > 1})
-        if twice:
-            raise ValueError(f"{twice[0]} is listed twice in `to`; list each input once")
+        repetitions = sorted({end for end in self.to if self.to.count(end) > 1})
+        if repetitions:
+            raise ValueError(f"{repetitions[0]} is listed twice in `to`; list each input once")
         return self
 
 
@@ -577,7 +577,7 @@ class Fleet(Model):
         return {
             name: permit
             for name, permit in self.permits.items()
-            if permit.axes is None or wanted_axes & {axis for each in permit.axes for axis in self.expand_name(each)}
+            if permit.axes is None or wanted_axes & {axis for name in permit.axes for axis in self.expand_name(name)}
         }
 
     @cached_property
@@ -624,16 +624,16 @@ def _find_link_problems(controllers: dict[str, Controller]) -> list[Problem]:
     for name, controller in controllers.items():
         lines.setdefault(controller.line, []).append(name)
     problems: list[Problem] = []
-    for place, names in lines.items():
+    for line, names in lines.items():
         first = names[0]
         for number, name in enumerate(names[1:], 1):
-            text = _explain_unshareable(place, first, controllers[first], name, controllers[name])
+            text = _explain_unshareable(line, first, controllers[first], name, controllers[name])
             address = _address_of(controllers[name])
             twin = next(
                 (other_name for other_name in names[:number] if _address_of(controllers[other_name]) == address), None
             )
             if text is None and twin is not None:
-                text = f"{twin} and {name} both have address {address} on {place}; give each its own address"
+                text = f"{twin} and {name} both have address {address} on {line}; give each its own address"
             if text is not None:
                 problems.append(Problem((name, "link"), text))
     return problems
@@ -641,18 +641,18 @@ def _find_link_problems(controllers: dict[str, Controller]) -> list[Problem]:
 
 def _explain_unshareable(place: str, first: str, one: Controller, second: str, other: Controller) -> str | None:
     """Why both controllers cannot be reached through one port; None if they can."""
-    both = f"{first} and {second} are both on {place}"
+    pair = f"{first} and {second} are both on {place}"
     for name, controller in ((first, one), (second, other)):
         if _address_of(controller) is None:
             return (
-                f"{both}; a port can carry several controllers only if each has an address there, and {name} has none "
+                f"{pair}; a port can carry several controllers only if each has an address there, and {name} has none "
                 "(link.address)"
             )
     if one.adapter != other.adapter:
-        return f"{both}, but have different `adapter`: {one.adapter} and {other.adapter}"
+        return f"{pair}, but have different `adapter`: {one.adapter} and {other.adapter}"
     alike = one.link.model_copy(update={"address": None}), other.link.model_copy(update={"address": None})
     if alike[0] != alike[1]:
-        return f"{both}, but with different settings: {alike[0].to_plain()} and {alike[1].to_plain()}"
+        return f"{pair}, but with different settings: {alike[0].to_plain()} and {alike[1].to_plain()}"
     return None
 
 
@@ -666,8 +666,8 @@ def group_by_link(controllers: Mapping[str, Controller]) -> list[list[str]]:
 
 def group_by_controller(axes: Iterable[str]) -> dict[str, list[str]]:
     """Group axes `controller.axis` by their controller, in order."""
-    found_controller: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for axis in axes:
         controller, name = split_name(axis)
-        found_controller.setdefault(controller, []).append(name)
-    return found_controller
+        groups.setdefault(controller, []).append(name)
+    return groups

@@ -30,27 +30,27 @@ class DefinedNames:
 
     def explain_unknown(self, name: object, kind: str) -> str | None:
         """Why `name` is no name of that kind: axis, axes (also groups and controllers), input or output; or None."""
-        known = {"axis": self.axes, "input": self.inputs, "output": self.outputs}.get(
+        known_names = {"axis": self.axes, "input": self.inputs, "output": self.outputs}.get(
             kind, [*self.axes, *self.groups, *self.controllers]
         )
-        if name in known or not isinstance(name, str):
+        if name in known_names or not isinstance(name, str):
             return None  # another type is reported by the field itself
-        what = "axis, group or controller" if kind == "axes" else kind
-        listed_axes = self.axes if kind == "axes" else known
-        return f"the fleet has no {what} {name[:80]}; {suggest_name(name, known)}{list_names(listed_axes, kind)}"
+        noun = "axis, group or controller" if kind == "axes" else kind
+        listed_axes = self.axes if kind == "axes" else known_names
+        return f"the fleet has no {noun} {name[:80]}; {suggest_name(name, known_names)}{list_names(listed_axes, kind)}"
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
     """The nearest of the known names, as the beginning of a remedy; empty if none is near."""
-    near = difflib.get_close_matches(name[:80], list(known), 1, 0.75)
-    return f"did you mean {near[0]}? " if near else ""
+    matches = difflib.get_close_matches(name[:80], list(known), 1, 0.75)
+    return f"did you mean {matches[0]}? " if matches else ""
 
 
 def list_names(names: list[str], kind: str) -> str:
     """`its axes are: …`, with at most `MAX_LISTED` names."""
     plural = "axes" if kind in ("axis", "axes") else f"{kind}s"
-    shown = ", ".join(names[:MAX_LISTED]) + (f", … ({len(names)} in all)" if len(names) > MAX_LISTED else "")
-    return f"its {plural} are: {shown}" if names else f"it has no {plural}"
+    listing = ", ".join(names[:MAX_LISTED]) + (f", … ({len(names)} in all)" if len(names) > MAX_LISTED else "")
+    return f"its {plural} are: {listing}" if names else f"it has no {plural}"
 
 
 def find_reference_problems(data: Any) -> list[Problem]:
@@ -73,10 +73,10 @@ def collect_names(plain: Mapping[str, Any]) -> DefinedNames:
     names = DefinedNames()
     for (_, controller), _ in select(plain, "controllers", EACH):
         names.controllers.append(str(controller))
-    for kind, found in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
-        found += [f"{place[1]}.{place[3]}" for place, _ in select(plain, "controllers", EACH, kind, EACH)]
-    names.groups.extend(str(place[1]) for place, _ in select(plain, "groups", EACH))
-    names.positions.extend(str(place[1]) for place, _ in select(plain, "positions", EACH))
+    for kind, collection in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
+        collection += [f"{path[1]}.{path[3]}" for path, _ in select(plain, "controllers", EACH, kind, EACH)]
+    names.groups.extend(str(path[1]) for path, _ in select(plain, "groups", EACH))
+    names.positions.extend(str(path[1]) for path, _ in select(plain, "positions", EACH))
     return names
 
 
@@ -92,8 +92,8 @@ def select(data: Any, *pattern: str) -> Iterator[tuple[Place, Any]]:
     elif isinstance(data, list | tuple) and pattern[0] == EACH:
         entries = enumerate(cast(list[Any], data))
     for key, value in entries:
-        for place, found in select(value, *pattern[1:]):
-            yield (key, *place), found
+        for path, value_found in select(value, *pattern[1:]):
+            yield (key, *path), value_found
 
 
 _REFERENCES: tuple[tuple[tuple[str, ...], str], ...] = (
@@ -110,15 +110,15 @@ _REFERENCES: tuple[tuple[tuple[str, ...], str], ...] = (
 
 def _find_unknown(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:
     for pattern, kind in _REFERENCES:
-        for place, name in select(plain, *pattern):
+        for path, name in select(plain, *pattern):
             text = names.explain_unknown(name, kind)
             if text is not None:
-                yield Problem(place, text, name)
-    for place, output in select(plain, "controllers", EACH, "axes", EACH, "brake", "output"):
-        if isinstance(output, str) and f"{place[1]}.{output}" not in names.outputs:
-            own = [split_name(name)[1] for name in names.outputs if name.startswith(f"{place[1]}.")]
-            known = ", ".join(own) or "none"
-            yield Problem(place, f"the controller has no output {output}; known outputs: {known}", output)
+                yield Problem(path, text, name)
+    for path, output in select(plain, "controllers", EACH, "axes", EACH, "brake", "output"):
+        if isinstance(output, str) and f"{path[1]}.{output}" not in names.outputs:
+            own = [split_name(name)[1] for name in names.outputs if name.startswith(f"{path[1]}.")]
+            output_list = ", ".join(own) or "none"
+            yield Problem(path, f"the controller has no output {output}; known outputs: {output_list}", output)
 
 
 def _find_group_problems(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:
@@ -132,12 +132,12 @@ def _find_position_problems(plain: Mapping[str, Any], names: DefinedNames) -> It
         text = explain_position_name(name, names)
         if text is not None:
             yield Problem(("positions", name), text, name)
-    for place, value in (*select(plain, "positions", EACH, EACH), *select(plain, "positions", EACH, "axes", EACH)):
-        axis = str(place[-1])
+    for path, value in (*select(plain, "positions", EACH, EACH), *select(plain, "positions", EACH, "axes", EACH)):
+        axis = str(path[-1])
         # Without a dot it is a field, which reports itself; only axes have a dot.
-        text = names.explain_unknown(axis, "axis") if "." in axis or "axes" in place[2:-1] else None
+        text = names.explain_unknown(axis, "axis") if "." in axis or "axes" in path[2:-1] else None
         if text is not None:
-            yield Problem(place, text, value)
+            yield Problem(path, text, value)
 
 
 def explain_position_name(name: str, names: DefinedNames) -> str | None:
@@ -147,8 +147,8 @@ def explain_position_name(name: str, names: DefinedNames) -> str | None:
             f"{name[:80]!r} is no name of a position; write a-z, 0-9, _ and -, first a letter, and no word that reads "
             "as a value"
         )
-    for kind, others in (("controller", names.controllers), ("group", names.groups)):
-        if name in others:
+    for kind, kind_names in (("controller", names.controllers), ("group", names.groups)):
+        if name in kind_names:
             return f"position {name} has the name of a {kind}; rename the position"
     return None
 
@@ -164,50 +164,50 @@ def _find_double_use(plain: Mapping[str, Any]) -> Iterator[Problem]:
             yield from _find_repeated(
                 select(plain, *own, f"{kind}s", EACH, "number"), kind + " {0} has two names: {1} and {2}", 3
             )
-    wired: dict[str, str] = {}
-    for place, end in select(plain, "wiring", EACH, "to", EACH):
-        source = next((str(name) for _, name in select(plain["wiring"][place[1]], "from")), "?")
-        if isinstance(end, str) and end in wired and wired[end] != source:
-            text = f"input {end} is wired to {wired[end]} and to {source}; wire it to one output"
-            yield Problem(place, text, end)
-        wired.setdefault(str(end), source)
+    sources: dict[str, str] = {}
+    for path, end in select(plain, "wiring", EACH, "to", EACH):
+        source = next((str(name) for _, name in select(plain["wiring"][path[1]], "from")), "?")
+        if isinstance(end, str) and end in sources and sources[end] != source:
+            text = f"input {end} is wired to {sources[end]} and to {source}; wire it to one output"
+            yield Problem(path, text, end)
+        sources.setdefault(str(end), source)
     purposes: dict[str, str] = {}
     brakes = select(plain, "controllers", EACH, "axes", EACH, "brake", "output")
-    for place, name, purpose in [
-        *((place, f"{place[1]}.{name}", f"the brake of {place[1]}.{place[3]}") for place, name in brakes if name),
-        *((place, str(name), "a trigger line") for place, name in select(plain, "wiring", EACH, "from")),
+    for path, name, purpose in [
+        *((path, f"{path[1]}.{name}", f"the brake of {path[1]}.{path[3]}") for path, name in brakes if name),
+        *((path, str(name), "a trigger line") for path, name in select(plain, "wiring", EACH, "from")),
     ]:
         if purposes.get(name, purpose) != purpose:
-            yield Problem(place, f"output {name} is {purposes[name]} and {purpose}; use one output for each", name)
+            yield Problem(path, f"output {name} is {purposes[name]} and {purpose}; use one output for each", name)
         purposes.setdefault(name, purpose)
 
 
 def _find_repeated(found: Iterable[tuple[Place, Any]], text: str, owner: int) -> Iterator[Problem]:
     """Values that two owners have; `owner`: the index of the owner's name in a place."""
     first: dict[str, str] = {}
-    for place, value in found:
+    for path, value in found:
         if isinstance(value, str | int) and not isinstance(value, bool):
-            key, name = str(value), str(place[owner])
+            key, name = str(value), str(path[owner])
             if first.setdefault(key, name) != name:
-                yield Problem(place, text.format(key, first[key], name), value)
+                yield Problem(path, text.format(key, first[key], name), value)
 
 
 def _find_homing_circles(plain: Mapping[str, Any]) -> Iterator[Problem]:
     """Axes that wait for themselves by `homing.after`, directly or through others."""
-    after: dict[str, set[str]] = {}
-    for place, other in select(plain, "controllers", EACH, "axes", EACH, "homing", "after", EACH):
-        after.setdefault(f"{place[1]}.{place[3]}", set()).add(str(other))
-    for name in after:
-        waits_for, todo = set[str](), list(after[name])
+    predecessors: dict[str, set[str]] = {}
+    for path, predecessor in select(plain, "controllers", EACH, "axes", EACH, "homing", "after", EACH):
+        predecessors.setdefault(f"{path[1]}.{path[3]}", set()).add(str(predecessor))
+    for name in predecessors:
+        waits_for, todo = set[str](), list(predecessors[name])
         while todo:
-            other = todo.pop()
-            if other not in waits_for:
-                waits_for.add(other)
-                todo += after.get(other, ())
+            predecessor = todo.pop()
+            if predecessor not in waits_for:
+                waits_for.add(predecessor)
+                todo += predecessors.get(predecessor, ())
         if name in waits_for:
             controller, axis = name.split(".", 1)
-            place = ("controllers", controller, "axes", axis, "homing", "after")
-            yield Problem(place, f"axis {name} waits for itself (homing.after); remove one of the entries")
+            path = ("controllers", controller, "axes", axis, "homing", "after")
+            yield Problem(path, f"axis {name} waits for itself (homing.after); remove one of the entries")
 
 
 def _make_plain(value: Any) -> Any:
@@ -215,7 +215,7 @@ def _make_plain(value: Any) -> Any:
     if isinstance(value, Model):
         return value.to_plain()
     if isinstance(value, Mapping):
-        return {str(key): _make_plain(each) for key, each in cast(Mapping[str, Any], value).items()}
+        return {str(key): _make_plain(item) for key, item in cast(Mapping[str, Any], value).items()}
     if isinstance(value, list | tuple):
-        return [_make_plain(each) for each in cast(list[Any], value)]
+        return [_make_plain(item) for item in cast(list[Any], value)]
     return value

@@ -71,4 +71,4 @@ class JobForecast(Model):
     def most_s(self) -> float | None:
         """The longest total duration, s; None if no bound is known."""
         longest = [step.most_s for step in self.steps]
-        return None if None in longest else sum(each for each in longest if each is not None)
+        return None if None in longest else sum(duration for duration in longest if duration is not None)

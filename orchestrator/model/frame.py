@@ -57,8 +57,8 @@ class FrameSpec(Model):
                 raise ValueError("has `matrix`, so `scale`, `skew` and `rotation` have no meaning; remove them")
             if any(len(row) != n for row in self.matrix):
                 raise ValueError(f"every row of `matrix` needs {n} entries, one for each coordinate")
-        turned = self.skew != 0.0 or self.rotation != 0.0
-        if turned and n < 2:
+        is_turned = self.skew != 0.0 or self.rotation != 0.0
+        if is_turned and n < 2:
             raise ValueError("`skew` and `rotation` need at least two coordinates")
         if isinstance(self.rotation, list) and (len(self.rotation) != 3 or n < 3):
             raise ValueError("`rotation` is one angle, or three angles for three coordinates or more")
@@ -76,19 +76,19 @@ class FrameSpec(Model):
         n = len(self.axes)
         if self.matrix is not None:
             return np.array(self.matrix, dtype=np.float64)
-        made = np.diag(np.array(self.scale or [1.0] * n, dtype=np.float64))
+        matrix = np.diag(np.array(self.scale or [1.0] * n, dtype=np.float64))
         if self.skew:
             lean = np.eye(n)
             lean[0, 1] = tan(radians(self.skew))
-            made = lean @ made
+            matrix = lean @ matrix
         angles = self.rotation if isinstance(self.rotation, list) else [0.0, 0.0, self.rotation]
         for (i, j), angle in zip(((1, 2), (2, 0), (0, 1)), angles, strict=True):
             if angle:
                 turn = np.eye(n)
                 turn[i, i] = turn[j, j] = cos(radians(angle))
                 turn[j, i], turn[i, j] = sin(radians(angle)), -sin(radians(angle))
-                made = turn @ made
-        return made
+                matrix = turn @ matrix
+        return matrix
 
     def make_offset(self, units: list[Unit]) -> "Matrix":
         """The positions of the axes at the origin, in their units."""

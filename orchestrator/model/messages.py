@@ -276,8 +276,8 @@ class BudgetTerm(Model):
 
 def sum_terms(terms: Iterable[BudgetTerm]) -> tuple[int, int]:
     """The earliest and the latest instant around T0 that the terms together allow, ns."""
-    each = list(terms)
-    return sum(term.earliest_ns for term in each), sum(term.latest_ns for term in each)
+    term_list = list(terms)
+    return sum(term.earliest_ns for term in term_list), sum(term.latest_ns for term in term_list)
 
 
 class Proposal(Reply):

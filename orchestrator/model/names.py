@@ -22,8 +22,8 @@ def is_position_name(value: object) -> bool:
 
 def split_name(name: str) -> tuple[str, str]:
     """Split `controller.name` into controller and name; the name is empty for a controller alone."""
-    controller, _, rest = name.partition(".")
-    return controller, rest
+    controller, _, local = name.partition(".")
+    return controller, local
 
 
 def controller_of(name: str) -> str:

@@ -69,18 +69,18 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
             "uninstall all but one of them",
         )
     (entry,) = points
-    place = f"the {kind} {name} of package {_package_of(entry)} (entry point {entry.value})"
+    origin = f"the {kind} {name} of package {_package_of(entry)} (entry point {entry.value})"
     try:
         plugin: Any = entry.load()
     except (Exception, SystemExit) as error:
         reason = f"{type(error).__name__}: {error}".strip().partition("\n")[0][:300]
         raise PluginError(
-            f"{place} cannot be imported: {reason}", "repair or uninstall this package; `tutti adapter ls` lists all"
+            f"{origin} cannot be imported: {reason}", "repair or uninstall this package; `tutti adapter ls` lists all"
         ) from None
-    _require_version(plugin, place, _package_of(entry))
+    _require_version(plugin, origin, _package_of(entry))
     missing_members = [member for member in members if not hasattr(plugin, member)]
     if missing_members:
-        raise PluginError(f"{place} has no {', '.join(missing_members)}", "see the contract in `tutti.adapter`")
+        raise PluginError(f"{origin} has no {', '.join(missing_members)}", "see the contract in `tutti.adapter`")
     return plugin
 
 

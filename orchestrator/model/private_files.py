@@ -30,7 +30,7 @@ def make_private_folder(folder: Path) -> None:
 
     Raises `OSError`.
     """
-    missing_folders = [each for each in (folder, *folder.parents) if not each.exists()]
+    missing_folders = [path for path in (folder, *folder.parents) if not path.exists()]
     for path in reversed(missing_folders):
         path.mkdir(mode=FOLDER_MODE, exist_ok=True)
 

@@ -136,8 +136,10 @@ class SyncBudget(Model):
     def margin_ns(self) -> int:
         """The remaining margin of what the job allows: the smallest of start, end and path."""
         limits = (self.end, self.path)
-        left = [limit.allowed_ns - limit.predicted_ns for limit in limits if limit and limit.allowed_ns is not None]
-        return max(0, min([self.allowed_ns - self.predicted_ns, *left]))
+        margins_ns = [
+            limit.allowed_ns - limit.predicted_ns for limit in limits if limit and limit.allowed_ns is not None
+        ]
+        return max(0, min([self.allowed_ns - self.predicted_ns, *margins_ns]))
 
 
 PathTermName = Literal["profile-fit", "execution", "start", "clock"]

@@ -102,19 +102,19 @@ def _check_value(value: int | float | str, of: str | None) -> None:
 
 
 def _grows(values: Sequence[int]) -> bool:
-    return all(before < after for before, after in pairwise(values))
+    return all(earlier_value < later_value for earlier_value, later_value in pairwise(values))
 
 
 def check_step_triggers(triggers: Sequence[Trigger], axes: Iterable[str]) -> None:
     """Raise `ValueError` for triggers that a step with these axes cannot have."""
-    known, outputs = list(axes), set[str]()
+    known_axes, outputs = list(axes), set[str]()
     for number, trigger in enumerate(triggers):
         if trigger.output in outputs:
             raise ValueError(f"triggers.{number}: output {trigger.output} has two triggers; write one list in `at`")
         outputs.add(trigger.output)
-        if trigger.of is not None and trigger.of not in known and ALL_AXES not in known:
+        if trigger.of is not None and trigger.of not in known_axes and ALL_AXES not in known_axes:
             raise ValueError(
-                f"triggers.{number}: axis {trigger.of} is not in the step; its axes are {', '.join(known)}"
+                f"triggers.{number}: axis {trigger.of} is not in the step; its axes are {', '.join(known_axes)}"
             )
 
 
@@ -123,9 +123,9 @@ def check_job_outputs(steps: Iterable[Any], outputs: Iterable[str]) -> None:
     switches."""
     switched_outputs = set(outputs)
     for number, step in enumerate(steps):
-        for place, trigger in enumerate(getattr(step, "triggers", ())):
+        for row, trigger in enumerate(getattr(step, "triggers", ())):
             if trigger.output in switched_outputs:
                 raise ValueError(
-                    f"steps.{number}.triggers.{place}: output {trigger.output} is switched by a step `do: output` of "
+                    f"steps.{number}.triggers.{row}: output {trigger.output} is switched by a step `do: output` of "
                     "the job, too; use another output, or remove that step"
                 )

@@ -66,9 +66,9 @@ def convert_units(value: Fraction, of: Unit, to: Unit, owner: str = "the axis") 
     Raises `UnitError` if their dimensions differ.
     """
     dimension, size = _SIZE[of]
-    wanted, unit_size = _SIZE[to]
-    if dimension != wanted:
-        fitting = ", ".join(unit for unit, (name, _) in _SIZE.items() if name == wanted)
+    expected_dimension, unit_size = _SIZE[to]
+    if dimension != expected_dimension:
+        fitting = ", ".join(unit for unit, (name, _) in _SIZE.items() if name == expected_dimension)
         raise UnitError(f"{of} is a unit of {dimension}, and {owner} is in {to}; use one of: {fitting}")
     return value * size / unit_size
 
@@ -117,10 +117,10 @@ def parse_rate(text: str, unit: Unit, order: int) -> float:
 
     `rpm` and `/min` are understood. order 0: a length or an angle. Raises `UnitError`.
     """
-    wanted = f"{unit}/s{_MARKS[order]}" if order else unit
+    unit_text = f"{unit}/s{_MARKS[order]}" if order else unit
     parts = split_number(text)
     if parts is None:
-        raise UnitError(_explain_quantity(text, wanted))
+        raise UnitError(_explain_quantity(text, unit_text))
     number, name = parts
     if not name:
         raise UnitError(f"found text {text[:MAX_TEXT]!r}; write the number without quotes: {number}")
@@ -128,7 +128,7 @@ def parse_rate(text: str, unit: Unit, order: int) -> float:
         return float(convert_units(Fraction(number), _parse_unit(name), unit))
     match = _PER_TIME.fullmatch("rev/min" if name == "rpm" else name)
     if match is None or _order_of(match) != order:
-        raise UnitError(f'{text[:MAX_TEXT]!r} is not in a unit of {wanted}; write e.g. "{number} {wanted}"')
+        raise UnitError(f'{text[:MAX_TEXT]!r} is not in a unit of {unit_text}; write e.g. "{number} {unit_text}"')
     seconds = 60**order if match[2] == "min" else 1
     return float(convert_units(Fraction(number), _parse_unit(match[1]), unit) / seconds)
 

@@ -81,9 +81,9 @@ class LiveView:
                 self._take_lease(LeaseState.read_message(sample.payload))
                 return None
             if "/alarm/" in sample.key:
-                before = self.openness
+                old_openness = self.openness
                 self.take_alarms([AlarmRecord.read_message(sample.payload)])
-                return self.openness if self.openness != before else None
+                return self.openness if self.openness != old_openness else None
             state = ControllerState.read_message(sample.payload)
         except ValidationError:
             return f"unreadable message on {sample.key}"
@@ -152,7 +152,7 @@ class LiveView:
         if self.queue is not None and self.queue.stopped is not None:
             parts.append(Text(describe_queue(self.queue), style="bold yellow"))
         shown_jobs = sorted(self.jobs.values(), key=lambda progress: (progress.state == "queued", progress.job_id))
-        parts += [make_job_bar(each) for each in shown_jobs[:MAX_JOBS_SHOWN]]
+        parts += [make_job_bar(job) for job in shown_jobs[:MAX_JOBS_SHOWN]]
         if len(shown_jobs) > MAX_JOBS_SHOWN:
             parts.append(Text(f"and {len(shown_jobs) - MAX_JOBS_SHOWN} more jobs; see `tutti job ls`", style="dim"))
         return parts
@@ -175,7 +175,7 @@ def make_state_table(
     troubles: list[RenderableType] = []
     for controller, state in sorted(states.items()):
         age_s = ages.get(controller)
-        known = state.mode != "offline"
+        is_known = state.mode != "offline"
         row_style = "" if age_s is None else "dim"
         mode = state.mode if age_s is None else f"unknown, {age_s:.0f} s old"
         for index, (axis, axis_now) in enumerate(state.axes.items()):
@@ -184,11 +184,11 @@ def make_state_table(
                 controller if first else "",
                 Text(mode, style="red" if age_s is not None else _MODE_STYLE.get(mode, "")) if first else "",
                 axis,
-                f"{axis_now.position:,.4f} {axis_now.unit}" if known else "-",
-                f"{axis_now.velocity:,.2f} /s" if known else "-",
+                f"{axis_now.position:,.4f} {axis_now.unit}" if is_known else "-",
+                f"{axis_now.velocity:,.2f} /s" if is_known else "-",
                 _describe_clock(state) if first else "",
                 _describe_ready(state, axis_now, permits.get(f"{controller}.{axis}"))
-                if known and age_s is None
+                if is_known and age_s is None
                 else "",
                 style=row_style,
             )
@@ -203,8 +203,8 @@ def _list_troubles(
     with its age."""
     lines: list[tuple[str, str]] = []
     if state.estop is not None:
-        why = f": {state.estop.reason}" if state.estop.reason else ""
-        lines.append((f"E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe", "bold red"))
+        reason = f": {state.estop.reason}" if state.estop.reason else ""
+        lines.append((f"E-STOP by {state.estop.actor}{reason} → `tutti reset` when it is safe", "bold red"))
     held_leases = {holder for holder in state.leases.values() if holder.startswith("manual-")}
     lines += [(_describe_holder(holder, leases), "yellow") for holder in sorted(held_leases)]
     lines += [(f"{fault.text} → {fault.remedy}", "red") for fault in state.faults]
@@ -215,11 +215,11 @@ def _list_troubles(
 
 def name_missing_permits(queue: QueueState | None) -> dict[str, str]:
     """The names of the permits that each axis misses."""
-    missing: dict[str, list[str]] = {}
+    missing_permits: dict[str, list[str]] = {}
     for permit in queue.missing_permits if queue is not None else ():
         for axis in permit.axes:
-            missing.setdefault(axis, []).append(permit.name)
-    return {axis: ", ".join(names) for axis, names in missing.items()}
+            missing_permits.setdefault(axis, []).append(permit.name)
+    return {axis: ", ".join(names) for axis, names in missing_permits.items()}
 
 
 def _describe_ready(state: ControllerState, axis: AxisState, permit: str | None) -> Text:
@@ -227,8 +227,8 @@ def _describe_ready(state: ControllerState, axis: AxisState, permit: str | None)
     words = describe_axis(axis, estop=state.estop is not None)
     if permit is None:
         return words
-    missing = Text(f"permit {permit}", style="yellow")
-    return missing if words.plain == "ready" else Text(", ").join([words, missing])
+    permit_text = Text(f"permit {permit}", style="yellow")
+    return permit_text if words.plain == "ready" else Text(", ").join([words, permit_text])
 
 
 def _describe_holder(holder: str, leases: Mapping[str, LeaseState]) -> str:
@@ -292,10 +292,10 @@ def make_job_bar(job: JobProgress) -> RenderableType:
     grid = Table.grid(padding=(0, 1))
     grid.add_column()
     grid.add_column(no_wrap=True)
-    left = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
+    time_text = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
     grid.add_row(
         ProgressBar(total=1.0, completed=job.fraction, width=24),
-        f"{format_step(job)}{left}",
+        f"{format_step(job)}{time_text}",
     )
     return Group(head, grid)
 

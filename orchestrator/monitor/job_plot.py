@@ -49,23 +49,23 @@ def plot_recordings(
     mpl.rcParams["font.size"] = 9
     names = list(dict.fromkeys(chain.from_iterable(recording.axes for recording in recordings)))
     timings = {name: list(_find_timings(name, recordings, steps)) for name in names}
-    timed = any(timings.values())
+    has_timings = any(timings.values())
     height = ROW if len(names) < MANY_AXES else LOW_ROW
-    size = (WIDTH + TIMING_WIDTH * timed, 0.9 + height * len(names))
+    size = (WIDTH + TIMING_WIDTH * has_timings, 0.9 + height * len(names))
     figure = Figure(figsize=size, dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
-    columns = (3, 2, 2)[: 2 + timed]
+    columns = (3, 2, 2)[: 2 + has_timings]
     grid = figure.subplots(len(names), len(columns), squeeze=False, sharex=True, width_ratios=columns)
     rows: list[list[Axes]] = [list(row) for row in grid]
     for name, row in zip(names, rows, strict=True):
-        mine = [recording for recording in recordings if name in recording.axes]
-        _draw_positions(row[0], row[1], name, mine, recordings[0].t0_fleet_ns)
-        if timed:
+        own_recordings = [recording for recording in recordings if name in recording.axes]
+        _draw_positions(row[0], row[1], name, own_recordings, recordings[0].t0_fleet_ns)
+        if has_timings:
             _draw_timings(row[2], timings[name])
         for axes in row:
             axes.grid(alpha=0.3)
-    if timed:
+    if has_timings:
         _align_timings([row[2] for row in rows])
     _finish_plot(rows, recordings)
     figure.align_ylabels()
@@ -79,20 +79,22 @@ def _draw_positions(
 ) -> None:
     unit = recordings[0].axes[name].unit
     points = max(MIN_PLAN_POINTS, PLAN_POINTS // (2 + len(recordings)))
-    rest: tuple[float, float] | None = None
+    rest_point: tuple[float, float] | None = None
     difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
     # Dots that touch would hide the plan.
     size = 5 if len(recordings) <= FEW_STEPS else 2.5 if len(recordings) <= MAX_NUMBERED else 1.8
     for number, recording in enumerate(recordings):
         axis, offset_s = recording.axes[name], (recording.t0_fleet_ns - first_ns) / NS_PER_S
-        planned_s, planned = _planned_curve(axis, offset_s, points)
-        seen_s, seen, off = _polled_points(recording, axis, offset_s)
-        if rest:  # between two moves
-            above.plot([rest[0], planned_s[0]], [rest[1], planned[0]], color=COLOUR_PLAN, linewidth=1, zorder=1)
-        rest = planned_s[-1], planned[-1]
+        planned_s, plan = _planned_curve(axis, offset_s, points)
+        seen_s, sampled_positions, off = _polled_points(recording, axis, offset_s)
+        if rest_point:  # between two moves
+            above.plot(
+                [rest_point[0], planned_s[0]], [rest_point[1], plan[0]], color=COLOUR_PLAN, linewidth=1, zorder=1
+            )
+        rest_point = planned_s[-1], plan[-1]
         labels = ("planned", "polled") if number == 0 else (None, None)
-        above.plot(planned_s, planned, color=COLOUR_PLAN, linewidth=size / 2, label=labels[0], zorder=1)
-        above.plot(seen_s, seen, ".", color=COLOUR_SEEN, markersize=size, label=labels[1], zorder=2)
+        above.plot(planned_s, plan, color=COLOUR_PLAN, linewidth=size / 2, label=labels[0], zorder=1)
+        above.plot(seen_s, sampled_positions, ".", color=COLOUR_SEEN, markersize=size, label=labels[1], zorder=2)
         difference.plot(seen_s, off, ".-", color=COLOUR_SEEN, markersize=size - 1, linewidth=size / 6)
     above.set_ylabel(f"{name}, {unit}")
     difference.set_ylabel(f"off plan, {unit}")
@@ -113,20 +115,20 @@ def _draw_timings(axes: Axes, timings: Sequence[tuple[Literal["start", "end"], T
 
 def _align_timings(column: Sequence[Axes]) -> None:
     """One scale for all, so that controllers can be compared."""
-    limits = [each.get_ylim() for each in column if each.containers]
+    limits = [axes.get_ylim() for axes in column if axes.containers]
     for axes in column:
         axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
 
 
 def _finish_plot(rows: Sequence[Sequence[Axes]], recordings: Sequence[StepRecording]) -> None:
     """Titles, legends, numbers of the steps, and the times that are shown."""
-    first_ns, one = recordings[0].t0_fleet_ns, len(recordings) == 1
+    first_ns, is_single = recordings[0].t0_fleet_ns, len(recordings) == 1
     # Above the plot: inside, there is no place that every move leaves free.
     for column in (0, 2)[: len(rows[0]) - 1]:
         rows[0][column].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False, borderaxespad=1.2)
     for column, words in zip(rows[0], ("", "polled - planned", "starts, ends"), strict=False):
         column.set_title(words, loc="left", fontsize=9)
-    begins_s = [(each.t0_fleet_ns - first_ns) / NS_PER_S for each in recordings]
+    begins_s = [(recording.t0_fleet_ns - first_ns) / NS_PER_S for recording in recordings]
     if 1 < len(recordings) <= MAX_NUMBERED:
         for begin_s, recording in zip(begins_s, recordings, strict=True):
             for row in rows:
@@ -134,10 +136,10 @@ def _finish_plot(rows: Sequence[Sequence[Axes]], recordings: Sequence[StepRecord
             top = rows[0][0].get_xaxis_transform()
             rows[0][0].text(begin_s, 1.01, str(recording.step), transform=top, fontsize=7)
     # A long arming phase would leave no room for the move.
-    end_s = max(begin_s + _longest_s(each) for begin_s, each in zip(begins_s, recordings, strict=True))
-    margin_s = (MARGIN_SHARE if one else JOB_MARGIN_SHARE) * end_s
+    end_s = max(begin_s + _longest_s(recording) for begin_s, recording in zip(begins_s, recordings, strict=True))
+    margin_s = (MARGIN_SHARE if is_single else JOB_MARGIN_SHARE) * end_s
     for column in rows[-1]:
-        column.set_xlabel("s after T0" if one else "s after the first T0")
+        column.set_xlabel("s after T0" if is_single else "s after the first T0")
         column.set_xlim(-margin_s, end_s + margin_s)
 
 
@@ -147,16 +149,16 @@ def _find_timings(
     """Starts and ends of an axis by the evidence in the reports."""
     controller, axis = split_name(name)
     first_ns = recordings[0].t0_fleet_ns
-    moved_axes = {recording.step: recording.axes[name] for recording in recordings if name in recording.axes}
+    axis_by_step = {recording.step: recording.axes[name] for recording in recordings if name in recording.axes}
     for step in steps:
         member = step.members.get(controller)
         evidence = None if member is None else member.evidence.get(axis)
-        if evidence is None or step.t0_fleet_ns is None or step.index not in moved_axes:
+        if evidence is None or step.t0_fleet_ns is None or step.index not in axis_by_step:
             continue
         start, end, t0_ns = evidence.start_for_verdict, evidence.end, step.t0_fleet_ns
         yield "start", _off_plan(start.earliest_ns, start.latest_ns, t0_ns, first_ns)
         if end is not None and step.state == "done":
-            planned_ns = t0_ns + round(moved_axes[step.index].profile.duration_s * NS_PER_S)
+            planned_ns = t0_ns + round(axis_by_step[step.index].profile.duration_s * NS_PER_S)
             yield "end", _off_plan(end.earliest_ns, end.latest_ns, planned_ns, first_ns)
 
 
@@ -183,6 +185,10 @@ def _polled_points(
     """Return instants (s after the first T0), positions, and distances to the plan, in the axis's unit."""
     at, start = axis.profile.make_evaluator(), axis.profile.start_counts
     times = [(at_ns - recording.t0_fleet_ns) * 1e-9 for at_ns, _ in axis.sampled]
-    seen = [counts / axis.counts_per_unit for _, counts in axis.sampled]
+    positions = [counts / axis.counts_per_unit for _, counts in axis.sampled]
     plan = [(start + at(t).position) / axis.counts_per_unit for t in times]
-    return [offset_s + t for t in times], seen, [each - meant for each, meant in zip(seen, plan, strict=True)]
+    return (
+        [offset_s + t for t in times],
+        positions,
+        [position - target for position, target in zip(positions, plan, strict=True)],
+    )

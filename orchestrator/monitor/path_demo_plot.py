@@ -58,8 +58,8 @@ def _draw_course(axes: Axes, path: SampledPath) -> None:
     """The first two axes in their plane; the samples of the second one at the instants of those of the first."""
     first, second = path.axes[:2]
     axes.plot(path.planned[:, 0], path.planned[:, 1], color=PLAN, linewidth=1.6, label="planned")
-    (times_s, x), (others_s, others) = path.samples[first], path.samples[second]
-    y = np.interp(times_s, others_s, others)
+    (times_s, x), (others_s, y_samples) = path.samples[first], path.samples[second]
+    y = np.interp(times_s, others_s, y_samples)
     label = f"sampled by the controllers (1 of {SHOWN})"
     axes.plot(x[::SHOWN], y[::SHOWN], "o", color=COLOURS[0], markersize=3.2, fillstyle="none", label=label)
     axes.set_aspect("equal", adjustable="box")

@@ -74,8 +74,8 @@ def plot_path(path: PlannedPath, shown: PathAxes, title: str) -> Figure:
     axes_below = [figure.add_subplot(grid[k + 1, 1], sharex=speed) for k in range(len(axes))]
     for row, (name, course) in zip(axes_below, courses.items(), strict=True):
         _draw_parts(row, name, course, times_s)
-    for each in (speed, *axes_below[:-1]):
-        each.tick_params(labelbottom=False)
+    for part in (speed, *axes_below[:-1]):
+        part.tick_params(labelbottom=False)
     axes_below[-1].set_xlabel("s after T0")
     handles = [Line2D([], [], color=colour, linewidth=2.5, label=binds) for binds, colour in colours.items()]
     if handles:
@@ -87,8 +87,8 @@ def plot_path(path: PlannedPath, shown: PathAxes, title: str) -> Figure:
             title="speed limited by",
             alignment="left",
         )
-    drawn = dict.fromkeys(what for course in courses.values() for what in course.parts)
-    styles = [Line2D([], [], color=STYLES[what], label=what) for what in drawn]
+    kinds = dict.fromkeys(kind for course in courses.values() for kind in course.parts)
+    styles = [Line2D([], [], color=STYLES[kind], label=kind) for kind in kinds]
     axes_below[0].legend(handles=styles, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
     figure.align_ylabels([speed, *axes_below])
     return figure
@@ -98,8 +98,8 @@ def _make_course(path: PlannedPath, name: str, axis: Axis, offset: float, times_
     scale, start = float(axis.counts_per_unit), next(move.start_counts for move in path.moves if move.axis == name)
     profile = path.plan.profiles.get(name)
     if profile is None:
-        still = np.zeros(len(times_s))
-        return AxisCourse(still + start / scale + offset, {"velocity": still, "acceleration": still})
+        zeros = np.zeros(len(times_s))
+        return AxisCourse(zeros + start / scale + offset, {"velocity": zeros, "acceleration": zeros})
     at = profile.make_evaluator()
     position, velocity, acceleration = np.array([at(t) for t in times_s.tolist()]).T / scale
     limits = axis.limits
@@ -117,8 +117,8 @@ def _colour_bindings(path: PlannedPath, times_s: Array) -> tuple[list[str], dict
     ends = np.array([stretch.to_s for stretch in stretches])
     if not stretches:
         return [COLOUR_OTHER] * len(times_s), {}
-    where = np.minimum(np.searchsorted(ends, times_s), len(stretches) - 1)
-    words = [stretches[k].binds for k in map(int, where)]
+    index = np.minimum(np.searchsorted(ends, times_s), len(stretches) - 1)
+    words = [stretches[k].binds for k in map(int, index)]
     often = sorted(dict.fromkeys(words), key=lambda binds: -words.count(binds))
     colours = dict(zip(often, COLOURS, strict=False))
     if len(often) > len(COLOURS):
@@ -155,9 +155,9 @@ def _draw_course(axes: Axes, path: PlannedPath, lines: Mapping[str, Array], colo
 
 
 def _draw_speed(axes: Axes, path: PlannedPath, times_s: Array, colours: Sequence[str]) -> None:
-    together = np.sqrt(np.sum([speeds**2 for speeds in path.speeds.values()], axis=0))
+    path_speed = np.sqrt(np.sum([speeds**2 for speeds in path.speeds.values()], axis=0))
     stretch = path.plan.duration_s / float(path.times_s[-1])
-    speed = np.array(np.interp(times_s, path.times_s * stretch, together / stretch), dtype=np.float64)
+    speed = np.array(np.interp(times_s, path.times_s * stretch, path_speed / stretch), dtype=np.float64)
     _draw_coloured(axes, times_s, speed, colours, 2.0)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel(f"along, {path.report.unit}/s")
@@ -166,8 +166,8 @@ def _draw_speed(axes: Axes, path: PlannedPath, times_s: Array, colours: Sequence
 def _draw_parts(axes: Axes, name: str, course: AxisCourse, times_s: Array) -> None:
     for limit in (-1.0, 1.0):
         axes.axhline(limit, color=COLOUR_LIMIT, linewidth=1, linestyle="--")
-    for what, part in reversed(list(course.parts.items())):
-        axes.plot(times_s, part, color=STYLES[what], linewidth=0.9 if what == "jerk" else 1.2)
+    for kind, part in reversed(list(course.parts.items())):
+        axes.plot(times_s, part, color=STYLES[kind], linewidth=0.9 if kind == "jerk" else 1.2)
     axes.set_ylim(-1.15, 1.15)
     axes.set_yticks([-1, 0, 1], ["-limit", "0", "limit"])
     axes.set_ylabel(name)

@@ -24,12 +24,12 @@ def make_job_table(jobs: Iterable[QueueEntry]) -> RenderableType:
     a sentence. #: the place of a waiting job in the queue."""
     table = make_plain_table(["name", "job", "actor", "#>", "state", "submitted"], shrinking=("name", "actor"))
     for entry in jobs:
-        place = "" if entry.place is None else str(entry.place)
+        rank = "" if entry.place is None else str(entry.place)
         # Text of users: one row each, whatever line breaks or markup it contains.
         name, actor = (
             Text(" ".join(words.split()), no_wrap=True, overflow="ellipsis") for words in (entry.name, entry.actor)
         )
-        table.add_row(name, entry.id, actor, place, entry.state, format_time(entry.submitted_utc))
+        table.add_row(name, entry.id, actor, rank, entry.state, format_time(entry.submitted_utc))
         if entry.reason:
             table.add_note(localize_times(entry.reason))
     return table

@@ -36,8 +36,8 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
             Text(f"and {len(report.steps) - len(shown_steps)} more steps, which are done as planned", style="dim")
         )
     parts += [Text(line) for step in report.steps for line in _describe_scan(step)]
-    chained = _describe_chain(report.steps)
-    parts += [Text(line) for line in (chained if detailed else chained[:MAX_CHAIN_LINES])]
+    chain_lines = _describe_chain(report.steps)
+    parts += [Text(line) for line in (chain_lines if detailed else chain_lines[:MAX_CHAIN_LINES])]
     deviations = [f"step {step.index}: {line}" for step in report.steps for line in step.deviations]
     parts += [Text(line, style="red") for line in (deviations if detailed else deviations[:MAX_DEVIATIONS])]
     reasons = [line for step in report.steps if detailed or step.verdict != "green" for line in _explain_verdict(step)]
@@ -142,13 +142,13 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
     budget, t0_ns = step.budget, step.t0_fleet_ns or 0
     for name, member in (budget.members if budget is not None else {}).items():
         evidence = step.members[name].evidence if name in step.members else {}
-        measured = ", ".join(dict.fromkeys(_format_start(each, t0_ns) for each in evidence.values()))
-        whole = _format_interval(member.earliest_ns, member.latest_ns)
+        proof = ", ".join(dict.fromkeys(_format_start(axis_evidence, t0_ns) for axis_evidence in evidence.values()))
+        promise = _format_interval(member.earliest_ns, member.latest_ns)
         for index, term in enumerate(member.terms):
             first = index == 0
-            shown = [whole, measured] if first else ["", ""]
+            columns = [promise, proof] if first else ["", ""]
             head = [str(step.index), name] if first else ["", ""]
-            rows.append([*head, term.name, _format_interval(term.earliest_ns, term.latest_ns), *shown])
+            rows.append([*head, term.name, _format_interval(term.earliest_ns, term.latest_ns), *columns])
     return rows
 
 
@@ -165,12 +165,12 @@ def _describe_deviations(step: StepReport) -> list[str]:
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
         for hold in step.feed_holds
     ]
-    for what, said in (("end", budget.end), ("path", budget.path)) if budget is not None else ():
-        if said is not None and len(step.members) > 1:
-            allowed = "" if said.allowed_ns is None else f", allowed {said.allowed_ns / 1e6:g} ms"
+    for skew_name, skew in (("end", budget.end), ("path", budget.path)) if budget is not None else ():
+        if skew is not None and len(step.members) > 1:
+            limit_text = "" if skew.allowed_ns is None else f", allowed {skew.allowed_ns / 1e6:g} ms"
             lines.append(
-                f"step {step.index}: {what} skew at most {said.predicted_ns / 1e6:.1f} ms{allowed}; worst is "
-                f"{said.worst_member}"
+                f"step {step.index}: {skew_name} skew at most {skew.predicted_ns / 1e6:.1f} ms{limit_text}; worst is "
+                f"{skew.worst_member}"
             )
     return lines
 
@@ -196,8 +196,8 @@ def _describe_scan(step: StepReport) -> list[str]:
     if scan.start_skew_p50_ns is not None and scan.start_skew_p99_ns is not None:
         line += f", start skew at most {scan.start_skew_p50_ns / 1e6:.1f} ms in half of them"
         line += f", {scan.start_skew_p99_ns / 1e6:.1f} ms in 99 %"
-    other = sum(number for verdict, number in scan.verdicts.items() if verdict in ("amber", "red"))
-    lines = [line + (f"; {other} not green" if other else "")]
+    other_count = sum(number for verdict, number in scan.verdicts.items() if verdict in ("amber", "red"))
+    lines = [line + (f"; {other_count} not green" if other_count else "")]
     return lines + [
         f"step {step.index}, point {finding.point}: {finding.verdict}" + (f", {finding.text}" if finding.text else "")
         for finding in scan.not_green
@@ -218,8 +218,8 @@ def _describe_chain(steps: Sequence[StepReport]) -> list[str]:
     for step in steps:
         chain = step.chain
         if chain is not None and not chain.kept and chain.broken:
-            after = "" if chain.gap_s is None else f", {chain.gap_s:.3f} s after step {chain.step}"
-            lines.append(f"step {step.index} from rest{after}: {localize_times(chain.broken)}")
+            gap_text = "" if chain.gap_s is None else f", {chain.gap_s:.3f} s after step {chain.step}"
+            lines.append(f"step {step.index} from rest{gap_text}: {localize_times(chain.broken)}")
     return lines
 
 

@@ -53,11 +53,11 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
     parts = [*axes, "start skew"] if skews else axes
     axes_left, *differences = figure.subplot_mosaic([["map", part] for part in parts], width_ratios=(3, 2)).values()
     planned_targets = {axis: [record.target[axis] for record in records] for axis in axes}
-    measured = {axis: [_or_nan(record.measured.get(axis)) for record in records] for axis in axes}
+    positions = {axis: [_or_nan(record.measured.get(axis)) for record in records] for axis in axes}
     numbers = [float(record.point) for record in records]
     across, up = (axes[0], axes[1]) if len(axes) > 1 else (None, axes[0])
     x_planned = numbers if across is None else planned_targets[across]
-    x_measured = numbers if across is None else measured[across]
+    x_measured = numbers if across is None else positions[across]
     # Without lines between: the path there is that of each axis on its own limits.
     axes_left.plot(x_planned, planned_targets[up], color=COLOUR_PLAN, linewidth=0.6, alpha=0.6, zorder=1)
     if len(records) <= MAX_MARKED:
@@ -71,7 +71,7 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
             zorder=2,
             label="planned",
         )
-    axes_left.plot(x_measured, measured[up], ".", markersize=5, color=COLOUR_SEEN, zorder=3, label="measured")
+    axes_left.plot(x_measured, positions[up], ".", markersize=5, color=COLOUR_SEEN, zorder=3, label="measured")
     axes_left.set_xlabel("point" if across is None else across)
     axes_left.set_ylabel(up)
     axes_left.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
@@ -79,7 +79,7 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
     # Lines between many points would hide them.
     line = ".-" if len(records) <= MAX_JOINED else "."
     for axis, difference in zip(axes, differences, strict=False):
-        off = [seen - meant for seen, meant in zip(measured[axis], planned_targets[axis], strict=True)]
+        off = [position - target for position, target in zip(positions[axis], planned_targets[axis], strict=True)]
         difference.axhline(0, color=COLOUR_PLAN, linewidth=1)
         difference.plot(numbers, off, line, color=COLOUR_SEEN, markersize=4, linewidth=0.6)
         difference.set_ylabel(f"{axis}: off plan")

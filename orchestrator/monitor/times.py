@@ -27,4 +27,4 @@ def format_time(stamp: str, *, precise: bool = False) -> str:
 
 def localize_times(text: str) -> str:
     """`text` with the RFC 3339 times in it in that form."""
-    return _STAMP.sub(lambda found: format_time(found[0]), text)
+    return _STAMP.sub(lambda match: format_time(match[0]), text)

@@ -17,13 +17,13 @@ class HomingOrder:
 
 def homing_order(fleet: Fleet, axes: list[str] | None) -> HomingOrder:
     """The given axes in the given order; else the fleet's `home_order`, followed by all axes that are not in it."""
-    seen, entries = set[str](), list[list[str]]()
+    seen_axes, entries = set[str](), list[list[str]]()
     for entry in fleet.home_order if axes is None else axes:
-        fresh = [axis for axis in fleet.expand_name(entry) if axis not in seen]
-        seen.update(fresh)
+        fresh = [axis for axis in fleet.expand_name(entry) if axis not in seen_axes]
+        seen_axes.update(fresh)
         if fresh:
             entries.append(fresh)
-    return HomingOrder(entries, [axis for axis in fleet.axis_names if axis not in seen] if axes is None else [])
+    return HomingOrder(entries, [axis for axis in fleet.axis_names if axis not in seen_axes] if axes is None else [])
 
 
 def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
@@ -32,13 +32,13 @@ def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
     Raises `Refusal` if the two contradict each other.
     """
     waits: dict[str, set[str]] = {}
-    earlier_entry: set[str] = set()
+    earlier_axes: set[str] = set()
     for entry in [*order.entries, order.loners]:
         for axis in entry:
-            waits[axis] = earlier_entry | set(fleet.axis(axis).homing.after)
-        earlier_entry = earlier_entry | set(entry)
+            waits[axis] = earlier_axes | set(fleet.axis(axis).homing.after)
+        earlier_axes = earlier_axes | set(entry)
     waits_left = dict(waits)
-    while free := [axis for axis, others in waits_left.items() if not others & waits_left.keys()]:
+    while free := [axis for axis, predecessors in waits_left.items() if not predecessors & waits_left.keys()]:
         for axis in free:
             del waits_left[axis]
     if waits_left:

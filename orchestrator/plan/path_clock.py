@@ -69,18 +69,18 @@ class PathClock:
     def evaluate(self, times_s: Array) -> PathTimes:
         """Path times at instants of the motion."""
         starts = np.array([ramp.begin_s for ramp in self.ramps])
-        path_s, before, after, width = np.array([ramp[1:] for ramp in self.ramps]).T
+        path_s, rate_before, rate_after, width = np.array([ramp[1:] for ramp in self.ramps]).T
         k = np.clip(np.searchsorted(starts, times_s, side="right") - 1, 0, len(starts) - 1)
-        t, step = times_s - starts[k], (after - before)[k]
+        t, step = times_s - starts[k], (rate_after - rate_before)[k]
         length = np.where(width[k] > 0.0, width[k], 1.0)
-        inside = (t < width[k]) & (width[k] > 0.0)
-        u = np.where(inside, t / length, 1.0)
-        risen = width[k] * (before[k] * u + step * u**3 * (1 - u / 2))
+        is_inside = (t < width[k]) & (width[k] > 0.0)
+        u = np.where(is_inside, t / length, 1.0)
+        risen = width[k] * (rate_before[k] * u + step * u**3 * (1 - u / 2))
         return PathTimes(
-            path_s[k] + risen + np.where(inside, 0.0, (t - width[k]) * after[k]),
-            before[k] + step * u**2 * (3 - 2 * u),
-            np.where(inside, step * 6 * u * (1 - u) / length, 0.0),
-            np.where(inside, step * (6 - 12 * u) / length**2, 0.0),
+            path_s[k] + risen + np.where(is_inside, 0.0, (t - width[k]) * rate_after[k]),
+            rate_before[k] + step * u**2 * (3 - 2 * u),
+            np.where(is_inside, step * 6 * u * (1 - u) / length, 0.0),
+            np.where(is_inside, step * (6 - 12 * u) / length**2, 0.0),
         )
 
     def find_instant(self, path_s: float) -> float:

@@ -104,11 +104,11 @@ class PathCourse:
     def require_rate(self, path_s: float, rate: float) -> None:
         """Raise `Refusal` for a rate that no second of the rest of the path allows: the axis, and the highest one."""
         most, _ = self._find_rates()
-        rest = self.motion.times_s[:-1] >= path_s
-        steps = np.diff(self.motion.times_s)[rest]
-        if rate <= 1.0 or float(steps[most[rest] >= rate].sum()) >= LEAST_FAST_S:
+        remainder = self.motion.times_s[:-1] >= path_s
+        steps = np.diff(self.motion.times_s)[remainder]
+        if rate <= 1.0 or float(steps[most[remainder] >= rate].sum()) >= LEAST_FAST_S:
             return
-        highest = max(1.0, float(most[rest].max(initial=1.0)))
+        highest = max(1.0, float(most[remainder].max(initial=1.0)))
         text = f"{rate:.0%} is too fast for the rest of the path; its axes allow {highest:.0%}"
         raise Refusal("override", text, f"choose at most {int(100 * highest)} %")
 

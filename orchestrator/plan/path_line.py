@@ -36,8 +36,8 @@ def fit_line(axes: Sequence[FittedAxis], length: float, along: AlongLimits) -> F
         moves.append(AxisMove(axis.name, *counts, velocity * scale, acceleration * scale))
     plan = plan_step(moves, "phase")
     # A line begins and ends half a count beside the path at most, on every axis.
-    beside = float(np.linalg.norm([0.5 / axis.counts_per_unit for axis in axes]))
-    return FittedLine(plan.duration_s, plan.profiles, plan.unmoved, beside)
+    rounding_error = float(np.linalg.norm([0.5 / axis.counts_per_unit for axis in axes]))
+    return FittedLine(plan.duration_s, plan.profiles, plan.unmoved, rounding_error)
 
 
 def sample_speeds(fitted: FittedLine, axes: Sequence[FittedAxis], times_s: Array) -> Array:

@@ -68,12 +68,12 @@ class FittedMotion(NamedTuple):
         k = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.jerks) - 1)
         x = np.minimum(times_s - self.times_s[k], np.diff(self.times_s)[k])[:, None]
         v, a, j = self.velocities[k], self.accelerations[k], self.jerks[k]
-        moving = (times_s < self.times_s[-1])[:, None]
+        is_moving = (times_s < self.times_s[-1])[:, None]
         return (
             self.positions[k] + x * (v + x * (a / 2 + x * j / 6)),
-            (v + x * (a + x * j / 2)) * moving,
-            (a + x * j) * moving,
-            j * moving,
+            (v + x * (a + x * j / 2)) * is_moving,
+            (a + x * j) * is_moving,
+            j * is_moving,
         )
 
     @property
@@ -176,17 +176,17 @@ def _make_pieces(evaluate: Evaluate, times_s: Array) -> _Pieces:
     positions, velocities, _ = evaluate(times_s)
     lengths = np.diff(times_s)[:, None]
     slopes = np.diff(positions, axis=0) / lengths
-    before, after = velocities[:-1], velocities[1:]
-    accelerations = (6 * slopes - 4 * before - 2 * after) / lengths
-    jerks = (6 * (before + after) - 12 * slopes) / lengths**2
+    velocities_before, velocities_after = velocities[:-1], velocities[1:]
+    accelerations = (6 * slopes - 4 * velocities_before - 2 * velocities_after) / lengths
+    jerks = (6 * (velocities_before + velocities_after) - 12 * slopes) / lengths**2
     peaks = np.maximum(np.abs(accelerations), np.abs(accelerations + jerks * lengths))
     # The velocity is largest at an end, or where the acceleration is zero.
     turn = np.divide(-accelerations, jerks, out=np.zeros_like(jerks), where=jerks != 0.0).clip(0.0, lengths)
-    tops = np.abs(before + turn * (accelerations + turn * jerks / 2))
-    speeds = np.maximum(np.maximum(np.abs(before), np.abs(after)), tops)
+    tops = np.abs(velocities_before + turn * (accelerations + turn * jerks / 2))
+    speeds = np.maximum(np.maximum(np.abs(velocities_before), np.abs(velocities_after)), tops)
     length_inside = INSIDE[None, :, None] * lengths[:, :, None]
     position = positions[:-1, None] + length_inside * (
-        before[:, None] + length_inside * (accelerations[:, None] / 2 + length_inside * jerks[:, None] / 6)
+        velocities_before[:, None] + length_inside * (accelerations[:, None] / 2 + length_inside * jerks[:, None] / 6)
     )
     true = evaluate((times_s[:-1, None] + length_inside[:, :, 0]).ravel()).positions.reshape(position.shape)
     errors = np.sqrt(((position - true) ** 2).sum(axis=2)).max(axis=1)

@@ -27,32 +27,32 @@ def split_path(
     mover = _Mover(step, rest_only, units, frames)
     begin: Point = step.start
     parts: list[tuple[Point, list[Piece]]] = []
-    alone = True  # the piece before is a line by itself, or there is none
+    is_alone = True  # the piece before is a line by itself, or there is none
     for number, piece in enumerate(step.pieces):
-        moved = mover.find_moved(begin, piece)
-        if moved:
-            _require_rest(step, number, moved)
-        if moved or alone:
+        moved_axes = mover.find_moved(begin, piece)
+        if moved_axes:
+            _require_rest(step, number, moved_axes)
+        if moved_axes or is_alone:
             parts.append((begin, []))
         parts[-1][1].append(piece)
-        begin, alone = _find_end(piece), bool(moved)
+        begin, is_alone = _find_end(piece), bool(moved_axes)
     return [step.model_copy(update={"start": list(start), "pieces": pieces}) for start, pieces in parts]
 
 
 def _require_rest(step: FollowPath, number: int, moved: list[str]) -> None:
     """Raise `Refusal` for a piece that is no line from rest to rest."""
-    piece, what = step.pieces[number], ""
+    piece, hindrance = step.pieces[number], ""
     if not isinstance(piece, LinePiece):
-        what = f"is {'an' if piece.piece == 'arc' else 'a'} {piece.piece}"
+        hindrance = f"is {'an' if piece.piece == 'arc' else 'a'} {piece.piece}"
     elif number and _is_rounded(step, number - 1):
-        what = f"begins in the rounded corner behind piece {number}"
+        hindrance = f"begins in the rounded corner behind piece {number}"
     elif number < len(step.pieces) - 1 and _is_rounded(step, number):
-        what = "ends in a rounded corner"
-    if what:
+        hindrance = "ends in a rounded corner"
+    if hindrance:
         raise Refusal(
             "path-class",
             f"piece {number + 1} moves axis {moved[0]}, whose controller executes moves from rest to rest only, and it "
-            f"{what}",
+            f"{hindrance}",
             "write lines with `corner: stop` at both ends where this axis moves, or leave it out; if its make can "
             "follow positions (CiA 402, SMC-4000, SMC-2000), add `jerk` to its limits",
             controller_of(moved[0]),
@@ -93,7 +93,7 @@ class _Mover:
     def find_moved(self, begin: Point, piece: Piece) -> list[str]:
         """Those axes that the piece moves."""
         points: list[Point] = [_find_end(piece)]
-        curved: list[str] = []
+        curved_axes: list[str] = []
         if isinstance(piece, SplinePiece):
             points = list(piece.through)
         elif isinstance(piece, TablePiece):
@@ -101,8 +101,8 @@ class _Mover:
         elif isinstance(piece, ArcPiece) and piece.through is not None:
             points.append(piece.through)
         elif isinstance(piece, ArcPiece | HelixPiece):
-            curved = piece.plane or self._names[:2]
-        changes = np.array([name in curved for name in self._names])
+            curved_axes = piece.plane or self._names[:2]
+        changes = np.array([name in curved_axes for name in self._names])
         at = self._parse(begin)
         for point in points:
             changes |= self._parse(point) != at
@@ -110,6 +110,6 @@ class _Mover:
 
     def _parse(self, point: Point) -> Any:
         try:
-            return np.array([float(parse_quantity(each, unit)) for each, unit in zip(point, self._units, strict=True)])
+            return np.array([float(parse_quantity(text, unit)) for text, unit in zip(point, self._units, strict=True)])
         except UnitError as error:
             raise Refusal("bad-unit", str(error), "correct the unit") from None

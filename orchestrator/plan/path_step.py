@@ -122,7 +122,10 @@ def plan_path_step(
         )
     path = PlannedPath(
         StepPlan(fitted_line.duration_s, fitted_line.profiles, fitted_line.standing),
-        [make_axis_move(each.name, each.axis, each.start_counts, exact[each.name][1], each.order) for each in starts],
+        [
+            make_axis_move(start.name, start.axis, start.start_counts, exact[start.name][1], start.order)
+            for start in starts
+        ],
         exact,
         PathReport(
             unit=unit,
@@ -208,21 +211,23 @@ def find_start(step: FollowPath, units: Sequence[Unit], frames: Mapping[str, Fra
         raise Refusal("bad-unit", f"`start`: {error}", "correct the unit") from None
     if frame is None:
         return values
-    return [Fraction(value) for value in frame.find_positions([float(each) for each in values], list(units))]
+    return [
+        Fraction(value) for value in frame.find_positions([float(coordinate) for coordinate in values], list(units))
+    ]
 
 
 def _require_start(step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]) -> None:
     """Raise `Refusal` for an axis that does not stand where the path begins, to a count."""
     units = [start.axis.unit for start in starts]
-    for wanted, start in zip(find_start(step, units, frames), starts, strict=True):
+    for position, start in zip(find_start(step, units, frames), starts, strict=True):
         axis = start.axis
-        if abs(axis.to_counts(wanted - start.offset) - start.start_counts) > MAX_START_COUNTS:
+        if abs(axis.to_counts(position - start.offset) - start.start_counts) > MAX_START_COUNTS:
             more = "" if step.frame is None else f" ({_describe_place(step, starts, frames)})"
             raise Refusal(
                 "other-start",
                 f"axis {start.name} is at {float(start.here + start.offset):g} {axis.unit}; the path begins at "
-                f"{float(wanted):g} {axis.unit}{more}",
-                f"move it there before: a step `do: move` to {float(wanted):g}, or `tutti axis move`",
+                f"{float(position):g} {axis.unit}{more}",
+                f"move it there before: a step `do: move` to {float(position):g}, or `tutti axis move`",
                 controller_of(start.name),
             )
 

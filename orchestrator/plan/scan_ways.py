@@ -54,8 +54,8 @@ def find_corners(scan: Scan, units: Sequence[Unit], unknown: Collection[str] = (
         return {name: position for name, position in point_values if name not in unknown}
 
     return {
-        name: [_make_corner(find_positions(point), name, point + 1) for point in each]
-        for name, each in zip(names, points, strict=True)
+        name: [_make_corner(find_positions(point), name, point + 1) for point in axis_points]
+        for name, axis_points in zip(names, points, strict=True)
         if name not in unknown
     }
 
@@ -68,7 +68,7 @@ def _make_corner(positions: Mapping[str, Fraction | float], axis: str, point: in
 
 def _find_point(scan: Scan, point: int, units: Sequence[Unit]) -> list[Fraction]:
     if scan.points is not None and scan.points.rows is not None:
-        return [parse_quantity(each, unit) for each, unit in zip(scan.points.rows[point], units, strict=True)]
+        return [parse_quantity(text, unit) for text, unit in zip(scan.points.rows[point], units, strict=True)]
     return GridPoints(scan.axes).find_position(point, units)
 
 
@@ -110,8 +110,8 @@ def iterate_ways(scan: Scan, units: Sequence[Unit]) -> Iterator[ScanWays]:
 def _find_table_ways(names: Sequence[str], table: PointTable, units: Sequence[Unit]) -> ScanWays:
     if table.rows is None:
         zero = Fraction(0)
-        nearest = {each.axis: (zero, Fraction(str(each.least_step))) for each in table.columns}
-        farthest = {each.axis: (zero, Fraction(str(each.most_step))) for each in table.columns}
+        nearest = {column.axis: (zero, Fraction(str(column.least_step))) for column in table.columns}
+        farthest = {column.axis: (zero, Fraction(str(column.most_step))) for column in table.columns}
         return ScanWays(table.count - 1, nearest, farthest)
     nearest, farthest = dict[str, Way](), dict[str, Way]()
     for column, (name, unit) in enumerate(zip(names, units, strict=True)):

@@ -69,14 +69,14 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
     `PlanError` naming the axis.
     """
     _check_limits(moves)
-    moving_moves = [move for move in moves if move.target_counts != move.start_counts]
+    moves_in_motion = [move for move in moves if move.target_counts != move.start_counts]
     standing: list[str] = []
-    if len(moving_moves) < len(moves):
+    if len(moves_in_motion) < len(moves):
         standing = [move.axis for move in moves if move.target_counts == move.start_counts]
-    if not moving_moves:
+    if not moves_in_motion:
         return StepPlan(0.0, {}, standing)
-    bounds, scales = _normalise_moves(moving_moves, speed)
-    names = [move.axis for move in moving_moves]
+    bounds, scales = _normalise_moves(moves_in_motion, speed)
+    names = [move.axis for move in moves_in_motion]
     if sync == "phase":
         duration_s, shapes, scales = _plan_linear(bounds, scales, names)
     else:
@@ -89,7 +89,9 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
         )
     profiles = {
         move.axis: Profile(move.start_counts, move.target_counts, scale, t, a, j)
-        for move, scale, t, a, j in zip(moving_moves, scales.tolist(), *(part.tolist() for part in shapes), strict=True)
+        for move, scale, t, a, j in zip(
+            moves_in_motion, scales.tolist(), *(part.tolist() for part in shapes), strict=True
+        )
     }
     return StepPlan(duration_s, profiles, standing)
 
@@ -127,8 +129,8 @@ def _plan_axes(
     if second.any():
         part = ShapeBounds(*(bound[second] for bound in bounds))
         chosen_trapezoids = _make_common_trapezoids(part, duration_s, ramps) if synchronised else _plan_fastest(part)
-        for whole, rows in zip(shapes, chosen_trapezoids, strict=True):
-            whole[second] = rows
+        for target, rows in zip(shapes, chosen_trapezoids, strict=True):
+            target[second] = rows
     check_shapes(shapes, bounds, names)
     return duration_s, shapes
 

@@ -66,7 +66,7 @@ class ResolvedTrigger:
                 raise self._refuse("trigger-axis", f"axis {self.axis} does not move", "name an axis that moves")
             levels = self._find_levels(profile)
             crossings = find_crossings(profile, np.array(sorted(set(levels))))
-            instants = sorted({round(each * NS_PER_S) for each in crossings.tolist()})
+            instants = sorted({round(crossing_s * NS_PER_S) for crossing_s in crossings.tolist()})
         if not instants:
             raise self._refuse("trigger-never", "the step is over before the first one", "write a shorter `every`")
         if len(instants) > MAX_INSTANTS:
@@ -119,18 +119,18 @@ def resolve_triggers(fleet: Fleet, triggers: Sequence[Trigger], find_offset: Fin
     """The triggers of a step in counts. Raises `Refusal` for an output that is unknown or in use, and for units."""
     used_outputs = find_used_outputs(fleet)
     resolved_triggers: list[ResolvedTrigger] = []
-    for place, trigger in enumerate(triggers):
-        explained = fleet.names.explain_unknown(trigger.output, "output")
-        if explained is not None:
-            raise Refusal("unknown-name", f"`triggers.{place}`: {explained}", "correct the name")
+    for number, trigger in enumerate(triggers):
+        explanation = fleet.names.explain_unknown(trigger.output, "output")
+        if explanation is not None:
+            raise Refusal("unknown-name", f"`triggers.{number}`: {explanation}", "correct the name")
         if trigger.output in used_outputs:
             raise Refusal(
                 "output-in-use",
-                f"`triggers.{place}`: output {trigger.output} is {used_outputs[trigger.output]}",
+                f"`triggers.{number}`: output {trigger.output} is {used_outputs[trigger.output]}",
                 "use another output, or remove that use from the fleet file",
                 controller_of(trigger.output),
             )
-        resolved_triggers.append(_resolve_trigger(fleet, place, trigger, find_offset))
+        resolved_triggers.append(_resolve_trigger(fleet, number, trigger, find_offset))
     return resolved_triggers
 
 
@@ -146,7 +146,7 @@ def _resolve_trigger(fleet: Fleet, place: int, trigger: Trigger, find_offset: Fi
             step = abs(float(parse_quantity(trigger.every, axis.unit) * axis.counts_per_unit))
             return replace(plain, step_counts=step)
         offset = find_offset(trigger.of)
-        positions = tuple((_to_counts(axis, each, offset), f"{each}") for each in trigger.at or [])
+        positions = tuple((_to_counts(axis, position, offset), f"{position}") for position in trigger.at or [])
     except UnitError as error:
         raise Refusal("bad-unit", f"`triggers.{place}`: {error}", "correct the unit", plain.owner) from None
     return replace(plain, positions=positions)
@@ -158,12 +158,12 @@ def _to_counts(axis: Axis, value: int | float | str, offset: Fraction) -> float:
 
 def find_brake_outputs(fleet: Fleet) -> dict[str, str]:
     """Outputs of holding brakes, with what they are."""
-    reserved: dict[str, str] = {}
+    reserved_outputs: dict[str, str] = {}
     for controller, config in fleet.controllers.items():
         for name, axis in config.axes.items():
             if axis.brake is not None and axis.brake.output is not None:
-                reserved[f"{controller}.{axis.brake.output}"] = f"the brake of {controller}.{name}"
-    return reserved
+                reserved_outputs[f"{controller}.{axis.brake.output}"] = f"the brake of {controller}.{name}"
+    return reserved_outputs
 
 
 def find_used_outputs(fleet: Fleet) -> dict[str, str]:
@@ -196,9 +196,9 @@ def find_crossings(profile: Profile, levels: Array) -> Array:
     A level at the start is passed only if the axis comes back to it; one at a turning point once.
     """
     nodes = _find_nodes(profile)
-    before, after = nodes[:-1], nodes[1:]
-    rising = after[:, 1] > before[:, 1]
-    lows, highs = np.minimum(before[:, 1], after[:, 1]), np.maximum(before[:, 1], after[:, 1])
+    begins, ends = nodes[:-1], nodes[1:]
+    rising = ends[:, 1] > begins[:, 1]
+    lows, highs = np.minimum(begins[:, 1], ends[:, 1]), np.maximum(begins[:, 1], ends[:, 1])
     # The end of a piece belongs to it, its start to the piece before.
     firsts = np.where(rising, np.searchsorted(levels, lows, "right"), np.searchsorted(levels, lows, "left"))
     lasts = np.where(rising, np.searchsorted(levels, highs, "right"), np.searchsorted(levels, highs, "left"))
@@ -206,24 +206,24 @@ def find_crossings(profile: Profile, levels: Array) -> Array:
     piece = np.repeat(np.arange(len(counts)), counts)
     order = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
     wanted_level = levels[firsts[piece] + order]
-    instants = _halve(profile, before[piece], after[piece], wanted_level)
-    chosen = np.argsort(instants, kind="stable")
-    return _drop_wavering(profile, instants[chosen], wanted_level[chosen])
+    instants = _halve(profile, begins[piece], ends[piece], wanted_level)
+    sequence = np.argsort(instants, kind="stable")
+    return _drop_wavering(profile, instants[sequence], wanted_level[sequence])
 
 
 def _drop_wavering(profile: Profile, instants: Array, levels: Array) -> Array:
     """The crossings without those of a level from which the axis has not moved away by a count since: a profile that
     was fitted to a path wavers by fractions of one where it begins, turns or ends."""
-    find_range, kept = make_range_finder(profile), list[float]()
+    find_range, kept_instants = make_range_finder(profile), list[float]()
     last_s, last_level = 0.0, 0.0
     for at_s, level in zip(instants.tolist(), levels.tolist(), strict=True):
         if level == last_level:
-            low, high = (each - profile.start_counts - level for each in find_range(last_s, at_s))
+            low, high = (counts - profile.start_counts - level for counts in find_range(last_s, at_s))
             if max(-low, high) < NEAR_COUNTS:
                 continue
-        kept.append(at_s)
+        kept_instants.append(at_s)
         last_s, last_level = at_s, level
-    return np.array(kept)
+    return np.array(kept_instants)
 
 
 def _find_nodes(profile: Profile) -> Array:
@@ -259,8 +259,8 @@ def _halve(profile: Profile, before: Array, after: Array, wanted: Array) -> Arra
         middle = (low + high) / 2
         t = middle - start
         position_here = position + t * (velocity + t * (acceleration / 2 + t * jerk / 6))
-        reached = (position_here >= wanted) == rising
-        high, low = np.where(reached, middle, high), np.where(reached, low, middle)
+        is_reached = (position_here >= wanted) == rising
+        high, low = np.where(is_reached, middle, high), np.where(is_reached, low, middle)
     return high
 
 

@@ -44,7 +44,9 @@ def make_example_fleet(makes: Sequence[MakeCount], fleet: str, file: str) -> str
             text = example.fleet_example(ExamplePlace(number, port))
             blocks.append(f"  {name}:\n{_indent(text)}")
         port += count
-    head = _HEAD.format(makes=" and ".join(f"{each.number} {each.make}" for each in makes), file=file, fleet=fleet)
+    head = _HEAD.format(
+        makes=" and ".join(f"{make_count.number} {make_count.make}" for make_count in makes), file=file, fleet=fleet
+    )
     tail = f"\n# Without it, all axes are homed one after the other.\nhome_order: [{', '.join(names)}]\n"
     return head + "\n".join(blocks) + tail
 
@@ -59,9 +61,9 @@ def load_example(make: str) -> Controller:
 
     Raises `UnknownPlugin`, and `PluginError` for an example that cannot be used.
     """
-    place = f"the example of {make}"
+    source = f"the example of {make}"
     try:
-        fleet = parse_document(make_example_fleet([MakeCount(make, 1)], "example", place), Fleet, place)
+        fleet = parse_document(make_example_fleet([MakeCount(make, 1)], "example", source), Fleet, source)
     except FileError as error:
         raise PluginError(f"fleet_example of {make} is no part of a fleet file: {error}", "correct it") from None
     config = apply_make_defaults(fleet).controllers[make]

@@ -16,10 +16,10 @@ def find_example(name: str) -> Path:
     """The example `name`: a file, e.g. `demo.fleet.yaml`, or a folder. Raises `ExamplesMissing`."""
     if _CHECKOUT.is_dir():
         return _CHECKOUT / name
-    place = ("share", "tutti", "examples", name)
+    path_end = ("share", "tutti", "examples", name)
     for file in metadata.files("tutti") or []:
-        if file.parts[-4:] == place:
+        if file.parts[-4:] == path_end:
             return Path(str(file.locate())).resolve()
-        if file.parts[-5:-1] == place:
+        if file.parts[-5:-1] == path_end:
             return Path(str(file.locate())).resolve().parent
     raise ExamplesMissing(f"this installation of Tutti has no example {name}; install it again from its wheel")

@@ -60,8 +60,8 @@ def parse_probe_query(text: str) -> bytes:
     def unescape(found: "re.Match[str]") -> str:
         return chr(int(found[1][1:], 16)) if found[1][0] == "x" else _ESCAPED[found[1]]
 
-    rest_sub = _ESCAPE.sub("", text)
-    if "\\" in rest_sub:
+    remainder = _ESCAPE.sub("", text)
+    if "\\" in remainder:
         raise BadProbe(f"{text[:80]!r}: unknown escape; known are \\r, \\n, \\t, \\0, \\\\ and \\x18")
     try:
         return _ESCAPE.sub(unescape, text).encode("latin-1")

@@ -20,8 +20,8 @@ async def wait_until_adopted(tutti: Tutti, controllers: int, limit_s: float = RE
                 states = await tutti.status()
                 await asyncio.sleep(POLL_S)
     except TimeoutError:
-        shown = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "no controller answers"
-        raise UpFailed(f"not all controllers are ready after {limit_s:g} s: {shown}") from None
+        modes = ", ".join(f"{name} is {state.mode}" for name, state in states.items()) or "no controller answers"
+        raise UpFailed(f"not all controllers are ready after {limit_s:g} s: {modes}") from None
 
 
 async def find_origin_host_ns(tutti: Tutti) -> int:

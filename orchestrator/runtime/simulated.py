@@ -20,8 +20,8 @@ def make_simulator_options(config: Controller) -> Mapping[str, Any]:
     """The options of the simulator for a controller that has passed its make's check: set up like the machine that
     the file describes. What `simulate.options` states has precedence."""
     options = validate_options(find_make_or_substitute(config.adapter).options_model, config)
-    expected = {name: getattr(options, name) for name in type(options).model_fields}
-    derived_options = find_simulator(config.adapter).make_options(config, expected)
+    defaults = {name: getattr(options, name) for name in type(options).model_fields}
+    derived_options = find_simulator(config.adapter).make_options(config, defaults)
     return {**derived_options, **config.simulate.options}
 
 

@@ -51,13 +51,13 @@ class ClientBus(RecordedBus):
         *_, controller, _, verb = ["", "", *key.split("/")]
         if verb != "jog":
             return await super().request(key, payload, timeout_s, server)
-        sent_ns, refused = self._loop.now_ns, False
+        sent_ns, is_refused = self._loop.now_ns, False
         try:
             reply = await super().request(key, payload, timeout_s, server)
-            refused = json.loads(reply)["refused"] is not None
+            is_refused = json.loads(reply)["refused"] is not None
             return reply
         finally:
-            if not refused:
+            if not is_refused:
                 self._notes.note_request(controller, payload, sent_ns)
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:

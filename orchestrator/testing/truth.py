@@ -67,7 +67,9 @@ class MotorRecord:
             if motion.axis == self._motor:
                 self._running.append(motion)
                 edges.append(_Sample(motion.start_ns, motion.start_counts, 0.0))
-        for motion in [each for each in self._running if each.end_ns is not None and each.end_ns <= now_ns]:
+        for motion in [
+            candidate for candidate in self._running if candidate.end_ns is not None and candidate.end_ns <= now_ns
+        ]:
             self._running.remove(motion)
             if motion.end_ns is not None and motion.end_counts is not None:
                 edges.append(_Sample(motion.end_ns, motion.end_counts, 0.0))
@@ -82,26 +84,32 @@ class MotorRecord:
         last_two = self._samples[-2:]
         if last_two and last_two[-1].at_ns == sample.at_ns:
             return
-        if len(last_two) == 2 and all(each[1:] == sample[1:] and not each.counts_per_s for each in last_two):
+        if len(last_two) == 2 and all(
+            last_sample[1:] == sample[1:] and not last_sample.counts_per_s for last_sample in last_two
+        ):
             self._samples[-1] = sample
         else:
             self._samples.append(sample)
 
     def find_counts(self, at_ns: int) -> float:
         """The position at an instant, host ns, in counts of the make; that of the first sample before it."""
-        after = bisect_right(self._samples, at_ns, key=lambda sample: sample.at_ns)
-        if after == 0 or after == len(self._samples):
-            return self._samples[min(after, len(self._samples) - 1)].counts
-        return _interpolate(self._samples[after - 1], self._samples[after], at_ns)
+        number = bisect_right(self._samples, at_ns, key=lambda sample: sample.at_ns)
+        if number == 0 or number == len(self._samples):
+            return self._samples[min(number, len(self._samples) - 1)].counts
+        return _interpolate(self._samples[number - 1], self._samples[number], at_ns)
 
 
 def _interpolate(before: _Sample, after: _Sample, at_ns: int) -> float:
     """The position between two samples: the cubic with their positions and velocities."""
     duration_s = (after.at_ns - before.at_ns) / NS_PER_S
     share = (at_ns - before.at_ns) / (after.at_ns - before.at_ns)
-    rest_share = 1 - share
-    from_before = rest_share * rest_share * ((1 + 2 * share) * before.counts + share * duration_s * before.counts_per_s)
-    from_after = share * share * ((1 + 2 * rest_share) * after.counts - rest_share * duration_s * after.counts_per_s)
+    share_before = 1 - share
+    from_before = (
+        share_before * share_before * ((1 + 2 * share) * before.counts + share * duration_s * before.counts_per_s)
+    )
+    from_after = (
+        share * share * ((1 + 2 * share_before) * after.counts - share_before * duration_s * after.counts_per_s)
+    )
     return from_before + from_after
 
 
@@ -146,5 +154,5 @@ class AxisTruth(ABC):
 
     def _require_past(self, at_ns: int, now_ns: int) -> None:
         if at_ns > now_ns:
-            at, now = format_s(at_ns - self._origin_ns), format_s(now_ns - self._origin_ns)
-            raise BadTest(f"{self._name} at {at}: it is {now} now; `fleet.advance` lets time go on")
+            at, now_text = format_s(at_ns - self._origin_ns), format_s(now_ns - self._origin_ns)
+            raise BadTest(f"{self._name} at {at}: it is {now_text} now; `fleet.advance` lets time go on")

@@ -74,8 +74,8 @@ class AsciiSimulator:
         seed: int = 0,
     ) -> LineController:
         """Build a powered-up controller; `ValueError` for a wrong option."""
-        read = AsciiOptions.model_validate(dict(options))
-        return _BUILDERS[read.model](read, LineDevice(clock, oscillator, timing, seed))
+        ascii_options = AsciiOptions.model_validate(dict(options))
+        return _BUILDERS[ascii_options.model](ascii_options, LineDevice(clock, oscillator, timing, seed))
 
     def make_options(self, config: Controller, expected: Mapping[str, Any]) -> Mapping[str, Any]:
         """The options with which it fits a controller's part of a fleet file. expected: the adapter's options; its

@@ -111,11 +111,11 @@ class GrblController(LineController):
     # Single bytes that act at once (serial.c: ISR)
 
     def take_immediate(self, data: bytes, reply: Callable[[str], None]) -> bytes:
-        kept = bytearray()
+        line = bytearray()
         for byte in data:
             match byte:
                 case 0x3F if self._motion != "home":  # limits.c: no time for reports while it searches
-                    reply(self._make_report(len(kept)))
+                    reply(self._make_report(len(line)))
                 case 0x3F:
                     pass
                 case 0x21:
@@ -123,14 +123,14 @@ class GrblController(LineController):
                 case 0x7E:
                     self._resume()
                 case 0x18:
-                    kept.clear()
+                    line.clear()
                     self._soft_reset()
                 case 0x85:
                     if self._motion == "jog":
                         self._brake_all()
                 case _:
-                    kept.append(byte)
-        return bytes(kept)
+                    line.append(byte)
+        return bytes(line)
 
     def _hold(self) -> None:
         if self._state == "Alarm" or self._motion == "home":
@@ -159,11 +159,11 @@ class GrblController(LineController):
     def _make_report(self, following: int) -> str:
         """report.c: report_realtime_status. following: number of bytes in the same packet before the request."""
         state = self._state
-        moving = any(axis.is_moving for axis in self.axes.values())
+        is_moving = any(axis.is_moving for axis in self.axes.values())
         if self._state != "Alarm":
-            state = {"jog": "Jog", "run": "Run", "": "Idle"}[self._motion if moving else ""]
+            state = {"jog": "Jog", "run": "Run", "": "Idle"}[self._motion if is_moving else ""]
             if self._is_suspended:
-                state = "Hold:1" if moving else "Hold:0"
+                state = "Hold:1" if is_moving else "Hold:0"
         positions = ",".join(f"{self._to_mm(name, axis.position):.3f}" for name, axis in self.axes.items())
         buffer = ""
         if int(self.settings[10]) & 2:
@@ -281,11 +281,11 @@ class GrblController(LineController):
         length = sqrt(sum(way**2 for way in ways.values()))
         if length == 0:
             return
-        moving = {name: abs(way) / length for name, way in ways.items() if way}
-        acceleration = min(self.settings[120 + AXES.index(name)] / part for name, part in moving.items())
-        rate = min([feed, *(self.settings[110 + AXES.index(n)] / 60 / part for n, part in moving.items())])
+        shares = {name: abs(way) / length for name, way in ways.items() if way}
+        acceleration = min(self.settings[120 + AXES.index(name)] / part for name, part in shares.items())
+        rate = min([feed, *(self.settings[110 + AXES.index(n)] / 60 / part for n, part in shares.items())])
         self._motion = motion
-        for name, part in moving.items():
+        for name, part in shares.items():
             scale = self._steps_per_mm(name)
             target = round(goals[name] * scale) + self._home_steps(name)
             self.axes[name].start_move(target, rate * part * scale, acceleration * part * scale)
@@ -333,8 +333,8 @@ class GrblController(LineController):
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         """A limit switch stops all steppers dead, and locks ($21 is on in a machine with switches)."""
-        if which != "none" and any(each.is_moving for each in self.axes.values()):
-            for each in self.axes.values():
-                each.halt()
+        if which != "none" and any(axis.is_moving for axis in self.axes.values()):
+            for stage in self.axes.values():
+                stage.halt()
             self._reset("Alarm")
             self.send_to_all("ALARM:1\r\n")

@@ -16,13 +16,17 @@ def make_options(config: Controller, expected: Mapping[str, Any]) -> Mapping[str
     if isinstance(config.link, CanBusLink):
         options["bitrate"] = config.link.bitrate
     objects: dict[str, int] = {}
-    for name, (above, below) in _GEARING.items():
+    for name, (numerator, denominator) in _GEARING.items():
         ratio = expected.get(name)
         if ratio is not None:
-            objects |= {above: ratio.numerator, below: ratio.denominator}
+            objects |= {numerator: ratio.numerator, denominator: ratio.denominator}
     if objects:
         options["objects"] = objects
     if axis.homing.method not in ("default", "37", "35"):
-        near, far = search_distance(axis), search_distance(axis) + 2 * span_counts(axis)
-        options |= {"home_switch": [-far, -near], "travel": [-2 * far, 2 * far], "index_every": max(4, near // 10)}
+        near_end, far_end = search_distance(axis), search_distance(axis) + 2 * span_counts(axis)
+        options |= {
+            "home_switch": [-far_end, -near_end],
+            "travel": [-2 * far_end, 2 * far_end],
+            "index_every": max(4, near_end // 10),
+        }
     return options

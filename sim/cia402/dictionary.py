@@ -61,12 +61,12 @@ def _read_entries(node: int) -> Mapping[Key, ObjectEntry]:
 
 
 def _build_entry(variable: ODVariable) -> ObjectEntry:
-    size, signed = _SIZES.get(variable.data_type or 0, (0, False))
+    size, is_signed = _SIZES.get(variable.data_type or 0, (0, False))
     access = variable.access_type
     default = variable.default
     return ObjectEntry(
         size=size,
-        signed=signed,
+        signed=is_signed,
         readable=access != "wo",
         writable=access in ("rw", "rww", "rwr", "wo"),
         mappable=bool(variable.pdo_mappable),
@@ -89,7 +89,7 @@ class DriveDictionary:
         self.reads: dict[Key, Callable[[], int]] = {}
         self.writes: dict[Key, Callable[[int], None]] = {}
         self._defaults = {
-            key: each.default for key, each in _read_entries(node).items() if isinstance(each.default, int)
+            key: entry.default for key, entry in _read_entries(node).items() if isinstance(entry.default, int)
         }
         self._indices = {index for index, _ in self.entries}
         self._values: dict[Key, int] = {}
@@ -104,8 +104,8 @@ class DriveDictionary:
         return {key: value for key, value in self._values.items() if key in self.entries and self.entries[key].writable}
 
     def get_value(self, index: int, sub: int = 0) -> int:
-        read = self.reads.get((index, sub))
-        return self._values[index, sub] if read is None else read()
+        reader = self.reads.get((index, sub))
+        return self._values[index, sub] if reader is None else reader()
 
     def put_value(self, index: int, sub: int, value: int) -> None:
         """Store without checks."""

@@ -143,20 +143,20 @@ class ServoDrive:
 
     def handle_controlword(self, word: int) -> None:
         """Process a controlword."""
-        before, self._control = self._control, word
+        old_word, self._control = self._control, word
         was_fault = self.states.state is PowerState.FAULT
         self.states.handle_controlword(word)
         if was_fault and self.states.state is PowerState.DISABLED:
             self._dictionary.put_value(0x603F, 0, 0)
             self._emergency(0, 0)
         if self.states.state is PowerState.ENABLED:
-            mode, rising = self._modes[self._mode], word & ~before
+            mode, rising = self._modes[self._mode], word & ~old_word
             if rising & HALT:
                 self._stop_motion(
                     "quick stop" if self._dictionary.get_value(0x605D) == 2 else "slow down", lambda: None
                 )
             mode.handle_controlword(word, rising)
-            if before & HALT and not word & HALT:
+            if old_word & HALT and not word & HALT:
                 mode.resume_motion()
         self._changed()
 
@@ -166,13 +166,13 @@ class ServoDrive:
             raise SdoAbort(aborts.RANGE)
         if mode == self._mode:
             return
-        enabled = self.states.state is PowerState.ENABLED
-        if enabled:
+        is_enabled = self.states.state is PowerState.ENABLED
+        if is_enabled:
             self._modes[self._mode].leave_mode()
             if self.servo.mover.is_moving:
                 self.servo.slow_down(self.servo.read_acceleration(0x6084))
         self._mode = mode
-        if enabled:
+        if is_enabled:
             self._modes[mode].enter_mode()
         self._changed()
 
@@ -221,9 +221,9 @@ class ServoDrive:
         servo.slow_down(servo.read_acceleration(0x6085 if way == "quick stop" else 0x6084))
 
     def _handle_motion_end(self) -> None:
-        then, self._after_stop = self._after_stop, None
-        if then is not None:
-            then()
+        act, self._after_stop = self._after_stop, None
+        if act is not None:
+            act()
         elif self.states.state is PowerState.ENABLED and not self._control & HALT:
             self._modes[self._mode].handle_motion_end()
 

@@ -122,8 +122,10 @@ class HomingMode(OperationMode):
         if leg.release and not self._is_pressed(leg.release):
             self._handle_passed(servo.mechanical_position)
             return
-        places_ahead = [place for place in leg.places if leg.sign * (place - servo.mechanical_position) > 0]
-        servo.wanted = [PositionMark(place, leg.sign, lambda p=place: self._handle_passed(p)) for place in places_ahead]
+        places_ahead = [position for position in leg.places if leg.sign * (position - servo.mechanical_position) > 0]
+        servo.wanted = [
+            PositionMark(position, leg.sign, lambda p=position: self._handle_passed(p)) for position in places_ahead
+        ]
         speed = leg.sign * servo.read_velocity(0x6099, leg.speed)
         servo.follow_plan(to_speed(servo.demand_speed, speed, self._ramp_rate(), self._ramp_rate()))
 
@@ -217,8 +219,8 @@ class HomingMode(OperationMode):
         next index pulse."""
         terminals, edges = self.servo.terminals, tuple(self.servo.terminals.home_edges())
         if not terminals.home_state(self.servo.mechanical_position):
-            passed = yield _SearchLeg(direction, _FAST, edges)
-            if passed is None and (yield _SearchLeg(-direction, _FAST, edges)) is None:
+            passed_edge = yield _SearchLeg(direction, _FAST, edges)
+            if passed_edge is None and (yield _SearchLeg(-direction, _FAST, edges)) is None:
                 return None
         switch = self._options.home_switch
         edge = None if switch is None else switch[end]
@@ -233,5 +235,5 @@ class HomingMode(OperationMode):
         state = self._state
         if state == "running":
             return 0
-        reached = REACHED * (not self.servo.is_busy and (state != "attained" or self.servo.is_settled()))
-        return reached | _ATTAINED * (state == "attained") | _ERROR * (state == "error")
+        reach_bit = REACHED * (not self.servo.is_busy and (state != "attained" or self.servo.is_settled()))
+        return reach_bit | _ATTAINED * (state == "attained") | _ERROR * (state == "error")

@@ -108,14 +108,14 @@ class ProfilePosition(OperationMode):
                 if code == 1 or point_before is None
                 else point_before.target
             )
-        target_inside = servo.clip_target(target)
-        if target_inside != target:
+        clipped_target = servo.clip_target(target)
+        if clipped_target != target:
             servo.internal_limit = True
         velocity = servo.read_velocity(0x6081)
         if get(0x607F) != UNLIMITED:
             velocity = min(velocity, servo.read_velocity(0x607F))
         up, down = servo.read_acceleration(0x6083), servo.read_acceleration(0x6084)
-        return _PositionSetPoint(target_inside, velocity, up, down)
+        return _PositionSetPoint(clipped_target, velocity, up, down)
 
     def _begin_set_point(self, point: _PositionSetPoint) -> None:
         self._now = point
@@ -144,8 +144,8 @@ class ProfilePosition(OperationMode):
 
     @property
     def status_bits(self) -> int:
-        arrived = self._next is None and self.servo.is_settled()
-        return ACKNOWLEDGED * self._acknowledged | REACHED * arrived | FOLLOWING_ERROR * self.servo.is_stuck
+        has_arrived = self._next is None and self.servo.is_settled()
+        return ACKNOWLEDGED * self._acknowledged | REACHED * has_arrived | FOLLOWING_ERROR * self.servo.is_stuck
 
 
 class ProfileVelocity(OperationMode):
@@ -182,9 +182,9 @@ class ProfileVelocity(OperationMode):
     @property
     def status_bits(self) -> int:
         speed = self.servo.demand_speed
-        reached = abs(self.servo.read_velocity(0x60FF) - speed) <= max(0.5, self.servo.read_velocity(0x606D))
+        is_at_speed = abs(self.servo.read_velocity(0x60FF) - speed) <= max(0.5, self.servo.read_velocity(0x606D))
         still_speeding_up = self.servo.is_busy and speed == 0
-        return REACHED * (reached and not still_speeding_up) | SPEED_ZERO * (speed == 0)
+        return REACHED * (is_at_speed and not still_speeding_up) | SPEED_ZERO * (speed == 0)
 
 
 class InterpolatedPosition(OperationMode):
@@ -227,9 +227,9 @@ class InterpolatedPosition(OperationMode):
         target = float(
             self.dictionary.get_value(*self._key) + (self.dictionary.get_value(0x60B0) if self._cyclic else 0)
         )
-        target_inside = servo.clip_target(target)
-        servo.internal_limit = target_inside != target
-        servo.run_at_tick(lambda: self._follow_target(target_inside))
+        clipped_target = servo.clip_target(target)
+        servo.internal_limit = clipped_target != target
+        servo.run_at_tick(lambda: self._follow_target(clipped_target))
         self._cancel_watchdog()
         self._watchdog = servo.time.call_after(self._missed * servo.period_ns(), self._handle_missing_sync)
 
@@ -254,5 +254,5 @@ class InterpolatedPosition(OperationMode):
 
     @property
     def status_bits(self) -> int:
-        reached = REACHED * (not self._cyclic and not self.servo.mover.is_running)
-        return ACTIVE * self._on | reached | FOLLOWING_ERROR * self.servo.is_stuck
+        reach_bit = REACHED * (not self._cyclic and not self.servo.mover.is_running)
+        return ACTIVE * self._on | reach_bit | FOLLOWING_ERROR * self.servo.is_stuck

@@ -123,10 +123,10 @@ class PdoSet:
             raise SdoAbort(aborts.UNSUPPORTED)
 
     def _check_id(self, pdo: _PdoParameters, value: int) -> None:
-        before, identifier = self._dictionary.get_value(pdo.parameter, 1), value & _ID
-        if value & _EXTENDED or any(identifier in each for each in _RESTRICTED):
+        old_value, identifier = self._dictionary.get_value(pdo.parameter, 1), value & _ID
+        if value & _EXTENDED or any(identifier in identifiers for identifiers in _RESTRICTED):
             raise SdoAbort(aborts.RANGE)
-        if not before & _OFF and not value & _OFF and before & _ID != identifier:
+        if not old_value & _OFF and not value & _OFF and old_value & _ID != identifier:
             raise SdoAbort(aborts.RANGE)
         self._after_write(pdo, (pdo.parameter, 1), value)
 
@@ -174,7 +174,7 @@ class PdoSet:
         mapped_range = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
         pdo.id, pdo.on, pdo.remote = word & _ID, not word & _OFF, not word & _NO_REMOTE
         pdo.type = get(pdo.parameter, 2)
-        pdo.objects = tuple(((each >> 16, each >> 8 & 0xFF), (each & 0xFF) // 8) for each in mapped_range)
+        pdo.objects = tuple(((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8) for entry in mapped_range)
         if isinstance(pdo, _ReceivePdo):
             pdo.held = None
         elif isinstance(pdo, _TransmitPdo):
@@ -298,7 +298,7 @@ class PdoSet:
             self._transmit_pdo(pdo)
 
     def _encode_values(self, pdo: _TransmitPdo) -> bytes:
-        return b"".join([value().to_bytes(size, "little", signed=signed) for value, size, signed in pdo.values])
+        return b"".join([value().to_bytes(size, "little", signed=is_signed) for value, size, is_signed in pdo.values])
 
     def _transmit_pdo(self, pdo: _TransmitPdo) -> None:
         pdo.last = self._encode_values(pdo)

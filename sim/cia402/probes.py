@@ -45,24 +45,26 @@ class TouchProbes:
         edge = _POSITIVE if level else _NEGATIVE
         word, status = self._dictionary.get_value(FUNCTION), self._dictionary.get_value(STATUS)
         for probe, wired_input in enumerate(self._inputs):
-            asked, stored = word >> 8 * probe & _PROBE, _STORED[edge] << 8 * probe
-            taken = bool(status & stored) and not asked & _CONTINUOUS
-            if wired_input == number and asked & _ON and asked & edge and not taken:
+            probe_word, store_bit = word >> 8 * probe & _PROBE, _STORED[edge] << 8 * probe
+            is_taken = bool(status & store_bit) and not probe_word & _CONTINUOUS
+            if wired_input == number and probe_word & _ON and probe_word & edge and not is_taken:
                 self._dictionary.put_value(_POSITIONS[probe][edge], 0, self._read_position())
-                self._dictionary.put_value(STATUS, 0, status | stored)
+                self._dictionary.put_value(STATUS, 0, status | store_bit)
                 self._changed()
 
     def _set_function(self, word: int) -> None:
         """Object 60B8h. Zero impulse and 60D0h are no sources of this drive, nor is an input that it does not have."""
         status = self._dictionary.get_value(STATUS)
         for probe in range(len(_POSITIONS)):
-            asked_word = word >> 8 * probe & _PROBE
-            if asked_word & _ON and (asked_word & _SOURCE or probe >= len(self._inputs)):
+            probe_word = word >> 8 * probe & _PROBE
+            if probe_word & _ON and (probe_word & _SOURCE or probe >= len(self._inputs)):
                 raise SdoAbort(aborts.RANGE)
         for probe in range(len(_POSITIONS)):
-            asked_word = word >> 8 * probe & _PROBE
-            kept = sum(stored for edge, stored in _STORED.items() if asked_word & edge) if asked_word & _ON else 0
-            on = _ON if asked_word & _ON else 0
-            status = status & ~(_PROBE << 8 * probe) | (status & kept << 8 * probe) | on << 8 * probe
+            probe_word = word >> 8 * probe & _PROBE
+            keep_bits = (
+                sum(store_bit for edge, store_bit in _STORED.items() if probe_word & edge) if probe_word & _ON else 0
+            )
+            on = _ON if probe_word & _ON else 0
+            status = status & ~(_PROBE << 8 * probe) | (status & keep_bits << 8 * probe) | on << 8 * probe
         self._dictionary.put_value(STATUS, 0, status)
         self._changed()

@@ -93,8 +93,8 @@ def to_target(speed: float, distance: float, max_speed: float, up: float, down: 
     peak = min(max_speed, max(peak, abs(plan.v)))
     plan.add_ramp(sign * peak, up)
     braking = peak * peak / (2 * down)
-    rest_sign = sign * (distance - plan.x) - braking
-    plan.add_segment(rest_sign / peak)
+    remainder = sign * (distance - plan.x) - braking
+    plan.add_segment(remainder / peak)
     plan.add_ramp(0.0, down)
     return plan.finish_at_rest(distance)
 

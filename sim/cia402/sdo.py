@@ -83,9 +83,9 @@ class SdoServer:
                 else:
                     self._run_command(data, index, sub)
             except SdoAbort as error:
-                transfer_here = self._transfer
-                where = (transfer_here.index, transfer_here.sub) if transfer_here is not None else (index, sub)
-                self._send_abort(*where, error.code)
+                present = self._transfer
+                object_key = (present.index, present.sub) if present is not None else (index, sub)
+                self._send_abort(*object_key, error.code)
         self._watch(self._transfer is not None)
 
     def _send_abort(self, index: int, sub: int, code: int) -> None:
@@ -114,16 +114,16 @@ class SdoServer:
 
     def _start_download(self, data: bytes, index: int, sub: int) -> None:
         self._transfer = None
-        expedited, sized = data[0] & 2, data[0] & 1
-        if expedited:
+        is_expedited, has_size = data[0] & 2, data[0] & 1
+        if is_expedited:
             # Without a size the object's own size applies.
-            length = 4 - (data[0] >> 2 & 3) if sized else min(4, self._dictionary.find_entry(index, sub).size)
+            length = 4 - (data[0] >> 2 & 3) if has_size else min(4, self._dictionary.find_entry(index, sub).size)
             self._dictionary.download_value(index, sub, data[4 : 4 + length])
         else:
             entry = self._dictionary.find_entry(index, sub)
             if not entry.writable:
                 raise SdoAbort(aborts.READ_ONLY)
-            size = int.from_bytes(data[4:8], "little") if sized else None
+            size = int.from_bytes(data[4:8], "little") if has_size else None
             if size is not None and size > LONGEST_BYTES:
                 raise SdoAbort(aborts.TOO_LONG)
             self._transfer = _SegmentedTransfer(index, sub, up=False, size=size)
@@ -241,8 +241,8 @@ class SdoServer:
         number, last = data[0] & 0x7F, data[0] >> 7
         if number == 0:
             raise SdoAbort(aborts.SEQUENCE)
-        wanted = number == transfer.sequence + 1
-        if wanted:
+        is_next = number == transfer.sequence + 1
+        if is_next:
             transfer.sequence = number
             transfer.data += data[1:8]
         if len(transfer.data) > LONGEST_BYTES + SEGMENT_BYTES:
@@ -250,7 +250,7 @@ class SdoServer:
         if last or number >= BLOCK_SEGMENTS:
             self._reply(bytes([0xA2, transfer.sequence, BLOCK_SEGMENTS, 0, 0, 0, 0, 0]))
             transfer.sequence = 0
-            transfer.ending = bool(last) and wanted
+            transfer.ending = bool(last) and is_next
 
     def _end_block_download(self, data: bytes) -> None:
         transfer = self._require_block(up=False)

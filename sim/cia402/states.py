@@ -84,19 +84,19 @@ class PowerStates:
     def handle_controlword(self, word: int) -> None:
         """Process a controlword."""
         reset, self._resetting = bool(word & FAULT_RESET) and not self._resetting, bool(word & FAULT_RESET)
-        state, wanted = self.state, decode_command(word)
+        state, command = self.state, decode_command(word)
         if state is PowerState.FAULT:
             if reset:
                 self.enter_state(PowerState.DISABLED)
             return
-        if wanted in ("shutdown", "switch on", "enable operation") and not self._voltage():
+        if command in ("shutdown", "switch on", "enable operation") and not self._voltage():
             return
-        motion_after = _WITHOUT_MOTION.get((state, wanted))
-        if motion_after is not None:
-            self.enter_state(motion_after)
+        next_state = _WITHOUT_MOTION.get((state, command))
+        if next_state is not None:
+            self.enter_state(next_state)
         elif state is PowerState.ENABLED:
-            self._leave_enabled(wanted)
-        elif state is PowerState.QUICK_STOP and wanted == "enable operation" and self._stays_stopped:
+            self._leave_enabled(command)
+        elif state is PowerState.QUICK_STOP and command == "enable operation" and self._stays_stopped:
             self.enter_state(PowerState.ENABLED)
 
     def _leave_enabled(self, wanted: Command) -> None:
@@ -135,10 +135,10 @@ class PowerStates:
         """Transition 13."""
         if self.state in (PowerState.FAULT, PowerState.FAULT_REACTION):
             return
-        powered = self.state in POWERED
+        is_powered = self.state in POWERED
         self.enter_state(PowerState.FAULT_REACTION)
         code = self._option(0x605E)
-        if not powered or code == 0:
+        if not is_powered or code == 0:
             self._finish_fault()
         else:
             self._stop("slow down" if code == 1 else "quick stop", self._finish_fault)

@@ -45,7 +45,7 @@ class DriveNode:
         self._draw = draw
         self.node = node
         self.state = OFF
-        self.dictionary = DriveDictionary(node, frozenset(int(each, 16) for each in options.without))
+        self.dictionary = DriveDictionary(node, frozenset(int(index, 16) for index in options.without))
         self._permanent = PermanentObjects(self.dictionary, options)
         self.can = bus.attach_node(
             self._receive_frame, self._handle_bus_error, bitrate=options.bitrate, by_identifier=True
@@ -122,12 +122,12 @@ class DriveNode:
             self.state = OPERATIONAL
             self.pdos.start_sending()
         elif command in (_STOP, _ENTER_PRE_OPERATIONAL):
-            wanted = STOPPED if command == _STOP else PRE_OPERATIONAL
-            if self.state != wanted:
-                self.state = wanted
+            new_state = STOPPED if command == _STOP else PRE_OPERATIONAL
+            if self.state != new_state:
+                self.state = new_state
                 self.pdos.stop_sending()
                 self._sdo.reset_transfer()
-                if wanted == STOPPED:
+                if new_state == STOPPED:
                     self.drive.connection_lost()
         elif command == _RESET_NODE:
             self.drive.power_down()

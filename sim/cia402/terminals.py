@@ -55,7 +55,7 @@ class DriveTerminals:
 
     def home_edges(self) -> Sequence[float]:
         """Return the mechanical positions of the home switch's ends."""
-        return [each for each in self._options.home_switch or () if each is not None]
+        return [position for position in self._options.home_switch or () if position is not None]
 
     def position_marks(self, limit: Callable[[int], None]) -> list[PositionMark]:
         """Return the positions that a motion may pass: the limit switches, which call `limit` with -1 or 1, and the
@@ -73,7 +73,7 @@ class DriveTerminals:
         word = _NEGATIVE * negative | _POSITIVE * positive | _HOME * self.home_state(position)
         if self._options.enable_input is not None:
             word |= _INTERLOCK * (not self._inputs[self._options.enable_input - 1])
-        return word | sum(level << _FIRST_BIT + place for place, level in enumerate(self._inputs))
+        return word | sum(level << _FIRST_BIT + number for number, level in enumerate(self._inputs))
 
     # Outputs
 
@@ -81,11 +81,11 @@ class DriveTerminals:
         """Object 0x60FE: set the outputs in the mask to the wanted levels; the others keep theirs."""
         mask = mask >> _FIRST_BIT & (1 << POINTS) - 1
         outputs_after = self._outputs & ~mask | wanted >> _FIRST_BIT & mask
-        before, self._outputs = self._outputs, outputs_after
-        for place in range(POINTS):
-            if (before ^ outputs_after) >> place & 1:
+        old_outputs, self._outputs = self._outputs, outputs_after
+        for number in range(POINTS):
+            if (old_outputs ^ outputs_after) >> number & 1:
                 for listener in self._listeners:
-                    listener(place + 1, bool(outputs_after >> place & 1))
+                    listener(number + 1, bool(outputs_after >> number & 1))
 
     def output_level(self, number: int) -> bool:
         if not 1 <= number <= POINTS:

@@ -250,14 +250,14 @@ def build_line(model: Simulator, clock: Clock, devices: Mapping[str, DeviceSpec]
     if any(branch.address is not None for branch in branches):
         if not isinstance(model, SharingSimulator):
             raise ValueError(f"controllers of the model {model.model} cannot share a line; give each its own link")
-        far, built_controllers = model.build_shared(clock, branches)
-        return SimulatedLine(far, dict(zip(devices, built_controllers, strict=True)))
+        far_end, controllers = model.build_shared(clock, branches)
+        return SimulatedLine(far_end, dict(zip(devices, controllers, strict=True)))
     (name,) = devices
     (spec,) = branches
-    alone_controller = model.build_controller(
+    controller = model.build_controller(
         clock, spec.options, oscillator=spec.oscillator, timing=spec.timing, seed=spec.seed
     )
-    return SimulatedLine(alone_controller, {name: alone_controller})
+    return SimulatedLine(controller, {name: controller})
 
 
 class VectorBench(Protocol):

@@ -27,10 +27,10 @@ class _FarTimer:
 
     def _advance_stride(self) -> None:
         now_ns = self._time.now_ns()
-        far = self._at_ns - now_ns > _STRIDE_NS
-        at_ns = now_ns + _STRIDE_NS if far else self._at_ns
+        is_far = self._at_ns - now_ns > _STRIDE_NS
+        at_ns = now_ns + _STRIDE_NS if is_far else self._at_ns
         self._timer = self._time.clock.call_at_ns(
-            self._time.true_ns(at_ns), self._advance_stride if far else self._callback
+            self._time.true_ns(at_ns), self._advance_stride if is_far else self._callback
         )
 
     def cancel(self) -> None:

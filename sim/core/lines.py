@@ -139,14 +139,14 @@ class LineController(ABC):
         def reply(text: str) -> None:
             self.send_text(port, text)
 
-        kept = self.take_immediate(data, reply)  # which may empty the buffers
-        self._partial[port] += kept
+        remainder = self.take_immediate(data, reply)  # which may empty the buffers
+        self._partial[port] += remainder
         while port in self._partial and self.is_on and self.may_parse():
-            line, found_data, rest = self._partial[port].partition(self.firmware.terminator)
-            if not found_data:
+            line, terminator, tail = self._partial[port].partition(self.firmware.terminator)
+            if not terminator:
                 self._partial[port] = line[-self.firmware.longest_line :]
                 return
-            self._partial[port] = rest
+            self._partial[port] = tail
             self.handle_line(line.decode("latin-1").strip("\r\n "), reply)
 
     def may_parse(self) -> bool:

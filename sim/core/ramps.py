@@ -44,14 +44,14 @@ def first_at(segments: Sequence[RampSegment], duration: float, bound: float, sig
 
     No segment reverses; the last one ends at `duration`.
     """
-    for segment, until in _segments_in_direction(segments, duration, sign, after):
+    for segment, end_s in _segments_in_direction(segments, duration, sign, after):
         begin = max(after, segment.t)
         if sign * (segment.x_at(begin) - bound) >= -TINY:
             return begin
-        if math.isinf(until):
+        if math.isinf(end_s):
             return segment.t + segment.time_to_cover(bound - segment.x)
-        if sign * (segment.x_at(until) - bound) >= -TINY:
-            return min(until, segment.t + segment.time_to_cover(bound - segment.x))
+        if sign * (segment.x_at(end_s) - bound) >= -TINY:
+            return min(end_s, segment.t + segment.time_to_cover(bound - segment.x))
     return None
 
 

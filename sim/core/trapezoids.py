@@ -64,20 +64,20 @@ class TrapezoidAxis:
 
     def start_move(self, target: float, velocity: float, acceleration: float) -> None:
         """Move from rest to `target`; the speed is lower where the distance is too short for it."""
-        position_here = self.position
-        distance = abs(target - position_here)
+        start = self.position
+        distance = abs(target - start)
         if distance == 0:
             return
-        sign = 1 if target > position_here else -1
+        sign = 1 if target > start else -1
         peak = min(velocity, sqrt(distance * acceleration))
         ramp_s = peak / acceleration
         cruise_s = distance / peak - ramp_s
         top = sign * peak
-        sign_after = position_here + sign * peak * ramp_s / 2
+        position_after = start + sign * peak * ramp_s / 2
         self._legs = [
-            RampSegment(0.0, position_here, 0.0, sign * acceleration),
-            RampSegment(ramp_s, sign_after, top, 0.0),
-            RampSegment(ramp_s + cruise_s, sign_after + top * cruise_s, top, -sign * acceleration),
+            RampSegment(0.0, start, 0.0, sign * acceleration),
+            RampSegment(ramp_s, position_after, top, 0.0),
+            RampSegment(ramp_s + cruise_s, position_after + top * cruise_s, top, -sign * acceleration),
         ]
         self._begin(target, 2 * ramp_s + cruise_s, acceleration)
 
@@ -93,12 +93,12 @@ class TrapezoidAxis:
         motion = self._motion
         if motion is None or motion.slowing_ns is not None:
             return
-        now_s, velocity, here = self._now_s(), self.velocity, self.position
+        now_s, velocity, position = self._now_s(), self.velocity, self.position
         slope = self._acceleration if acceleration is None else acceleration
         took_s = abs(velocity) / slope
-        self._legs = [RampSegment(now_s, here, velocity, -slope if velocity > 0 else slope)]
+        self._legs = [RampSegment(now_s, position, velocity, -slope if velocity > 0 else slope)]
         self._end_s = now_s + took_s
-        self._target = float(round(here + velocity * took_s / 2))
+        self._target = float(round(position + velocity * took_s / 2))
         motion.slowing_ns = self._time.clock.now_ns()
         self._set_timer()
 

@@ -209,10 +209,10 @@ class _VectorRun:
     def _compare_reply(self, text: str, expect: Mapping[str, Any]) -> None:
         if "moving" in expect:
             self.clock.run_until_ns(self.clock.now_ns())
-            for axis, moving in expect["moving"].items():
+            for axis, is_moving in expect["moving"].items():
                 actual = self.controller.is_moving(axis)
-                if actual != moving:
-                    self.add_failure(text, f"moving {axis} = {moving}", actual)
+                if actual != is_moving:
+                    self.add_failure(text, f"moving {axis} = {is_moving}", actual)
         if not {"reply", "refused", "steps", "checksum_char"} & expect.keys():
             return
         reply = self.collect_reply(round(float(expect.get("quiet_s", 0.2)) * NS_PER_S))
@@ -228,11 +228,11 @@ class _VectorRun:
         )
 
     def _check_reply(self, text: str, expect: Mapping[str, Any], reply: bytes) -> None:
-        shown = reply.decode("latin-1")
-        if "reply" in expect and not same_reply(expect["reply"], shown, expect.get("reply_like", "exact")):
-            self.add_failure(text, f"{expect['reply']!r} ({expect.get('reply_like', 'exact')})", repr(shown))
+        reply_text = reply.decode("latin-1")
+        if "reply" in expect and not same_reply(expect["reply"], reply_text, expect.get("reply_like", "exact")):
+            self.add_failure(text, f"{expect['reply']!r} ({expect.get('reply_like', 'exact')})", repr(reply_text))
         if "refused" in expect and self.bench.is_refusal(reply) != expect["refused"]:
-            self.add_failure(text, "a refusal" if expect["refused"] else "no refusal", repr(shown))
+            self.add_failure(text, "a refusal" if expect["refused"] else "no refusal", repr(reply_text))
         # The rule concerns the bytes that the host sends: the character precedes their terminator.
         if "checksum_char" in expect and not text.removesuffix("\r").endswith(expect["checksum_char"]):
             self.add_failure(text, f"checksum {expect['checksum_char']!r}", repr(text))

@@ -87,8 +87,8 @@ def _pack_record(c: CommandContext, layout: RecordLayout, wanted: set[str]) -> b
 
 def _pack_general(c: CommandContext, layout: RecordLayout) -> bytes:
     machine = c.machine
-    running = [bool(thread.running) for thread in machine.programs.threads]
-    threads = sum(each << number for number, each in enumerate(running)) if layout.threads else any(running) << 7
+    states = [bool(thread.running) for thread in machine.programs.threads]
+    threads = sum(state << number for number, state in enumerate(states)) if layout.threads else any(states) << 7
     block = bytearray(layout.general)
     struct.pack_into("<H", block, 0, machine.time_counter() & 0xFFFF)
     block[2], block[12] = machine.io.input_byte(), machine.io.outputs

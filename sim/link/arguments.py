@@ -163,10 +163,10 @@ def requested_devices(chosen: argparse.Namespace) -> list[DeviceFields]:
 
 
 def _parse_address(text: str) -> TcpAddress | UdpAddress | PtyAddress:
-    kind, _, rest = text.partition(":")
-    if kind == "pty" and rest:
-        return PtyAddress(Path(rest).absolute())
-    host, _, port = rest.rpartition(":")
+    kind, _, value = text.partition(":")
+    if kind == "pty" and value:
+        return PtyAddress(Path(value).absolute())
+    host, _, port = value.rpartition(":")
     host = host.strip("[]")
     if kind not in ("tcp", "udp") or not host or not port.isdecimal() or int(port) > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not one of tcp:127.0.0.1:PORT, udp:127.0.0.1:PORT, pty:PATH")

@@ -117,9 +117,9 @@ class BridgeServer:
             self._throttle_clients(on=False)
         self.restore_link()
         if self._far is not None:
-            delivered = self._far.supply.cut_received(data, self._clock.now_ns(), self._char_ns)
-            if delivered:
-                self._far.receive_bytes(delivered)
+            data_left = self._far.supply.cut_received(data, self._clock.now_ns(), self._char_ns)
+            if data_left:
+                self._far.receive_bytes(data_left)
 
     def _send_to_clients(self, data: bytes) -> None:
         for client in list(self.clients):

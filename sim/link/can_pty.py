@@ -63,11 +63,11 @@ class _SlcanAdapter:
             self._node = None
 
     def _answer_line(self, line: bytes) -> bytes:
-        command, rest = line[:1], line[1:]
+        command, fields = line[:1], line[1:]
         try:
             if command in b"tTrR" and command:
-                return self._transmit_frame(command, rest)
-            return self._commands[command](rest)
+                return self._transmit_frame(command, fields)
+            return self._commands[command](fields)
         except (KeyError, ValueError, IndexError):
             return _BELL
 
@@ -111,14 +111,14 @@ class _SlcanAdapter:
         return b"F%02X\r" % flags
 
     def _transmit_frame(self, command: bytes, rest: bytes) -> bytes:
-        extended, remote = command in b"TR", command in b"rR"
-        digits = 8 if extended else 3
+        is_extended, remote = command in b"TR", command in b"rR"
+        digits = 8 if is_extended else 3
         length = int(rest[digits : digits + 1], 16)
         data = bytes(length) if remote else bytes.fromhex(rest[digits + 1 :].decode("ascii"))
         if self._node is None or self._listens_only or len(data) != length:
             return _BELL
-        self._node.queue_frames(CanFrame(int(rest[:digits], 16), data, extended, remote))
-        return b"Z\r" if extended else b"z\r"
+        self._node.queue_frames(CanFrame(int(rest[:digits], 16), data, is_extended, remote))
+        return b"Z\r" if is_extended else b"z\r"
 
     # The bus
 

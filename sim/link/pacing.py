@@ -44,9 +44,9 @@ class PacedLine:
             ends_ns, data = self._underway[0]
             self._underway.clear()
             self.waiting = 0
-            left = self._cut.cut_sent(data, ends_ns - len(data) * self._char_ns, ends_ns, self._char_ns)
-            if left:
-                self._deliver(left)
+            data_left = self._cut.cut_sent(data, ends_ns - len(data) * self._char_ns, ends_ns, self._char_ns)
+            if data_left:
+                self._deliver(data_left)
         self._free_ns = min(self._free_ns, at_ns)
 
     def _deliver_next(self) -> None:

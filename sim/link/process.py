@@ -96,7 +96,7 @@ async def _run_links(links: Sequence[argparse.Namespace]) -> None:
     clock = LiveClock()
     with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
-        followers = [await _open_link(chosen, clock, cleanup) for chosen in links]
+        followers = [await _open_link(link, clock, cleanup) for link in links]
         prepare_live_process()
         for chosen_link, (server, *_) in zip(links, followers, strict=True):
             sys.stdout.write(json.dumps({"name": chosen_link.name, **server.ready_fields}) + "\n")
@@ -145,8 +145,8 @@ async def _named_pipe(path: Path) -> asyncio.StreamReader:
         make_private_folder(path.parent)
         path.unlink(missing_ok=True)
         os.mkfifo(path, FILE_MODE)
-        opened = os.fdopen(open_private_file(path, os.O_RDWR | os.O_NONBLOCK), "rb", buffering=0)
-        await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), opened)
+        file = os.fdopen(open_private_file(path, os.O_RDWR | os.O_NONBLOCK), "rb", buffering=0)
+        await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), file)
     except OSError as error:
         raise CannotStart(f"--world: {path}: {error.strerror}") from None
     return reader
@@ -172,22 +172,22 @@ def _build_devices(model: str, requested: Sequence[DeviceFields], clock: LiveClo
 
 
 async def _serve_endpoint(chosen: argparse.Namespace, controller: LineEndpoint, clock: LiveClock) -> Server:
-    place = chosen.listen
+    address = chosen.listen
     try:
         if isinstance(controller, CanDevice):
-            if not isinstance(place, PtyAddress):
+            if not isinstance(address, PtyAddress):
                 raise CannotStart("--listen: a CAN bus can only be served at an slcan pseudo-terminal: pty:PATH")
-            return CanPtyServer(controller.segment, clock, place.link)
-        if isinstance(place, PtyAddress):
-            return PtyServer(controller, clock, place.link, chosen.baud, chosen.frame)
-        if isinstance(place, UdpAddress):
-            return await listen_udp(controller, place.host, place.port)
+            return CanPtyServer(controller.segment, clock, address.link)
+        if isinstance(address, PtyAddress):
+            return PtyServer(controller, clock, address.link, chosen.baud, chosen.frame)
+        if isinstance(address, UdpAddress):
+            return await listen_udp(controller, address.host, address.port)
         if TCP_PORT in controller.port_names:
-            return await listen_tcp(controller, place.host, place.port)
-        return await listen_bridge(controller, clock, place, chosen.baud, chosen.frame)
+            return await listen_tcp(controller, address.host, address.port)
+        return await listen_bridge(controller, clock, address, chosen.baud, chosen.frame)
     except (PortRefused, OSError) as error:
-        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE and not isinstance(place, PtyAddress):
-            raise CannotStart(f"port {place.port} of {place.host} is in use; choose another one") from None
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE and not isinstance(address, PtyAddress):
+            raise CannotStart(f"port {address.port} of {address.host} is in use; choose another one") from None
         raise CannotStart(f"--listen: {error}") from None
 
 

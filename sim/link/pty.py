@@ -103,9 +103,9 @@ class PtyServer:
             self._resume_reading()
         self.restore_link()
         if self._far is not None:
-            delivered = self._far.supply.cut_received(data, self._clock.now_ns(), self._char_ns)
-            if delivered:
-                self._far.receive_bytes(delivered)
+            data_left = self._far.supply.cut_received(data, self._clock.now_ns(), self._char_ns)
+            if data_left:
+                self._far.receive_bytes(data_left)
 
     # Output
 

@@ -43,9 +43,9 @@ class _TcpHandle(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         del exc
         self._server.handles.discard(self)
-        far, self._far = self._far, None
-        if far is not None:
-            far.close()
+        far_end, self._far = self._far, None
+        if far_end is not None:
+            far_end.close()
 
     def close_after_send(self) -> None:
         """Close the connection after the bytes sent so far."""

@@ -31,7 +31,7 @@ class GroundTruthLog:
             self._running.append(motions[self._polled_count])
             self._write_event("start", motions[self._polled_count])
             self._polled_count += 1
-        for motion in [each for each in self._running if _has_passed(each.slowing_ns, now_ns)]:
+        for motion in [motion for motion in self._running if _has_passed(motion.slowing_ns, now_ns)]:
             self._running.remove(motion)
             self._slowing.append(motion)
             self._write_event("slowing", motion)

@@ -32,7 +32,7 @@ class UdpServer(asyncio.DatagramProtocol):
         if handle is None:
             try:
                 handle = self._handles[addr] = self._controller.connect(
-                    PORT, lambda said: self._send_datagram(said, addr), lambda: self._drop_handle(addr)
+                    PORT, lambda data: self._send_datagram(data, addr), lambda: self._drop_handle(addr)
                 )
             except PortRefused:
                 return

@@ -60,7 +60,7 @@ def _apply_change(controller: SimulatedController, change: EnvironmentChange) ->
     if change.limit is not None:
         controller.set_limit(*change.limit)
     if change.stall is not None:
-        axis, stalled = change.stall
-        controller.set_stalled(axis, stalled=stalled)
+        axis, is_stalled = change.stall
+        controller.set_stalled(axis, stalled=is_stalled)
     if change.push is not None:
         controller.push_axis(*change.push)

@@ -97,9 +97,9 @@ def _start_positioning(
     def begin_after_motion() -> None:
         try:
             begin_positioning()
-        except InputRefused as why:
+        except InputRefused as refusal:
             if unit.echo:
-                client.send_reply(f"error: {why}")
+                client.send_reply(f"error: {refusal}")
 
     if axis.task is None:
         begin_positioning()
@@ -303,18 +303,18 @@ def _execute_tbg(unit: ControlProgram, client: CommandClient, rest: str) -> None
             target = axis.count_steps(distance) + (0 if absolute else axis.steps)
             machine.check_target(target)
             targets.append((axis, target))
-    refused: list[str] = []
+    refusals: list[str] = []
     for axis, target in targets:
         start_ns = machine.group_start_ns() if len(targets) > 1 else None
         steps = positioning_steps(machine, axis, target, PositioningStart(axis.settings.speed_profile, start_ns))
         try:
             _launch_task(unit, client, axis, TaskKind.POSITIONING, steps)
-        except InputRefused as why:
-            refused.append(str(why))
+        except InputRefused as refusal:
+            refusals.append(str(refusal))
     if not unit.options.keep_target_buffer:
         _execute_tbc(unit, client, "")
-    if refused:
-        raise InputRefused(", ".join(refused))
+    if refusals:
+        raise InputRefused(", ".join(refusals))
 
 
 # Special

@@ -98,7 +98,7 @@ def _execute_chconf(unit: ControlProgram, client: CommandClient, rest: str) -> N
 
 
 def _alias_names(name: str) -> tuple[str, ...]:
-    return tuple(alias for alias, meant in ALIASES.items() if meant == name)
+    return tuple(alias for alias, target in ALIASES.items() if target == name)
 
 
 SETUP: Commands = {

@@ -159,12 +159,12 @@ def _execute_fwrite(unit: ControlProgram, client: CommandClient, rest: str) -> N
     del client
     number, rest = split_axis(rest)
     axis = unit.machine.find_axis(1 if number is None else number)
-    name, star, what = text_after_colon(rest).partition("*")
-    name, what = _parse_file_name(name), what.strip().lower()
+    name, star, kind = text_after_colon(rest).partition("*")
+    name, kind = _parse_file_name(name), kind.strip().lower()
     if not star:
         raise InputRefused("'*' missing")
     drive, places = unit.machine.drive, axis.settings.dcpl
-    match what:
+    match kind:
         case "a":
             text = axis.name
         case "p":
@@ -173,10 +173,10 @@ def _execute_fwrite(unit: ControlProgram, client: CommandClient, rest: str) -> N
             text = format_decimal(unit.machine.measured_position(axis), places)
         case "ec":
             text = str(axis.encoder_increments(drive.exact_state(axis)[0]))
-        case _ if what in _SEPARATORS:
-            text = _SEPARATORS[what]
+        case _ if kind in _SEPARATORS:
+            text = _SEPARATORS[kind]
         case _:
-            raise InputRefused(f"unknown parameter '{what}'")
+            raise InputRefused(f"unknown parameter '{kind}'")
     content = unit.disk.files.get(name, "") + text
     if len(content) > _MOST_FILE:
         raise InputRefused("disk full")

@@ -27,8 +27,8 @@ def make_options(config: Controller, expected: Mapping[str, Any]) -> Mapping[str
 
 def _switch(axis: Axis) -> list[int]:
     """The ORG switch, on from a short distance in the direction of the search to the end of the travel."""
-    near, far = search_distance(axis), search_distance(axis) + 2 * span_counts(axis)
-    return [-far, -near] if axis.homing_sign < 0 else [near, far]
+    near_end, far_end = search_distance(axis), search_distance(axis) + 2 * span_counts(axis)
+    return [-far_end, -near_end] if axis.homing_sign < 0 else [near_end, far_end]
 
 
 def _gear(axis: Axis) -> Fraction | None:

@@ -204,8 +204,8 @@ class PpsmcController:
 
     def at_rest(self) -> bool:
         """Return whether nothing moves or settles, no program runs, and no command waits for its execution."""
-        still = self.machine.is_still and not self.unit.runner.is_running
-        return still and all(port.is_empty for port in self._ports)
+        is_still = self.machine.is_still and not self.unit.runner.is_running
+        return is_still and all(port.is_empty for port in self._ports)
 
     @property
     def commanded_motions(self) -> Sequence[CommandedMotion]:

@@ -14,19 +14,19 @@ from sim.ppsmc.unit import CommandClient, ControlProgram
 def _execute_information(unit: ControlProgram, client: CommandClient, rest: str) -> None:
     """`?`, `?:cmdlist` and `?:<command>` (L3851-L3883)."""
     if rest:
-        known_commands = _known_commands(unit)
+        commands = _known_commands(unit)
         if not rest.startswith(":"):
             raise InputRefused(f"unknown command '?{rest}'")
-        requested = rest[1:].strip().lower()
-        if requested == "cmdlist":
-            for name in sorted({*known_commands, *PROGRAM_NAMES}):
+        command = rest[1:].strip().lower()
+        if command == "cmdlist":
+            for name in sorted({*commands, *PROGRAM_NAMES}):
                 client.send_reply(name)
-        elif requested in known_commands:
-            client.send_reply(f"{requested}: {known_commands[requested].help}")
-        elif requested in PROGRAM_NAMES:
-            client.send_reply(f"{requested}: program command")
+        elif command in commands:
+            client.send_reply(f"{command}: {commands[command].help}")
+        elif command in PROGRAM_NAMES:
+            client.send_reply(f"{command}: program command")
         else:
-            raise InputRefused(f"no command '{requested}'")
+            raise InputRefused(f"no command '{command}'")
         return
     for line in (
         unit.firmware_version,
@@ -67,15 +67,15 @@ def execute_line(unit: ControlProgram, client: CommandClient, line: str, *, whol
         if not whole:
             raise InputRefused("line too long")
         _execute_command(unit, client, line)
-    except InputRefused as why:
+    except InputRefused as refusal:
         if unit.echo and not unit.blocked:
-            client.send_reply(f"error: {why}")
+            client.send_reply(f"error: {refusal}")
 
 
 def _execute_command(unit: ControlProgram, client: CommandClient, line: str) -> None:
-    name, rest = split_name(line)
+    name, arguments = split_name(line)
     if line.lower() == "*idn?":
-        name, rest = "*idn?", ""
+        name, arguments = "*idn?", ""
     if name.rstrip(";") in PROGRAM_NAMES or line[0].isdigit():
         _store_command(unit, name.rstrip(";"), line)
         return
@@ -90,7 +90,7 @@ def _execute_command(unit: ControlProgram, client: CommandClient, line: str) -> 
         raise InputRefused(f"'{name}' not allowed during positioning")
     if command.when is CommandUsage.NOT_PROGRAM and unit.runner.is_running:
         raise InputRefused(f"'{name}' not allowed during program execution")
-    command.run(unit, client, rest)
+    command.run(unit, client, arguments)
 
 
 def _store_command(unit: ControlProgram, name: str, line: str) -> None:

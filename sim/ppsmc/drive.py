@@ -81,10 +81,10 @@ class PulseGenerator:
         toward = run.path.first_at(-sign * math.inf, sign, after)
         if toward is None:
             return None
-        place = run.base + run.path.state_at(toward)[0] - axis.origin
-        if axis.switches.is_on(until.switch, round(place)) == until.on:
+        position = run.base + run.path.state_at(toward)[0] - axis.origin
+        if axis.switches.is_on(until.switch, round(position)) == until.on:
             return toward, None
-        bound = axis.switches.find_bound(until, place, sign)
+        bound = axis.switches.find_bound(until, position, sign)
         if bound is None:
             return None
         displacement = bound + axis.origin - run.base

@@ -21,8 +21,8 @@ class IncrementalEncoder:
         """Return the counter content with the motor at `mechanical`."""
         if self.per_step is None:
             return self.content
-        place = mechanical if self.stalled_at is None else self.stalled_at
-        return self.content + round((place - self.anchor) * self.per_step * multiplication)
+        position = mechanical if self.stalled_at is None else self.stalled_at
+        return self.content + round((position - self.anchor) * self.per_step * multiplication)
 
     def load_counter(self, content: int, mechanical: float) -> None:
         """Set the counter with the motor at `mechanical`."""

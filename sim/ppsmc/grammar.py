@@ -20,8 +20,8 @@ def split_name(line: str) -> tuple[str, str]:
     """Split a command line into its name (lower case, with a leading `?` or `*`) and the rest."""
     match = _NAME.fullmatch(line)
     assert match is not None
-    rest_sub = _COLON.sub(":", match[3].strip(), count=1)
-    return (match[1] or "") + match[2].lower(), rest_sub
+    arguments = _COLON.sub(":", match[3].strip(), count=1)
+    return (match[1] or "") + match[2].lower(), arguments
 
 
 def parse_decimal(text: str) -> Fraction:
@@ -76,15 +76,15 @@ def round_nearest(value: Fraction) -> int:
 
 def _divide_rounded(over: int, under: int) -> int:
     """Divide over / under, under > 0, rounded to the nearest integer, halves away from zero."""
-    whole = (2 * abs(over) + under) // (2 * under)
-    return whole if over >= 0 else -whole
+    quotient = (2 * abs(over) + under) // (2 * under)
+    return quotient if over >= 0 else -quotient
 
 
 def format_decimal(value: Fraction, decimals: int = 12, *, zeros: bool = False) -> str:
     """Format with at most `decimals` decimals, and trailing zeros removed unless `zeros` (decision 6)."""
-    scaled = _divide_rounded(value.numerator * 10**decimals, value.denominator)
-    digits = str(abs(scaled)).rjust(decimals + 1, "0")
-    whole, part = digits[:-decimals], digits[-decimals:]
+    number = _divide_rounded(value.numerator * 10**decimals, value.denominator)
+    digits = str(abs(number)).rjust(decimals + 1, "0")
+    integer, part = digits[:-decimals], digits[-decimals:]
     if not zeros:
         part = part.rstrip("0")
-    return ("-" if scaled < 0 else "") + whole + ("." + part if part else "")
+    return ("-" if number < 0 else "") + integer + ("." + part if part else "")

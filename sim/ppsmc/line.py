@@ -25,13 +25,13 @@ class ClientLineReader:
     def read_lines(self, data: bytes) -> list[ClientLine]:
         """Return the lines that `data` completes."""
         lines: list[ClientLine] = []
-        *complete, rest = data.replace(b"\n", b"").split(_CR)
+        *complete, tail = data.replace(b"\n", b"").split(_CR)
         for piece in complete:
             self._append_piece(piece)
             text = self._pending.decode("latin-1")
             self._pending.clear()
             lines.append(ClientLine(text, len(text) <= self.limit))
-        self._append_piece(rest)
+        self._append_piece(tail)
         return lines
 
     def discard_partial(self) -> None:

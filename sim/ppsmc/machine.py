@@ -121,13 +121,13 @@ class StepperHardware:
         self.check_input(axis)
 
         def handle_task_end(task: AxisTask, *, by_itself: bool) -> None:
-            queued, task.axis.queued = task.axis.queued, None
+            next_task, task.axis.queued = task.axis.queued, None
             if finished is not None:
                 finished()
             if self.on_ended is not None:
                 self.on_ended(task.axis)
-            if queued is not None and by_itself:
-                queued()
+            if next_task is not None and by_itself:
+                next_task()
 
         AxisTask(
             self.drive,
@@ -181,11 +181,11 @@ class StepperHardware:
     def set_stalled(self, axis: StepperAxis, *, stalled: bool) -> None:
         """Stall or free a stage. A stalled stage does not follow its motor; only its encoder detects it."""
         if axis.encoder is not None:
-            place = self.drive.exact_state(axis)[0] - axis.origin
+            position = self.drive.exact_state(axis)[0] - axis.origin
             if stalled:
-                axis.encoder.stall_stage(place)
+                axis.encoder.stall_stage(position)
             else:
-                axis.encoder.free_stage(place)
+                axis.encoder.free_stage(position)
 
 
 def _build_axis(number: int, options: PpsmcOptions) -> StepperAxis:
@@ -204,6 +204,6 @@ def _build_axis(number: int, options: PpsmcOptions) -> StepperAxis:
             switches.zones[switch] = zones[key]
     per_step = options.increments_per_step if options.encoder_follows else None
     encoder = IncrementalEncoder(per_step) if options.encoder else None
-    above, below = options.gears.get(str(number), (1, 1))
-    settings = AxisSettings(dcpl=options.dcpl, gnum=Fraction(above), gden=Fraction(below))
+    numerator, denominator = options.gears.get(str(number), (1, 1))
+    settings = AxisSettings(dcpl=options.dcpl, gnum=Fraction(numerator), gden=Fraction(denominator))
     return StepperAxis(number, settings, switches, encoder)

@@ -82,8 +82,8 @@ def oscillation_steps(machine: StepperHardware, axis: StepperAxis, amplitude: in
 def full_step(machine: StepperHardware, axis: StepperAxis, sign: int) -> Steps:
     """Move to the next full-step position (L4865)."""
     pitch = machine.options.full_step_steps
-    place = axis.steps - axis.origin
-    distance = pitch - place % pitch if sign > 0 else -(place % pitch or pitch)
+    position = axis.steps - axis.origin
+    distance = pitch - position % pitch if sign > 0 else -(position % pitch or pitch)
     profile = axis.settings.speed_profile
     yield MotionLeg(constant_path(distance, profile.ramp_speed), profile)
 

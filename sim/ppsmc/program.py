@@ -178,23 +178,23 @@ class ProgramMemory:
             line.positions.append(read_position(text, self._axes))
             line.text.append(command)
             return
-        name, rest = split_name(text)
+        name, argument = split_name(text)
         name = NAMES[name]
         if name == "lin":
-            number = parse_integer(rest, 0, _MOST_LINE)
+            number = parse_integer(argument, 0, _MOST_LINE)
             if line.text and (line.number is None or len(line.text) > 1):
                 # A part job without nl before it: the open line is complete.
                 self._close_line()
                 line = self._open
             line.number = number
         elif name == "nl":
-            require_end(rest)
+            require_end(argument)
             if line.text:
                 line.text.append(command)
                 self._close_line()
             return
         else:
-            self._add_part(line, name, rest)
+            self._add_part(line, name, argument)
         line.text.append(command)
         if name in ("end", "ret"):
             self._close_line()

@@ -41,6 +41,6 @@ def by_all_names(*tables: Commands) -> Commands:
     commands: Commands = {}
     for table in tables:
         for name, command in table.items():
-            for one in (name, *command.names):
-                commands[one] = command
+            for alias in (name, *command.names):
+                commands[alias] = command
     return commands

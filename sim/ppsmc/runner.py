@@ -226,12 +226,12 @@ class ProgramRunner:
     def _start_positions(self, positions: list[PositioningCommand], over: Callable[[], None]) -> None:
         """Start all axes of the line together; the line continues when the last one has ended."""
         machine = self._machine
-        left = len(positions)
+        count = len(positions)
 
         def handle_axis_end() -> None:
-            nonlocal left
-            left -= 1
-            if not left:
+            nonlocal count
+            count -= 1
+            if not count:
                 over()
 
         for position in positions:

@@ -46,13 +46,13 @@ class Shrc203Bench:
 
     def apply_given(self, state: Mapping[str, object]) -> None:
         """Set up the state of a vector's `given` or of a `setup` step."""
-        stated = _GivenState.model_validate(dict(state))
-        if stated.power is not None:
+        given_state = _GivenState.model_validate(dict(state))
+        if given_state.power is not None:
             self._controller.set_power(on=False)
             self._controller.set_power(on=True)
-        self._apply_positions(stated)
-        self._apply_signals(stated)
-        self._apply_conditions(stated)
+        self._apply_positions(given_state)
+        self._apply_signals(given_state)
+        self._apply_conditions(given_state)
 
     def _apply_positions(self, stated: _GivenState) -> None:
         for name, coordinate in stated.position.items():
@@ -69,8 +69,8 @@ class Shrc203Bench:
         for number, level in stated.outputs.items():
             value = unit.outputs.value
             unit.outputs.set_levels(value | bit_mask(number) if level else value & ~bit_mask(number))
-        for name, which in stated.limits.items():
-            controller.set_limit(name, which)
+        for name, switches in stated.limits.items():
+            controller.set_limit(name, switches)
         for name, on in stated.home.items():
             self._find_axis(name).home_sensor = on
 

@@ -112,8 +112,8 @@ class DoubleBuffer:
             axis.phase = AxisPhase.IDLE
             return
         for member in entry.axes:
-            taken_busy = member.is_busy and not (member.phase is AxisPhase.AWAITING and member.timer is None)
-            if taken_busy or self._next_entry(member) is not entry:
+            is_busy = member.is_busy and not (member.phase is AxisPhase.AWAITING and member.timer is None)
+            if is_busy or self._next_entry(member) is not entry:
                 return
         for member in entry.axes:
             self._migrate_entry(member)
@@ -133,22 +133,22 @@ class DoubleBuffer:
         )
 
     def _handle_completion(self, entry: Entry, at_ns: int, cause: EndCause) -> None:
-        ended = cause is EndCause.END
+        has_ended = cause is EndCause.END
         for axis in entry.axes:
             self.buffers[axis].operation = None
-            if not ended:
+            if not has_ended:
                 self._discard_entries(axis)
         speaks = entry.from_pre and (
-            ended
+            has_ended
             or (
                 self._options.completion_after_stop and cause in (EndCause.STOPPED, EndCause.LIMIT, EndCause.SOFT_LIMIT)
             )
         )
-        going_on = [axis for axis in entry.axes if self._migrate_and_notify(axis, speaks=speaks, ended=ended)]
+        going_on = [axis for axis in entry.axes if self._migrate_and_notify(axis, speaks=speaks, ended=has_ended)]
         handover_ns = round(self._options.handover_ms * NS_PER_MS)
         for axis in (axis for axis in going_on if axis.phase is AxisPhase.AWAITING):
             self._start_later(axis, at_ns + handover_ns)
-        if ended:
+        if has_ended:
             self._wake_waiting(at_ns)
         else:
             self._free_orphans()

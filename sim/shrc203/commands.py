@@ -147,7 +147,7 @@ def answer_line(unit: StageSystem, line: ReceivedLine, reply: Reply) -> str:
 def _dispatch_line(unit: StageSystem, text: str, reply: Reply) -> tuple[bool, str]:
     if text == "*IDN?":
         return True, answer_identity(unit)
-    head, colon, rest = text.partition(":")
+    head, colon, tail = text.partition(":")
     command = _COMMANDS.get(head)
     if not colon:
         if text != "G":
@@ -160,9 +160,9 @@ def _dispatch_line(unit: StageSystem, text: str, reply: Reply) -> tuple[bool, st
     if head == _JOG_OVERRIDE_ALIAS and unit.options.jo_refused:
         raise CommandRefused
     # In program mode only the emergency stop works (L5498).
-    if head == "L" and unit.area is CommandArea.PROGRAM and rest != "E":
+    if head == "L" and unit.area is CommandArea.PROGRAM and tail != "E":
         raise CommandRefused
-    return command.query or _is_query(text), command.execute(unit, rest, reply, head)
+    return command.query or _is_query(text), command.execute(unit, tail, reply, head)
 
 
 def _is_query(text: str) -> bool:

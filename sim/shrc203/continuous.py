@@ -43,12 +43,12 @@ def _leg_sign(leg: ContinuousLeg) -> int:
 
 def _append_one_direction(builder: PathBuilder, legs: Sequence[ContinuousLeg], sign: int, times: list[float]) -> None:
     # Highest speed at each point from which the motion can still stop at the last one.
-    allowed = [float(legs[-1].triple.start_speed)]
+    speeds = [float(legs[-1].triple.start_speed)]
     for leg in reversed(legs):
-        allowed.append(math.sqrt(allowed[-1] ** 2 + 2.0 * leg.triple.ramp_slope * abs(leg.distance)))
-    allowed.reverse()
+        speeds.append(math.sqrt(speeds[-1] ** 2 + 2.0 * leg.triple.ramp_slope * abs(leg.distance)))
+    speeds.reverse()
     v = float(legs[0].triple.start_speed)
-    for leg, limit in zip(legs, allowed[1:], strict=True):
+    for leg, limit in zip(legs, speeds[1:], strict=True):
         v = _append_leg(builder, leg, sign, v, limit)
         times.append(builder.t)
 

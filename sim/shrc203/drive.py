@@ -153,14 +153,14 @@ class PathGenerator:
     # End of a run
 
     def _next_event(self, run: PathRun, now_ns: int) -> _RunEvent | None:
-        after = (now_ns - run.t0_ns) * 1e-9
+        time_s = (now_ns - run.t0_ns) * 1e-9
         best: _RunEvent | None = None
         longest = max(track.path.duration for track in run.tracks)
         if not math.isinf(longest):
             best = _RunEvent(run.t0_ns + round(longest * NS_PER_S), run.end_cause)
         for track in run.tracks:
             for sign in (1, -1):
-                for t, cause, error in self._stop_instants(run, track, sign, after):
+                for t, cause, error in self._stop_instants(run, track, sign, time_s):
                     at_ns = run.t0_ns + math.ceil(t * NS_PER_S - 1e-6)
                     if best is None or at_ns < best.at_ns:
                         best = _RunEvent(at_ns, cause, track, sign, error)
@@ -171,21 +171,21 @@ class PathGenerator:
     ) -> list[tuple[float, EndCause, str]]:
         """Return the instants at which a limit on this axis would stop a motion in direction `sign`."""
         axis, path = track.axis, track.path
-        found: list[tuple[float | None, EndCause, str]] = []
+        stops: list[tuple[float | None, EndCause, str]] = []
         if axis.limits is not None:
             if axis.limit_on(sign, 0.0):
-                found.append((path.first_toward(sign, after), EndCause.LIMIT, ""))
+                stops.append((path.first_toward(sign, after), EndCause.LIMIT, ""))
         elif axis.travel is not None:
-            found.append((path.first_at(axis.travel[sign > 0] - track.start, sign, after), EndCause.LIMIT, ""))
+            stops.append((path.first_at(axis.travel[sign > 0] - track.start, sign, after), EndCause.LIMIT, ""))
         for bound, cause, error in self._counter_bounds(run, axis, sign):
             # Ending exactly there is allowed, continuing is not.
             passing = path.first_at(bound - axis.offset - track.start, sign, after)
             if passing is not None and passing < path.duration - 1e-9:
-                found.append((passing, cause, error))
+                stops.append((passing, cause, error))
         if axis.stalled_at is not None and axis.closed_loop:
             bound = axis.stalled_at + sign * self._options.overflow_pls - track.start
-            found.append((path.first_at(bound, sign, after), EndCause.ERROR, "S4"))
-        return [(t, cause, error) for t, cause, error in found if t is not None]
+            stops.append((path.first_at(bound, sign, after), EndCause.ERROR, "S4"))
+        return [(t, cause, error) for t, cause, error in stops if t is not None]
 
     def _counter_bounds(self, run: PathRun, axis: StageAxis, sign: int) -> list[tuple[int, EndCause, str]]:
         """Return the coordinates that a motion in direction `sign` must not pass (decisions 29 and 37)."""

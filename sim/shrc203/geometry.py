@@ -56,8 +56,8 @@ def _find_sweep(arc: ArcMove) -> _ArcSweep:
     if arc.angle is None:
         return _ArcSweep((float(cx), float(cy)), sign * _TURN * arc.rotations, (0, 0))
     angle = sign * math.radians(float(arc.angle))
-    turned_sign = sign * math.radians(float(arc.angle % 360))
-    cos, sin = math.cos(turned_sign), math.sin(turned_sign)
+    turn = sign * math.radians(float(arc.angle % 360))
+    cos, sin = math.cos(turn), math.sin(turn)
     end = (_round_away(cx - cx * cos + cy * sin), _round_away(cy - cx * sin - cy * cos))
     return _ArcSweep((float(cx), float(cy)), angle, end)
 

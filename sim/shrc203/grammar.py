@@ -95,13 +95,13 @@ def parse_speed(axis: StageAxis, unit: str, number: str) -> int:
 def format_decimal(value: Fraction, decimals: int | None = None) -> str:
     """Format a plain decimal; up to nine decimals without trailing zeros, or exactly `decimals`."""
     places = 9 if decimals is None else decimals
-    scaled = round_nearest(abs(value) * 10**places)
-    sign = "-" if value < 0 and scaled else ""
-    whole, rest = divmod(scaled, 10**places)
-    text = f"{rest:0{places}d}" if places else ""
+    number = round_nearest(abs(value) * 10**places)
+    sign = "-" if value < 0 and number else ""
+    integer, fraction = divmod(number, 10**places)
+    text = f"{fraction:0{places}d}" if places else ""
     if decimals is None:
         text = text.rstrip("0")
-    return f"{sign}{whole}.{text}" if text else f"{sign}{whole}"
+    return f"{sign}{integer}.{text}" if text else f"{sign}{integer}"
 
 
 def format_in_unit(axis: StageAxis, unit: str, value: int) -> str:
@@ -111,17 +111,17 @@ def format_in_unit(axis: StageAxis, unit: str, value: int) -> str:
 
 def split_repeated(pattern: re.Pattern[str], text: str, count: int) -> list[re.Match[str]]:
     """Match `text` as exactly `count` repetitions of `pattern`, one after the other."""
-    found: list[re.Match[str]] = []
+    matches: list[re.Match[str]] = []
     at = 0
     for _ in range(count):
         match = pattern.match(text, at)
         if match is None or match.end() == at:
             raise CommandRefused
-        found.append(match)
+        matches.append(match)
         at = match.end()
     if at != len(text):
         raise CommandRefused
-    return found
+    return matches
 
 
 def axis_letter(axes: Sequence[StageAxis]) -> str:

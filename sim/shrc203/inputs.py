@@ -56,13 +56,13 @@ class InputScanner:
 
     def _run_scan(self, at_ns: int) -> None:
         self._timer = None
-        seen = [
+        waiters = [
             (waiter, released_wait) for waiter, (pattern, released_wait) in self._waits.items() if pattern == self.value
         ]
-        for owner, _ in seen:
+        for owner, _ in waiters:
             del self._waits[owner]
-        for _, released in seen:
-            released(at_ns)
+        for _, release in waiters:
+            release(at_ns)
 
 
 @dataclass(slots=True)
@@ -73,8 +73,8 @@ class OutputLevels:
     listeners: list[Callable[[int, bool], None]] = field(default_factory=list[Callable[[int, bool], None]])
 
     def set_levels(self, value: int) -> None:
-        changed, self.value = self.value ^ value, value
+        changes, self.value = self.value ^ value, value
         for number in range(1, LINES + 1):
-            if changed & bit_mask(number):
+            if changes & bit_mask(number):
                 for listener in self.listeners:
                     listener(number, bool(value & bit_mask(number)))

@@ -39,7 +39,7 @@ class SerialLineReader:
         """Return the lines that `data` completes. Empty ones are dropped."""
         end = _CR if self.cr_only else _LF
         lines: list[ReceivedLine] = []
-        *complete, rest = data.split(bytes((end,)))
+        *complete, tail = data.split(bytes((end,)))
         for piece in complete:
             self._append_piece(piece)
             line = bytes(self._pending)
@@ -48,7 +48,7 @@ class SerialLineReader:
             if line:
                 clean = not any(byte == _NUL or byte >= _FIRST_NON_ASCII for byte in line)
                 lines.append(ReceivedLine(line.decode("latin-1"), clean, len(line) <= self.limit))
-        self._append_piece(rest)
+        self._append_piece(tail)
         return lines
 
     def discard_partial(self) -> None:

@@ -45,10 +45,10 @@ def _write_buffers(unit: StageSystem, axes: Sequence[StageAxis], entries: Sequen
         for entry in entries:
             unit.chain.set_execution(entry)
         return "OK"
-    deferred = unit.chain.is_deferred(axes)
+    is_deferred = unit.chain.is_deferred(axes)
     for entry in entries:
         unit.chain.set_pre(entry)
-    return "OK_D" if deferred else "OK"
+    return "OK_D" if is_deferred else "OK"
 
 
 def _set_travel(unit: StageSystem, text: str, *, absolute: bool, pre: bool) -> str:
@@ -60,8 +60,8 @@ def _set_travel(unit: StageSystem, text: str, *, absolute: bool, pre: bool) -> s
     groups = [match.groups() for match in split_repeated(_AMOUNT, body[1:], len(axes))]
     triples: list[SpeedTriple | None] = [None] * len(axes)
     if speeds is not None:
-        found = split_repeated(TRIPLE, speeds, len(axes))
-        pairs = zip(axes, groups, found, strict=True)
+        speed_groups = split_repeated(TRIPLE, speeds, len(axes))
+        pairs = zip(axes, groups, speed_groups, strict=True)
         triples = [read_triple(axis, letter, match.groups()) for axis, (_, letter, _), match in pairs]
     entries = [
         TravelMove(axis, absolute, _apply_sign(sign, parse_pulses(axis, letter, number)), triple, pre)
@@ -177,14 +177,14 @@ def _set_arc(unit: StageSystem, text: str, *, pre: bool) -> str:
     match = _ARC.fullmatch(body)
     if match is None:
         raise CommandRefused
-    form, letter, direction, rotations, rest = int(match[1]), match[2], match[3], match[4], match[5]
+    form, letter, direction, rotations, fields = int(match[1]), match[2], match[3], match[4], match[5]
     helix = form >= 3
     if (helix and letter != "A") or (rotations is not None) != (form == 3):
         raise CommandRefused
     plane = unit.resolve_axes(letter)
     axes = unit.resolve_axes("D") if helix else plane
     _check_interpolation(unit, axes, pre=pre)
-    texts = _ArcFields(unit, rest)
+    texts = _ArcFields(unit, fields)
     values = tuple(texts.read_amount(plane[at % 2]) for at in range(_VALUES[form]))
     if form in (2, 5):
         try:

@@ -21,16 +21,16 @@ def find_origin(drive: PathGenerator, axis: StageAxis, at_ns: int, ready: Ready)
     """Start the mechanical origin return of one axis; at its end the coordinate there is 0 (L2684)."""
     triple = axis.origin_triple
     creep = SpeedTriple(triple.s, triple.s, triple.r)
-    away_origin = axis.origin - axis.position
-    sign = 1 if away_origin > 0 else -1
+    distance = axis.origin - axis.position
+    sign = 1 if distance > 0 else -1
     past = math.ceil((triple.s + triple.f) * triple.r / 2000)
-    back = max(1, math.ceil(triple.s * _CREEP_S))
+    retreat = max(1, math.ceil(triple.s * _CREEP_S))
     if axis.travel is not None:
         # The stage must reverse before it reaches a limit switch.
         room = axis.travel[1] - axis.origin if sign > 0 else axis.origin - axis.travel[0]
-        origin_behind = axis.origin - axis.travel[0] if sign > 0 else axis.travel[1] - axis.origin
-        past, back = min(past, max(0, room - 1)), min(back, max(0, origin_behind - 1))
-    path = joined_path([away_origin + sign * past, -sign * (past + back), sign * back], [triple, triple, creep])
+        room_behind = axis.origin - axis.travel[0] if sign > 0 else axis.travel[1] - axis.origin
+        past, retreat = min(past, max(0, room - 1)), min(retreat, max(0, room_behind - 1))
+    path = joined_path([distance + sign * past, -sign * (past + retreat), sign * retreat], [triple, triple, creep])
 
     def set_origin(run: PathRun, ready_ns: int, cause: EndCause) -> None:
         if cause is EndCause.END:

@@ -71,8 +71,8 @@ class RampPath:
         for segment in reversed(self.segments):
             if segment.t <= t:
                 break
-        after = max(t, segment.t)
-        return segment.x_at(after), segment.v_at(after)
+        instant = max(t, segment.t)
+        return segment.x_at(instant), segment.v_at(instant)
 
     def first_at(self, bound: float, sign: int, after: float) -> float | None:
         return first_at(self.segments, self.duration, bound, sign, after)

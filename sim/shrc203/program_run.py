@@ -125,8 +125,8 @@ class ProgramRun:
     def _execute_line(self, at_ns: int) -> None:
         self._timers.clear()
         while self.line <= LINES and self._program.get(self.line, NONE) is NONE:
-            program_later = [number for number in self._program if number > self.line]
-            self.line = min(program_later, default=LINES + 1)
+            later_lines = [number for number in self._program if number > self.line]
+            self.line = min(later_lines, default=LINES + 1)
         if self.line > LINES:
             self.line = LINES
             self._complete_line()

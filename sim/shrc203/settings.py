@@ -109,12 +109,12 @@ def set_loop(unit: StageSystem, text: str) -> None:
 def set_excitation(unit: StageSystem, text: str) -> None:
     """C:ac, 0 off, 1 on (L2411)."""
     axes = unit.resolve_axes(text[:1] or "?")
-    excited_switch = _parse_switch(text[1:])
+    is_on = _parse_switch(text[1:])
     unit.require_ready(axes)
     for axis in axes:
-        if excited_switch and not axis.excited:
+        if is_on and not axis.excited:
             axis.restore_torque()
-        axis.excited = excited_switch
+        axis.excited = is_on
 
 
 def cancel_errors(unit: StageSystem, text: str) -> None:
@@ -179,11 +179,11 @@ def _parse_speeds(unit: StageSystem, text: str) -> list[tuple[StageAxis, int]]:
 
 
 def _change_triples(unit: StageSystem, text: str, change: Callable[[SpeedTriple, int], SpeedTriple]) -> None:
-    changed_axis = [(axis, change(axis.triple, value)) for axis, value in _parse_speeds(unit, text)]
-    unit.require_ready([axis for axis, _ in changed_axis])
-    if any(triple.s > triple.f for _, triple in changed_axis):
+    new_triples = [(axis, change(axis.triple, value)) for axis, value in _parse_speeds(unit, text)]
+    unit.require_ready([axis for axis, _ in new_triples])
+    if any(triple.s > triple.f for _, triple in new_triples):
         raise CommandRefused
-    for axis, triple in changed_axis:
+    for axis, triple in new_triples:
         axis.triple = triple
 
 

@@ -51,9 +51,9 @@ def status_word(unit: StageSystem, axis: StageAxis, at_ns: int) -> int:
     if axis.run is not None:
         bits |= _RETURN_BITS.get(axis.run.kind, 0)
     if axis.closed_loop:
-        away = unit.drive.scale_position(axis, at_ns) != position
+        is_away = unit.drive.scale_position(axis, at_ns) != position
         settling = axis.phase is AxisPhase.SETTLING and unit.options.settle_ms > 0
-        if away or settling:
+        if is_away or settling:
             bits |= _OUT_BUSY if axis.is_busy else _OUT_READY
     if unit.options.near_pls and abs(position - axis.origin) <= unit.options.near_pls:
         bits |= _NEAR

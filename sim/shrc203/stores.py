@@ -146,8 +146,8 @@ def execute_position_record(unit: StageSystem, text: str, reply: Reply) -> str:
         if verb == "DEL":
             return _delete_record(unit, records, number)
         offsets = [axis.offset for axis in unit.axes]
-        record_here = _build_record([place + offset for place, offset in zip(records[number], offsets, strict=True)])
-        return _recall_record(unit, verb, record_here, reply)
+        record = _build_record([position + offset for position, offset in zip(records[number], offsets, strict=True)])
+        return _recall_record(unit, verb, record, reply)
     return _answer_without_record(unit, verb)
 
 

@@ -69,9 +69,9 @@ class MemorySwitches:
 
     def save_edited(self) -> bool:
         """MS:OFF (L7342). Return True when a change makes the controller restart by itself."""
-        before, self._saved = self._saved, copy.deepcopy(self._edited)
-        general = any(before[GENERAL][n] != self._saved[GENERAL][n] for n in (G_AXIS, G_FORMAT))
-        return general or any(before[item] != self._saved[item] for item in _RESTARTING)
+        old_switches, self._saved = self._saved, copy.deepcopy(self._edited)
+        general = any(old_switches[GENERAL][n] != self._saved[GENERAL][n] for n in (G_AXIS, G_FORMAT))
+        return general or any(old_switches[item] != self._saved[item] for item in _RESTARTING)
 
     def put_content(self, item: int, content: int, text: str) -> None:
         self._edited[item][content] = _check_content(item, content, text)
@@ -127,8 +127,8 @@ class MemorySwitches:
         return self._saved[FEEDBACK][index] == "0"
 
     def soft_limits(self, index: int) -> tuple[int, int] | None:
-        enabled, low, high = self._saved[SOFT_LIMIT][3 * index : 3 * index + 3]
-        return (int(low), int(high)) if enabled == "1" else None
+        switch, low, high = self._saved[SOFT_LIMIT][3 * index : 3 * index + 3]
+        return (int(low), int(high)) if switch == "1" else None
 
 
 def _check_content(item: int, content: int, text: str) -> str:

@@ -138,25 +138,25 @@ class TriggerOutput:
     def _arm_position(self, run: PathRun, setting: TriggerSetting, now_ns: int) -> None:
         """Wait for the next position, an interval away from the last trigger, in a direction that counts."""
         track = next(track for track in run.tracks if track.axis is setting.axis)
-        after = (now_ns - run.t0_ns) * 1e-9
+        time_s = (now_ns - run.t0_ns) * 1e-9
         signs = {PULSE: (1, -1), SCALE_PLUS: (1,), SCALE_MINUS: (-1,)}[setting.mode]
         step = self._pulse_interval(setting, track.axis)
         due: tuple[float, float, int] | None = None
         for sign in signs:
-            place = self._last + sign * step
-            t = track.path.first_at(place - track.start, sign, after)
+            position = self._last + sign * step
+            t = track.path.first_at(position - track.start, sign, time_s)
             if t is not None and (due is None or t < due[0]):
-                due = (t, place, sign)
+                due = (t, position, sign)
         if due is None:
             return
-        at_ns, (_, place, sign) = run.t0_ns + math.ceil(due[0] * 1e9 - 1e-6), due
+        at_ns, (_, position, sign) = run.t0_ns + math.ceil(due[0] * 1e9 - 1e-6), due
         speed = abs(track.path.state_at(due[0] - 1e-9)[1])  # at the end of the path it is 0
 
         def handle_position() -> None:
             self._timer = None
             # Not if the axis was halted before it came there.
-            if self.setting is setting and self._is_at(track.axis, place, sign):
-                self._last = place
+            if self.setting is setting and self._is_at(track.axis, position, sign):
+                self._last = position
                 if speed <= _MOST_SPEED:
                     self.fire_pulse()
                 if track.axis.run is run:

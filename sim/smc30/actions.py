@@ -137,7 +137,7 @@ class StatementExecutor:
         if ticks > _LAST_DELAY:
             raise StatementRefused("E4")
         self._values.delay = ticks
-        return lambda done: self._tempo.call_after(ticks * _NS_PER_TICK, done) if ticks else done()
+        return lambda on_end: self._tempo.call_after(ticks * _NS_PER_TICK, on_end) if ticks else on_end()
 
     def _assign_value(self, target: Target, value: int) -> Activity | None:
         match target:
@@ -156,16 +156,16 @@ class StatementExecutor:
 
     @execute_statement.register
     def _initialize_state(self, statement: InitializeState) -> Activity | None:
-        values, what = self._values, statement.what
-        if what in (1, 3):
+        values, kind = self._values, statement.what
+        if kind in (1, 3):
             values.drive.set_counter(0)
-        if what in (2, 3):
+        if kind in (2, 3):
             self._targets.outputs.clear_outputs()
-        if what == 5:
+        if kind == 5:
             values.registers.values.clear()
-        if what == 6:
+        if kind == 6:
             return self.access_memory(self._options.save_s, self._save_registers)
-        if what == 7:
+        if kind == 7:
             return self.access_memory(self._options.recall_s, self._recall_registers)
         return None
 

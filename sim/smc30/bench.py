@@ -39,22 +39,22 @@ class Smc30Bench:
 
     def apply_given(self, state: Mapping[str, object]) -> None:
         """Set up the state of a vector's `given` or of a `setup` step."""
-        stated = _GivenState.model_validate(dict(state))
+        given_state = _GivenState.model_validate(dict(state))
         controller = self._controller
-        if stated.power is not None:
+        if given_state.power is not None:
             controller.set_power(on=False)
             controller.set_power(on=True)
-        for axis, counter in stated.position.items():
+        for axis, counter in given_state.position.items():
             controller.find_indexer(axis).drive.set_counter(counter)
-        for number, level in stated.inputs.items():
+        for number, level in given_state.inputs.items():
             controller.set_input(number, level=level)
-        for number, volts in stated.analog.items():
+        for number, volts in given_state.analog.items():
             controller.set_analog(number, volts)
-        for number, level in stated.outputs.items():
+        for number, level in given_state.outputs.items():
             controller.set_output(number, level=level)
-        for axis, which in stated.limits.items():
-            controller.set_limit(axis, which)
-        for axis in stated.stalled:
+        for axis, switches in given_state.limits.items():
+            controller.set_limit(axis, switches)
+        for axis in given_state.stalled:
             controller.set_stalled(axis, stalled=True)
 
     def is_refusal(self, reply: bytes) -> bool:

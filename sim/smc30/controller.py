@@ -158,7 +158,7 @@ class Smc30Controller:
         self.character_ns = _BITS_PER_CHARACTER * NS_PER_S // options.baud
         self._numbers_by_place = len(places) > 1
         self._listeners: list[Callable[[int, bool], None]] = []
-        self._stations = [BusStation(clock, place, self) for place in places]
+        self._stations = [BusStation(clock, address, self) for address in places]
         for number, station in enumerate(self._stations, start=1):
             station.unit.outputs.listeners.append(self._output_relay(number))
 
@@ -228,7 +228,7 @@ class Smc30Controller:
         if last.station.address != station.address and self.options.collisions == "same_address":
             return data
         under = last.data[(now_ns - last.begin_ns) // self.character_ns :].ljust(len(data), b"\x7f")
-        return bytes(one & other for one, other in zip(data, under, strict=False))
+        return bytes(byte & mask for byte, mask in zip(data, under, strict=False))
 
     # Environment
 
@@ -242,8 +242,8 @@ class Smc30Controller:
         self._find_station(axis).set_power(on=on)
 
     def set_input(self, number: int, *, level: bool) -> None:
-        place, own = self._split_number(number)
-        unit = self._stations[place - 1].unit
+        address, own = self._split_number(number)
+        unit = self._stations[address - 1].unit
         if own == STOP_INPUT:
             unit.set_stop_input(held=level)
         elif 1 <= own <= USER_INPUTS:
@@ -255,10 +255,10 @@ class Smc30Controller:
 
     def set_analog(self, number: int, volts: float) -> None:
         """Set the voltage at an analogue input, numbered like the user inputs, 1-6 of a place."""
-        place, own = self._split_number(number)
+        address, own = self._split_number(number)
         if not 1 <= own <= ANALOGUE_INPUTS:
             refuse_analog(number, f"1 to {ANALOGUE_INPUTS}")
-        self._stations[place - 1].unit.inputs.set_volts(own, volts)
+        self._stations[address - 1].unit.inputs.set_volts(own, volts)
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:
         self._find_station(axis).unit.drive.set_limits(which)
@@ -273,15 +273,15 @@ class Smc30Controller:
         self._find_station(axis).unit.drive.push_axis(counts)
 
     def output_level(self, number: int) -> bool:
-        place, own = self._split_number(number)
+        address, own = self._split_number(number)
         if not 1 <= own <= USER_OUTPUTS:
             raise ValueError(f"no output {number}; a device has 1-{USER_OUTPUTS}")
-        return self._stations[place - 1].unit.outputs.output_level(own)
+        return self._stations[address - 1].unit.outputs.output_level(own)
 
     def set_output(self, number: int, *, level: bool) -> None:
         """Set an output to a level, as a test's initial state."""
-        place, own = self._split_number(number)
-        self._stations[place - 1].unit.outputs.set_output(own, on=level)
+        address, own = self._split_number(number)
+        self._stations[address - 1].unit.outputs.set_output(own, on=level)
 
     def on_output(self, listener: Callable[[int, bool], None]) -> None:
         """Subscribe to output changes. Outputs of a bus are reported as 10 * place + 1-3, of a single device as 1-3."""
@@ -323,10 +323,10 @@ class Smc30Controller:
         raise ValueError(f"no axis {axis!r}; there are {', '.join(self.axis_names)}")
 
     def _split_number(self, number: int) -> tuple[int, int]:
-        place, own = divmod(number, _PLACE)
-        if place > len(self._stations):
-            raise ValueError(f"no device at place {place}; there are {len(self._stations)}")
-        return max(place, 1), own
+        address, own = divmod(number, _PLACE)
+        if address > len(self._stations):
+            raise ValueError(f"no device at place {address}; there are {len(self._stations)}")
+        return max(address, 1), own
 
     def _output_relay(self, place: int) -> Callable[[int, bool], None]:
         base = place * _PLACE if self._numbers_by_place else 0

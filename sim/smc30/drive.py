@@ -221,9 +221,9 @@ class StepGenerator:
         if held:
             if (run := self._run) is not None:
                 distance = run.profile.distance
-                made = abs(self._steps_made())
+                step_count = abs(self._steps_made())
                 self._cut_run()
-                self._frozen = replace(run.order, steps=distance - made)
+                self._frozen = replace(run.order, steps=distance - step_count)
         elif (frozen := self._frozen) is not None:
             self._frozen = None
             self.start_run(frozen)

@@ -89,22 +89,22 @@ class OperandValues:
 
     def is_true(self, statement: IfComparison) -> bool:
         """Return whether a comparison is true; its operands are at most 32767 (L3003)."""
-        left, right = self.read_operand(statement.left), self.read_operand(statement.right)
-        if max(left, right) > _SIGNED:
+        first_value, second_value = self.read_operand(statement.left), self.read_operand(statement.right)
+        if max(first_value, second_value) > _SIGNED:
             raise StatementRefused("E4")
         match statement.comparison:
             case "<":
-                return left < right
+                return first_value < second_value
             case ">":
-                return left > right
+                return first_value > second_value
             case "=":
-                return left == right
+                return first_value == second_value
             case "<=":
-                return left <= right
+                return first_value <= second_value
             case ">=":
-                return left >= right
+                return first_value >= second_value
             case "<>":
-                return left != right
+                return first_value != second_value
 
 
 def _apply_operator(operator: Operator, left: int, right: int) -> int:

@@ -52,11 +52,11 @@ class StringReader:
     def read_strings(self, data: bytes) -> Iterator[ReceivedString]:
         """Yield the strings that `data` completes."""
         if self.parity == "stripped" and data.isascii():
-            *complete, rest = data.split(b"\r")
+            *complete, tail = data.split(b"\r")
             for piece in complete:
                 self._append_piece(piece)
                 yield from self._complete_strings()
-            self._append_piece(rest)
+            self._append_piece(tail)
             return
         for byte in data:
             good = byte.bit_count() % 2 == 1 if self.parity == "wire" else byte < _PARITY_BIT
@@ -82,12 +82,12 @@ class StringReader:
 
     def _complete_strings(self) -> Iterator[ReceivedString]:
         text, spoilt, stranger = bytes(self._text), self._spoilt, self._stranger
-        held, self._held = self._held, None
+        piece, self._held = self._held, None
         self._text.clear()
         self._spoilt = self._stranger = False
-        if held is not None:
+        if piece is not None:
             if not text and not spoilt:
-                yield self._decode_string(held)
+                yield self._decode_string(piece)
                 return
             yield ReceivedString("", intact=False)
         if self.address:

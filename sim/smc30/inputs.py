@@ -82,8 +82,8 @@ class InputLevels:
         return self._user[contact.number]
 
     def is_beyond(self, threshold: AnalogueThreshold) -> bool:
-        above = self._analogue[threshold.input] >= threshold.reference
-        return above == threshold.above
+        is_above = self._analogue[threshold.input] >= threshold.reference
+        return is_above == threshold.above
 
     def is_fulfilled(self, condition: StartCondition) -> bool:
         """Return whether a level or a threshold is present."""

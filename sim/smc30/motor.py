@@ -98,10 +98,10 @@ class MotorCommands:
     def prepare_motion(self, statement: Motor) -> Activity:
         """Interpret a motor command; `StatementRefused` if its registers cannot be interpreted."""
         if isinstance(statement, SearchHome):
-            return lambda done: self._start_homing(statement.sign, done)
+            return lambda on_end: self._start_homing(statement.sign, on_end)
         order = self._build_order(statement)
         armed_move, self.armed = self.armed, None
-        return lambda done: self._begin_order(order, armed_move, done)
+        return lambda on_end: self._begin_order(order, armed_move, on_end)
 
     def _build_order(self, statement: MoveSteps | MoveAnalogue | RunOn) -> _MotorOrder:
         parameters = self._motor_parameters
@@ -196,11 +196,11 @@ class MotorCommands:
             return
         if isinstance(stop, FallingInput):
             high = self._inputs.user_level(stop.input)
-            fulfilled_high = self._stop_was_high and not high
+            is_fulfilled = self._stop_was_high and not high
             self._stop_was_high = high
         else:
-            fulfilled_high = self._inputs.is_fulfilled(stop)
-        if fulfilled_high:
+            is_fulfilled = self._inputs.is_fulfilled(stop)
+        if is_fulfilled:
             self._stop = None
             self._drive.ramp_down()
 

@@ -89,8 +89,8 @@ class Smc30Options(IndexerOptions):
         if not self.units:
             return [self]
         common = {name: getattr(self, name) for name in self.model_fields_set & IndexerOptions.model_fields.keys()}
-        stated = [{name: getattr(unit, name) for name in unit.model_fields_set} for unit in self.units]
-        return [IndexerOptions.model_validate({**common, **own}) for own in stated]
+        own_options = [{name: getattr(unit, name) for name in unit.model_fields_set} for unit in self.units]
+        return [IndexerOptions.model_validate({**common, **own}) for own in own_options]
 
 
 _TIMES = ("line_ms", "start_latency_ms", "input_filter_ms", "input_poll_ms", "save_s", "recall_s")

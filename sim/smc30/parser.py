@@ -83,10 +83,10 @@ def _build_force(match: re.Match[str]) -> Statement:
 
 
 def _build_initialize(match: re.Match[str]) -> Statement:
-    what = parse_bounded(match[1], 1, 7)
-    if what == 4:
+    scope = parse_bounded(match[1], 1, 7)
+    if scope == 4:
         raise StatementRefused("E4")
-    return InitializeState(what)
+    return InitializeState(scope)
 
 
 def _build_move(match: re.Match[str]) -> Statement:
@@ -216,8 +216,8 @@ def _build_print(match: re.Match[str]) -> Statement:
     module = parse_bounded(match[1], 1, _PC)
     if 31 < module < _PC:
         raise StatementRefused("E4")
-    what: Operand | str = match[4] if match[4] is not None else read_operand(match[3])
-    return PrintText(module, parse_bounded(match[2], 0, 255), what)
+    content: Operand | str = match[4] if match[4] is not None else read_operand(match[3])
+    return PrintText(module, parse_bounded(match[2], 0, 255), content)
 
 
 def _build_if(match: re.Match[str]) -> Statement:
@@ -225,21 +225,23 @@ def _build_if(match: re.Match[str]) -> Statement:
 
 
 def _build_input(match: re.Match[str]) -> Statement:
-    allowed = None
+    value_range = None
     if match[4] is not None:
         low, high = (match[4], match[5]) if match[5] is not None else ("0", match[4])
-        allowed = (parse_bounded(low, 0, WORD), parse_bounded(high, 0, WORD))
-    return ReadInput(read_target(match[1]), parse_bounded(match[2], 0, 31), parse_bounded(match[3], 0, 255), allowed)
+        value_range = (parse_bounded(low, 0, WORD), parse_bounded(high, 0, WORD))
+    return ReadInput(
+        read_target(match[1]), parse_bounded(match[2], 0, 31), parse_bounded(match[3], 0, 255), value_range
+    )
 
 
 def _build_assign(match: re.Match[str]) -> Statement:
-    target, left = read_target(match[1]), match[2]
+    target, operand = read_target(match[1]), match[2]
     if match[3] is not None:
-        return AssignRegister(target, read_operand(left), cast(Operator, match[3]), read_operand(match[4]))
-    if isinstance(target, PredefinedRegister) and left.isdigit() and target.letter in ("R", "S", "T"):
+        return AssignRegister(target, read_operand(operand), cast(Operator, match[3]), read_operand(match[4]))
+    if isinstance(target, PredefinedRegister) and operand.isdigit() and target.letter in ("R", "S", "T"):
         # T=2000 is T2000 (L3000), so its bounds apply as well.
-        parse_bounded(left, *RANGES[target.letter], "E5")
-    return AssignRegister(target, read_operand(left))
+        parse_bounded(operand, *RANGES[target.letter], "E5")
+    return AssignRegister(target, read_operand(operand))
 
 
 def _build_flag(match: re.Match[str]) -> Statement:

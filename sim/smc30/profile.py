@@ -50,8 +50,8 @@ class StepProfile:
             piece = candidate
         steps_left = steps - piece.steps
         # 2 left / (rate + rate then) is the root that stays exact for small slopes.
-        then = math.sqrt(max(0.0, piece.rate**2 + 2 * piece.slope * steps_left))
-        return piece.begin_s + 2 * steps_left / (piece.rate + then)
+        end_rate = math.sqrt(max(0.0, piece.rate**2 + 2 * piece.slope * steps_left))
+        return piece.begin_s + 2 * steps_left / (piece.rate + end_rate)
 
 
 def constant_profile(steps: float, rate: float) -> StepProfile:

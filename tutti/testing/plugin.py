@@ -27,15 +27,15 @@ def _fleets_of(item: pytest.Item) -> "list[VirtualTestbed | LiveTestbed]":
 
 def _make_fleets(item: pytest.Item, make: Callable[..., Any]) -> Generator[Callable[..., Any]]:
     """A function that starts fleets, which end with the test."""
-    mine = _fleets_of(item)
+    own_fleets = _fleets_of(item)
 
     def start_fleet(*arguments: Any, **options: Any) -> Any:
         fleet = make(*arguments, **options)
-        mine.append(fleet)
+        own_fleets.append(fleet)
         return fleet.__enter__()
 
     yield start_fleet
-    for fleet in mine:
+    for fleet in own_fleets:
         fleet.close()
 
 
@@ -67,12 +67,14 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
         _add_logs(item)
         raise
     finally:
-        fleets_left = [each for each in _list_running() if each not in fleets_before and each not in _fleets_of(item)]
-        for fleet in fleets_left:
+        new_fleets = [
+            fleet for fleet in _list_running() if fleet not in fleets_before and fleet not in _fleets_of(item)
+        ]
+        for fleet in new_fleets:
             fleet.close()
-    if fleets_left:
+    if new_fleets:
         pytest.fail(
-            f"the test has left {', '.join(map(repr, fleets_left))} running, which is ended now; "
+            f"the test has left {', '.join(map(repr, new_fleets))} running, which is ended now; "
             "use it as a context (`with …`), or the fixture",
             pytrace=False,
         )

@@ -49,25 +49,25 @@ class _CanRound(NamedTuple):
 def bench_can(rounds: int, seed: int = 11) -> list[BenchFigure]:
     """Measure `rounds` starts with each method, with new drives and a new bus every `STARTS` of them."""
     by_script: list[float] = []
-    found_rounds: list[_CanRound] = []
+    results: list[_CanRound] = []
     for number in range(ceil(rounds / STARTS)):
         starts = min(STARTS, rounds - number * STARTS)
         by_script += run_virtual(lambda clock, s=seed + number, n=starts: _run_script(clock, s, n))
-        found_rounds += run_virtual(lambda clock, s=seed + number, n=starts: _run_driver_steps(clock, s, n))
+        results += run_virtual(lambda clock, s=seed + number, n=starts: _run_driver_steps(clock, s, n))
     return [
         make_can_row("start skew, 6040h by SDO one after another", by_script, "ms"),
-        make_can_row("start skew, one SYNC", [each.skew_ms for each in found_rounds], "ms", ASKED_SKEW_MS),
-        make_can_row("distance of the furthest start from T0", [each.off_ms for each in found_rounds], "ms"),
-        make_can_row("arming all", [each.arm_ms for each in found_rounds], "ms"),
-        make_can_row("frames of arming on the bus", [each.frames_ms for each in found_rounds], "ms"),
+        make_can_row("start skew, one SYNC", [result.skew_ms for result in results], "ms", ASKED_SKEW_MS),
+        make_can_row("distance of the furthest start from T0", [result.off_ms for result in results], "ms"),
+        make_can_row("arming all", [result.arm_ms for result in results], "ms"),
+        make_can_row("frames of arming on the bus", [result.frames_ms for result in results], "ms"),
         make_can_row(
             "arming compared with its frames",
-            [each.arm_ms / each.frames_ms for each in found_rounds],
+            [result.arm_ms / result.frames_ms for result in results],
             "times",
             ASKED_ARM,
         ),
-        make_can_row("bus load by states, all moving", [100 * each.moving for each in found_rounds], "%"),
-        make_can_row("bus load by states, at rest", [100 * each.load for each in found_rounds], "%"),
+        make_can_row("bus load by states, all moving", [100 * result.moving for result in results], "%"),
+        make_can_row("bus load by states, at rest", [100 * result.load for result in results], "%"),
     ]
 
 
@@ -81,31 +81,31 @@ async def _run_driver_steps(clock: VirtualClock, seed: int, starts: int) -> list
     load = (world.segment.bus.busy_ns - busy_ns) / IDLE_NS
     steps = [await _run_step(world, *((COUNTS, 0) if number % 2 else (0, COUNTS))) for number in range(starts + 1)]
     await world.close_drivers()
-    return [each._replace(load=load) for each in steps[1:]]
+    return [step._replace(load=load) for step in steps[1:]]
 
 
 async def _run_step(world: CanBusBench, begin: int, end: int) -> _CanRound:
     profiles = dict(plan_step([AxisMove("a", begin, end, VELOCITY / 2, ACCELERATION / 2)]).profiles)
     clock, drivers = world.clock, world.drivers
     lowered_profiles = [driver.lower_profiles(profiles, StartOptions(), None) for driver in drivers]
-    lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered_profiles)
+    lead_ns = max(lowering.costs.arm_ns + lowering.costs.disarm_ns for lowering in lowered_profiles)
     t0_ns = clock.now_ns() + lead_ns + 100 * NS_PER_MS + world.draw.randrange(10 * NS_PER_MS)
     began_ns, ordered_ns = clock.now_ns(), world.command_ns
     pairs = list(zip(drivers, lowered_profiles, strict=True))
-    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.arm_move(lowering, t0_ns, None) for driver, lowering in pairs))
     arm_ms, frames_ms = (clock.now_ns() - began_ns) * 1e-6, (world.command_ns - ordered_ns) * 1e-6
     await asyncio.gather(*(driver.verify_armed() for driver in drivers))
     await asyncio.gather(*(driver.go() for driver in drivers))
     spans = await asyncio.gather(*(driver.wait_for_start() for driver in drivers))
     busy_ns, moving_ns = world.segment.bus.busy_ns, clock.now_ns()
     outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in drivers))
-    moving = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - moving_ns)
+    load_in_motion = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - moving_ns)
     starts = world.find_starts()
     for span, began, outcome in zip(spans, starts, outcomes, strict=True):
         if outcome.state != "done" or not span["a"].earliest_ns <= began <= span["a"].latest_ns:
             raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")
     off_ms = max(abs(start - t0_ns) for start in starts) * 1e-6
-    return _CanRound((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, moving, 0.0)
+    return _CanRound((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, load_in_motion, 0.0)
 
 
 async def _run_script(clock: VirtualClock, seed: int, count: int) -> list[float]:

@@ -89,14 +89,14 @@ def make_can_bench(
 
     segment, units = CIA402.build_shared(clock, [make_device(node) for node in NODES])
     wire = MemoryWire(clock, can_wire(), segment, "can", "bus", copy_context(), seed)
-    make, shared = find_make(MAKE), dict[str, Any]()
+    make, bus_options = find_make(MAKE), dict[str, Any]()
     firer = LoopTimedWriter(clock, lambda: draw.randrange(MAX_WAKE_DELAY_US * NS_PER_US))
     drivers: list[Driver] = []
     for node in NODES:
         config = Controller.model_validate(_make_config(node, limits or {}))
         options = make.options_model.model_validate(config.options)
         drivers.append(
-            make.create_driver(DriverSetup(f"d{node}", config, options, clock, wire.open_link, firer, shared))
+            make.create_driver(DriverSetup(f"d{node}", config, options, clock, wire.open_link, firer, bus_options))
         )
     world = CanBusBench(clock, segment, list(units), drivers, wire, draw)
     segment.bus.add_listener(world.count_frame)

@@ -28,17 +28,17 @@ _LIMITS = {"velocity": 200.0, "acceleration": 1000.0, "jerk": 20_000.0}
 def bench_mixed(rounds: int, seed: int = 11) -> list[BenchFigure]:
     """Measure `rounds` steps, with new crystals every `STEPS_PER_FLEET` of them."""
     skews_ms: list[float] = []
-    missed = 0
+    misses = 0
     for number in range(ceil(rounds / STEPS_PER_FLEET)):
         steps = min(STEPS_PER_FLEET, rounds - number * STEPS_PER_FLEET)
         runs = run_virtual(lambda clock, s=seed + number, n=steps: _run_fleet(clock, s, n))
         skews_ms += [skew_ms for skew_ms, _ in runs]
-        missed += sum(not held for _, held in runs)
-    what = f"start skew, {CONTROLLERS_PER_MAKE} by SYNC and {CONTROLLERS_PER_MAKE} SMC-4000 by clock"
-    figure_outside = BenchFigure(
-        "of these starts outside their verdict", rounds, 0, 0, missed, "steps", "none", missed == 0
+        misses += sum(not is_held for _, is_held in runs)
+    title = f"start skew, {CONTROLLERS_PER_MAKE} by SYNC and {CONTROLLERS_PER_MAKE} SMC-4000 by clock"
+    miss_figure = BenchFigure(
+        "of these starts outside their verdict", rounds, 0, 0, misses, "steps", "none", misses == 0
     )
-    return [make_can_row(what, skews_ms, "ms", round(TARGET_SKEW_MS, 3)), figure_outside]
+    return [make_can_row(title, skews_ms, "ms", round(TARGET_SKEW_MS, 3)), miss_figure]
 
 
 def make_mixed_fleet(seed: int) -> Fleet:
@@ -79,16 +79,16 @@ async def _run_fleet(clock: VirtualClock, seed: int, steps: int) -> list[tuple[f
     names = list(fleet.fleet.controllers)
     await _run_job(fleet, [{"do": "enable", "axes": names}, {"do": "home"}])
     await sleep_ns(clock, HISTORY_S * NS_PER_S)
-    found_fleet: list[tuple[float, bool]] = []
+    results: list[tuple[float, bool]] = []
     for number in range(steps):
         await sleep_ns(clock, draw.randrange(PAUSE_NS))
-        controllers_before = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
+        motion_counts = {name: len(unit.commanded_motions) for name, unit in fleet.controllers.items()}
         to = dict.fromkeys((f"{name}.x" for name in names), 0.0 if number % 2 else 60.0)
         report = await _run_job(fleet, [{"do": "move", "to": to, "speed": 0.5}])
-        starts = [unit.commanded_motions[controllers_before[name]].start_ns for name, unit in fleet.controllers.items()]
-        skew_ns, said = max(starts) - min(starts), report.start_skew
-        found_fleet.append((skew_ns * 1e-6, said is not None and said.at_least_ns <= skew_ns <= said.at_most_ns))
-    return found_fleet
+        starts = [unit.commanded_motions[motion_counts[name]].start_ns for name, unit in fleet.controllers.items()]
+        skew_ns, promise = max(starts) - min(starts), report.start_skew
+        results.append((skew_ns * 1e-6, promise is not None and promise.at_least_ns <= skew_ns <= promise.at_most_ns))
+    return results
 
 
 async def _run_job(fleet: VirtualFleet, steps: list[dict[str, Any]]) -> StepReport:

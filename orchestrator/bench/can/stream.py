@@ -66,18 +66,18 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[BenchFigure]
         by_script += run_virtual(lambda clock, s=seed + number, n=moves: _run_scripts(clock, s, n))
         found_rounds += run_virtual(lambda clock, s=seed + number, n=moves: _run_streams(clock, s, n))
     periods, underruns = run_virtual(lambda clock: _stream_for_hours(clock, seed, hours))
-    none_figure = BenchFigure(
+    empty_figure = BenchFigure(
         f"underruns in {hours:g} h of streams", periods, 0, 0, underruns, "moves", "none", underruns == 0
     )
     return [
-        make_can_row("path skew, positions by a script's timer", [each.skew_ms for each in by_script], "ms"),
-        make_can_row("path skew, streamed", [each.skew_ms for each in found_rounds], "ms", ASKED_SKEW_MS),
-        make_can_row("furthest from the plan, by a script's timer", [each.off_ms for each in by_script], "ms"),
-        make_can_row("furthest from the plan, streamed", [each.off_ms for each in found_rounds], "ms"),
+        make_can_row("path skew, positions by a script's timer", [script.skew_ms for script in by_script], "ms"),
+        make_can_row("path skew, streamed", [stream.skew_ms for stream in found_rounds], "ms", ASKED_SKEW_MS),
+        make_can_row("furthest from the plan, by a script's timer", [script.off_ms for script in by_script], "ms"),
+        make_can_row("furthest from the plan, streamed", [stream.off_ms for stream in found_rounds], "ms"),
         make_can_row(
-            "bus load, all eight follow at 100 Hz", [100 * each.load for each in found_rounds], "%", ASKED_LOAD
+            "bus load, all eight follow at 100 Hz", [100 * stream.load for stream in found_rounds], "%", ASKED_LOAD
         ),
-        none_figure,
+        empty_figure,
     ]
 
 
@@ -150,10 +150,11 @@ async def _stream_for_hours(clock: VirtualClock, seed: int, hours: float) -> tup
 
 def _make_plan(world: CanBusBench) -> dict[int, Profile]:
     """Plan one duration, and a distance for each axis, by node; away from 0, or back."""
-    here = {node: round(unit.position("1")) for node, unit in zip(NODES, world.drives, strict=True)}
-    there = {node: 0 if here[node] else world.draw.randint(NEAR, FAR) for node in NODES}
+    starts = {node: round(unit.position("1")) for node, unit in zip(NODES, world.drives, strict=True)}
+    targets = {node: 0 if starts[node] else world.draw.randint(NEAR, FAR) for node in NODES}
     moves = [
-        AxisMove(f"{node}", here[node], there[node], VELOCITY / 2, ACCELERATION / 2, JERK, order=3) for node in NODES
+        AxisMove(f"{node}", starts[node], targets[node], VELOCITY / 2, ACCELERATION / 2, JERK, order=3)
+        for node in NODES
     ]
     return {int(node): profile for node, profile in plan_step(moves).profiles.items()}
 
@@ -164,10 +165,10 @@ async def _start_moves(world: CanBusBench, profiles: Mapping[int, Profile]) -> i
         node: driver.lower_profiles({"a": profiles[node]}, StartOptions(), None)
         for node, driver in zip(NODES, world.drivers, strict=True)
     }
-    lead_ns = max(each.costs.arm_ns + each.costs.disarm_ns for each in lowered_profiles.values())
+    lead_ns = max(lowering.costs.arm_ns + lowering.costs.disarm_ns for lowering in lowered_profiles.values())
     t0_ns = world.clock.now_ns() + lead_ns + world.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(world.drivers, lowered_profiles.values(), strict=True))
-    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in pairs))
+    await asyncio.gather(*(driver.arm_move(lowering, t0_ns, None) for driver, lowering in pairs))
     await asyncio.gather(*(driver.verify_armed() for driver in world.drivers))
     await asyncio.gather(*(driver.go() for driver in world.drivers))
     return t0_ns
@@ -183,13 +184,16 @@ async def _wait_for_ends(world: CanBusBench) -> bool:
 async def _measure_deviation(world: CanBusBench, profiles: Mapping[int, Profile], t0_ns: int) -> tuple[float, float]:
     """Return the largest distance in time between axes on their plans, and of one axis from its own, ms: (position -
     plan) / planned velocity, where that is at least a tenth of the axis's peak. Sampled about every millisecond."""
-    at = {node: (each.make_evaluator(), each.peak_velocity, each.start_counts) for node, each in profiles.items()}
+    at = {
+        node: (profile.make_evaluator(), profile.peak_velocity, profile.start_counts)
+        for node, profile in profiles.items()
+    }
     duration_s = max(profile.duration_s for profile in profiles.values())
     skew_s = off_s = since_s = 0.0
     while since_s < duration_s:
         late: list[float] = []
-        for (planned, peak, start), unit in zip(at.values(), world.drives, strict=True):
-            instant = planned(since_s)
+        for (evaluate, peak, start), unit in zip(at.values(), world.drives, strict=True):
+            instant = evaluate(since_s)
             if abs(instant.velocity) >= PEAK_SHARE * peak:
                 late.append((unit.position("1") - start - instant.position) / instant.velocity)
         if late:

@@ -51,7 +51,7 @@ class PageInBrowser:
     async def read_script_s(self) -> float:
         """The time that scripts have taken, s."""
         metrics = await self._session.send("Performance.getMetrics")
-        return next(each["value"] for each in metrics["metrics"] if each["name"] == "ScriptDuration")
+        return next(metric["value"] for metric in metrics["metrics"] if metric["name"] == "ScriptDuration")
 
     async def read_heap_bytes(self) -> float:
         """The heap in use after a forced collection."""
@@ -71,9 +71,9 @@ async def open_browser() -> AsyncGenerator[PageInBrowser]:
             session: Any = await page.context.new_cdp_session(page)
             await session.send("Performance.enable")
             await session.send("HeapProfiler.enable")
-            whole: Any = await browser.new_browser_cdp_session()
-            info = await whole.send("SystemInfo.getProcessInfo")
-            pid = next(each["id"] for each in info["processInfo"] if each["type"] == "browser")
+            browser_session: Any = await browser.new_browser_cdp_session()
+            info = await browser_session.send("SystemInfo.getProcessInfo")
+            pid = next(process["id"] for process in info["processInfo"] if process["type"] == "browser")
             yield PageInBrowser(page, session, pid)
         finally:
             await browser.close()

@@ -29,14 +29,14 @@ def make_frames(fleet: str, controllers: int, count: int) -> tuple[str, list[str
 
     def compose(number: int) -> dict[str, Any]:
         for name in names:
-            made = make_state(name, number, number * 50_000_000, clock.utc(), moving=4)
-            state.take_sample(BusSample(keys.state(name), made.to_json()))
+            state_message = make_state(name, number, number * 50_000_000, clock.utc(), moving=4)
+            state.take_sample(BusSample(keys.state(name), state_message.to_json()))
         return state.compose()
 
-    before = first = compose(0)
+    old_state = first = compose(0)
     patches: list[str] = []
     for number in range(1, count + 1):
-        after = compose(number)
-        patches.append(f'"patch":{encode(make_patch(before, after))}')
-        before = after
+        new_state = compose(number)
+        patches.append(f'"patch":{encode(make_patch(old_state, new_state))}')
+        old_state = new_state
     return f'"state":{encode(first)}', patches

@@ -92,8 +92,8 @@ async def _measure_load(folder: Path, seconds: float) -> list[PageFigure]:
             updates = await _count_updates(browser.page)
             await asyncio.sleep(seconds)
             cpu_s = read_cpu_s(gateway.pid) - begin_s
-            taken = await _count_updates(browser.page) - updates
-            script_ms = (await browser.read_script_s() - script_s) * 1e3 / max(1, taken)
+            update_count = await _count_updates(browser.page) - updates
+            script_ms = (await browser.read_script_s() - script_s) * 1e3 / max(1, update_count)
             await publisher.communicate()
             requests, sockets = browser.first_requests or 0, browser.sockets
         if any(task.done() for task in readers):
@@ -106,7 +106,9 @@ async def _measure_load(folder: Path, seconds: float) -> list[PageFigure]:
             await process.wait()
     return [
         _at_most("gateway's processor time, % of one", cpu_s / seconds * 100, CPU_SHARE * 100),
-        PageFigure("updates of the page a second", round(taken / seconds, 1), "<= 20", taken / seconds <= 20.5),
+        PageFigure(
+            "updates of the page a second", round(update_count / seconds, 1), "<= 20", update_count / seconds <= 20.5
+        ),
         _at_most("script time an update, live, ms", script_ms, SCRIPT_MS),
         _at_most("requests until the first data", requests, 3),
         _at_most("sockets", sockets, 1),
@@ -157,9 +159,9 @@ async def _measure_updates() -> list[PageFigure]:
         await page.evaluate(_FEED, [patches, WARM + 1, FED - WARM, FRAMES_AT_ONCE])
         script_ms = (await browser.read_script_s() - script_s) * 1e3 / (FED - WARM)
         grown_mb = (await browser.read_heap_bytes() - heap) / 1e6
-        taken = await _count_updates(page)
-    if taken < FED:
-        raise NothingHappened(f"the page has taken {taken} of {FED} updates")
+        update_count = await _count_updates(page)
+    if update_count < FED:
+        raise NothingHappened(f"the page has taken {update_count} of {FED} updates")
     return [
         _at_most("script time an update, ms", script_ms, SCRIPT_MS),
         _at_most(f"heap from {WARM} to {FED} updates, MB", grown_mb, HEAP_MB),
@@ -172,8 +174,8 @@ async def _measure_updates() -> list[PageFigure]:
 async def _measure_jogs(fleet: Fleet, folder: Path, rounds: int) -> list[PageFigure]:
     web = WebOptions(port=find_free_port())
     async with run_measured_fleet(fleet, folder, web=web) as (live, tutti):
-        steps_here: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
-        await run_steps(tutti, [*steps_here, {"do": "move", "to": {AXIS: MIDDLE}}])
+        first_steps: Steps = [{"do": "enable", "axes": ["gantry"]}, {"do": "home", "axes": ["gantry"]}]
+        await run_steps(tutti, [*first_steps, {"do": "move", "to": {AXIS: MIDDLE}}])
         truth = TruthLog(live.state / "truth" / "gantry.jsonl")
         async with open_browser() as browser:
             let_go_ns = [await _let_go(browser, live, truth, number) for number in range(rounds)]
@@ -241,8 +243,8 @@ async def _kill_browser(live: LiveFleet, truth: TruthLog, number: int) -> int:
 def _find_family(pid: int) -> list[int]:
     """A process and all its descendants."""
     family = [pid]
-    for each in family:
-        for task in Path(f"/proc/{each}/task").glob("*/children"):
+    for parent in family:
+        for task in Path(f"/proc/{parent}/task").glob("*/children"):
             family += map(int, task.read_text(encoding="utf-8").split())
     return family
 

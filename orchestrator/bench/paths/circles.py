@@ -128,8 +128,8 @@ async def _run_path(clock: VirtualClock, task: CircleTask) -> CircleRun:
     await _run_job(fleet, [enable, {"do": "home"}, {"do": "move", "to": to}])
     await sleep_ns(clock, case.history_s * NS_PER_S + draw.randrange(NS_PER_S))
     path = {"do": "path", "axes": axes, "start": start, "pieces": pieces, "speed": f"{SPEED} mm/s"}
-    seen: list[list[float]] = []
-    watching = asyncio.get_running_loop().create_task(_watch_truth(fleet, seen, draw))
+    positions: list[list[float]] = []
+    watching = asyncio.get_running_loop().create_task(_watch_truth(fleet, positions, draw))
     try:
         report = await _run_job(fleet, [{**path, "tolerance": case.tolerance}])
     except Refusal as refusal:
@@ -141,7 +141,7 @@ async def _run_path(clock: VirtualClock, task: CircleTask) -> CircleRun:
     bound = step.bound
     off = abs(bound.predicted - sum(term.size for term in bound.terms))
     worst = f"{bound.largest.name} of {bound.largest.member}" if bound.largest.member else bound.largest.name
-    return CircleRun(_measure_errors(np.array(seen)), bound.predicted, off, bound.proven, worst)
+    return CircleRun(_measure_errors(np.array(positions)), bound.predicted, off, bound.proven, worst)
 
 
 def _measure_errors(seen: Array) -> Array:
@@ -149,8 +149,8 @@ def _measure_errors(seen: Array) -> Array:
     first, second = _make_directions(seen.shape[1])
     off = seen - CENTRE
     x, y = off @ first, off @ second
-    above = np.linalg.norm(off - np.outer(x, first) - np.outer(y, second), axis=1)
-    return np.hypot(np.hypot(x, y) - RADIUS, above)
+    height = np.linalg.norm(off - np.outer(x, first) - np.outer(y, second), axis=1)
+    return np.hypot(np.hypot(x, y) - RADIUS, height)
 
 
 async def _watch_truth(fleet: VirtualFleet, seen: list[list[float]], draw: Random) -> None:

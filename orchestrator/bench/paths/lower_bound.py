@@ -21,19 +21,19 @@ def find_least_time(track: Track, limits: PathLimits, cells: int = 60) -> float:
     at = track.evaluate_spans(span, local)
     s = track.start[span] + local
     ends = np.arange(1, len(track.kind) + 1) * (cells + 1) - 1
-    rest = np.zeros(len(s), dtype=bool)
-    rest[0] = True
-    rest[ends[track.stop]] = True
-    rest[np.minimum(ends[track.stop] + 1, len(s) - 1)] = True
+    at_rest = np.zeros(len(s), dtype=bool)
+    at_rest[0] = True
+    at_rest[ends[track.stop]] = True
+    at_rest[np.minimum(ends[track.stop] + 1, len(s) - 1)] = True
     fastest = (limits.velocity / np.maximum(np.abs(at.first), 1e-12)).min(axis=1)
-    allowed: Array = np.minimum(fastest, 1e6) ** 2
+    bound: Array = np.minimum(fastest, 1e6) ** 2
     low: Array = np.zeros(len(s))
-    high: Array = allowed.copy()
+    high: Array = bound.copy()
     for _ in range(40):
         middle = (low + high) / 2
         least, most = _find_range(at.first, at.second, middle, limits.acceleration)
         low, high = np.where(least <= most, middle, low), np.where(least <= most, high, middle)
-    squares = np.where(rest, 0.0, np.minimum(low, allowed))
+    squares = np.where(at_rest, 0.0, np.minimum(low, bound))
     h = np.diff(s)
     for k in range(len(s) - 2, -1, -1):
         least, _ = _find_range(

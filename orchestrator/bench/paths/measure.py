@@ -96,13 +96,13 @@ def bench_paths(options: PathsOptions, on_row: Callable[[str], None] = lambda _:
         if case.controllers == TWO and not is_long:
             minute_p99 = figures[0].value
         found_paths += figures
-    others = {
+    other_rows = {
         LIMITS_ROW: _measure_limits,
         TIME_ROW: _measure_times,
         COST_ROW: _measure_costs,
         TRIGGERS_ROW: _measure_triggers,
     }
-    for name, measure in others.items():
+    for name, measure in other_rows.items():
         if re.search(options.only, name):
             on_row(name)
             found_paths += measure(counts, options)
@@ -124,23 +124,23 @@ def make_circle_figures(
         return figures
     errors = np.concatenate([run.errors for run in ran])
     p99 = UM * float(np.percentile(errors, 99))
-    above = sum(float(run.errors.max()) > run.bound for run in ran)
+    excess_count = sum(float(run.errors.max()) > run.bound for run in ran)
     largest = max(run.bound for run in ran) * UM
-    worst = max({run.worst for run in ran}, key=lambda each: sum(run.worst == each for run in ran))
-    most, asked = (60.0, "≤ 60") if minute_p99 is None else (1.3 * minute_p99, "≤ 1.3 × of 60 s")
+    worst = max({run.worst for run in ran}, key=lambda member: sum(run.worst == member for run in ran))
+    most, target = (60.0, "≤ 60") if minute_p99 is None else (1.3 * minute_p99, "≤ 1.3 × of 60 s")
     if case.controllers != TWO:
-        most, asked = np.inf, ""
+        most, target = np.inf, ""
     rows = [
-        PathFigure(case.name, "error, p99", round(p99, 1), "um", asked, None if not asked else p99 <= most),
+        PathFigure(case.name, "error, p99", round(p99, 1), "um", target, None if not target else p99 <= most),
         PathFigure(case.name, "error, largest", round(UM * float(errors.max()), 1), "um"),
-        PathFigure(case.name, "paths above their bound", above, "", "0", above == 0),
+        PathFigure(case.name, "paths above their bound", excess_count, "", "0", excess_count == 0),
         PathFigure(case.name, "largest term of the bound", None, note=worst),
         _make_sum_figure(case, ran),
     ]
     if case.controllers == TWO:
-        kept = largest <= 300 if minute_p99 is None else None
+        is_kept = largest <= 300 if minute_p99 is None else None
         limit = "≤ 300" if minute_p99 is None else ""
-        rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um", limit, kept))
+        rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um", limit, is_kept))
     else:
         rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um"))
     proven = [run.proven for run in ran if run.proven is not None]
@@ -162,12 +162,12 @@ def _measure_limits(counts: PathCounts, options: PathsOptions) -> list[PathFigur
     runs: list[LimitsRun] = list(map_in_processes(run_limits, range(first, first + counts.limits), options.processes))
     used = [run.worst for run in runs if run.worst is not None]
     worst = float(max(used))
-    over = sum(1 for each in used if each > 1.001)
-    refused = len(runs) - len(used)
+    over = sum(1 for share in used if share > 1.001)
+    refusal_count = len(runs) - len(used)
     return [
         PathFigure(LIMITS_ROW, f"of {len(used)} paths, above a limit by more than 0.1 %", over, "", "0", over == 0),
         PathFigure(LIMITS_ROW, "largest part of a limit that is used", round(worst, 6), "", "≤ 1.001", worst <= 1.001),
-        PathFigure(LIMITS_ROW, "paths refused", refused, "", "0", refused == 0),
+        PathFigure(LIMITS_ROW, "paths refused", refusal_count, "", "0", refusal_count == 0),
     ]
 
 
@@ -186,17 +186,26 @@ def _measure_times(counts: PathCounts, options: PathsOptions) -> list[PathFigure
 
 
 def _measure_costs(counts: PathCounts, _: PathsOptions) -> list[PathFigure]:
-    few, many = counts.pieces
-    lines = measure_planning(few, ("line",), counts.rounds)
-    long = measure_planning(many, ("line",), counts.rounds)
-    mixed = measure_planning(few, KINDS, counts.rounds)
+    few_pieces, many_pieces = counts.pieces
+    lines = measure_planning(few_pieces, ("line",), counts.rounds)
+    long = measure_planning(many_pieces, ("line",), counts.rounds)
+    mixed_cost = measure_planning(few_pieces, KINDS, counts.rounds)
     # In a process of its own, whose memory is that of the program alone.
     (gcode,) = map_in_processes(measure_gcode, [counts.gcode_lines], 2)
     ratio = long / lines
     return [
-        PathFigure(COST_ROW, f"a line over 8 axes, {few} pieces", round(lines), "us", "≤ 300", lines <= 300),
-        PathFigure(COST_ROW, f"a mixed piece over 8 axes, {few} pieces", round(mixed), "us", "≤ 300", mixed <= 300),
-        PathFigure(COST_ROW, f"a line of {many} to one of {few}", round(ratio, 2), "", "≤ 1.2", ratio <= 1.2),
+        PathFigure(COST_ROW, f"a line over 8 axes, {few_pieces} pieces", round(lines), "us", "≤ 300", lines <= 300),
+        PathFigure(
+            COST_ROW,
+            f"a mixed piece over 8 axes, {few_pieces} pieces",
+            round(mixed_cost),
+            "us",
+            "≤ 300",
+            mixed_cost <= 300,
+        ),
+        PathFigure(
+            COST_ROW, f"a line of {many_pieces} to one of {few_pieces}", round(ratio, 2), "", "≤ 1.2", ratio <= 1.2
+        ),
         PathFigure(COST_ROW, "a line of G-code to geometry", round(gcode.us_line), "us", "≤ 100", gcode.us_line <= 100),
         PathFigure(
             COST_ROW,
@@ -219,14 +228,14 @@ def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
     """The figures of pulses on the way of moves and along paths."""
     row = TRIGGERS_ROW
     refused_runs = [run.refused for run in runs if run.refused]
-    edges, missed = sum(run.edges for run in runs), sum(run.missed for run in runs)
+    edges, misses = sum(run.edges for run in runs), sum(run.missed for run in runs)
     figures = [
         PathFigure(row, "fleets refused", len(refused_runs), "", "0", met=False, note=refused_runs[0])
         for _ in refused_runs[:1]
     ]
     by_evidence, by_promise = sum(run.outside_seen for run in runs), sum(run.outside_promise for run in runs)
     figures += [
-        PathFigure(row, f"of {edges} pulses, without a row or evidence", missed, "", "0", missed == 0),
+        PathFigure(row, f"of {edges} pulses, without a row or evidence", misses, "", "0", misses == 0),
         PathFigure(row, "outside their interval by evidence", by_evidence, "", "0", by_evidence == 0),
         PathFigure(row, "outside their promise", by_promise, "", "0", by_promise == 0),
     ]

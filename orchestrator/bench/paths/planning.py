@@ -66,8 +66,8 @@ def run_time(seed: int) -> TimeRun:
     axes = int(draw.integers(2, 5))
     outline, limits = random_outline(draw, axes, int(draw.integers(5, 51))), even_limits(axes)
     run = plan_run(outline, None, limits)
-    stopped = plan_run(stop_everywhere(outline), None, limits).duration_s
-    return TimeRun(run.duration_s / find_least_time(run.track, limits, GRID), run.duration_s / stopped)
+    stop_duration_s = plan_run(stop_everywhere(outline), None, limits).duration_s
+    return TimeRun(run.duration_s / find_least_time(run.track, limits, GRID), run.duration_s / stop_duration_s)
 
 
 def measure_planning(pieces: int, kinds: tuple[str, ...], rounds: int) -> float:
@@ -95,15 +95,15 @@ def measure_gcode(lines: int, rounds: int = 2) -> GcodeCost:
         for step in steps:
             resolve_path(FollowPath.model_validate({**step, "tolerance": "100 um"}), axes)
 
-    spent = _measure_least(read, rounds)
-    return GcodeCost(1e6 * spent / lines, _find_peak_mb())
+    seconds = _measure_least(read, rounds)
+    return GcodeCost(1e6 * seconds / lines, _find_peak_mb())
 
 
 def _find_peak_mb() -> float:
     """The largest memory of this process; that of `getrusage` would include what its parent had."""
-    found = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"))
-    assert found is not None
-    return int(found[1]) / 1000
+    match = re.search(r"VmHWM:\s*(\d+) kB", Path("/proc/self/status").read_text(encoding="utf-8"))
+    assert match is not None
+    return int(match[1]) / 1000
 
 
 def make_program(lines: int) -> list[str]:
@@ -119,9 +119,9 @@ def make_program(lines: int) -> list[str]:
 
 
 def _measure_least(work: Callable[[], object], rounds: int) -> float:
-    spent: list[float] = []
+    times_s: list[float] = []
     for _ in range(rounds):
         began_s = time.process_time()
         work()
-        spent.append(time.process_time() - began_s)
-    return min(spent)
+        times_s.append(time.process_time() - began_s)
+    return min(times_s)

@@ -65,8 +65,8 @@ def _make_fleet(draw: Random) -> Fleet:
         "outputs": {"lamp": {"number": NUMBER}},
         "simulate": {**config["simulate"], **crystal},
     }
-    both: dict[str, Any] = {"home_edge": {"X": -2000, "Y": -2000}, "index_every": {"X": 200, "Y": 200}}
-    controller["simulate"]["options"] = {**config["simulate"]["options"], **both}
+    options: dict[str, Any] = {"home_edge": {"X": -2000, "Y": -2000}, "index_every": {"X": 200, "Y": 200}}
+    controller["simulate"]["options"] = {**config["simulate"]["options"], **options}
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "pulses", "controllers": {NAME: controller}})
 
 
@@ -106,12 +106,12 @@ class _PulsedSteps:
         origin_ns = next(iter(self._fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
         rows, rises, run = self._rows, self._rises, self.run
         pairs = [(row, at_ns - origin_ns) for row, at_ns in zip(rows, rises, strict=False)]
-        seen = [(row.seen, at_ns) for row, at_ns in pairs if row.seen is not None]
-        widest_ns = max((span.latest_ns - span.earliest_ns for span, _ in seen), default=0)
+        pulse_spans = [(row.seen, at_ns) for row, at_ns in pairs if row.seen is not None]
+        widest_ns = max((span.latest_ns - span.earliest_ns for span, _ in pulse_spans), default=0)
         self.run = PulsesRun(
             run.edges + len(rises),
-            run.missed + abs(len(rows) - len(rises)) + len(pairs) - len(seen),
-            run.outside_seen + sum(not span.earliest_ns <= at_ns <= span.latest_ns for span, at_ns in seen),
+            run.missed + abs(len(rows) - len(rises)) + len(pairs) - len(pulse_spans),
+            run.outside_seen + sum(not span.earliest_ns <= at_ns <= span.latest_ns for span, at_ns in pulse_spans),
             run.outside_promise + sum(not row.earliest_ns <= at_ns <= row.latest_ns for row, at_ns in pairs),
             run.widest_move_ns if path else max(run.widest_move_ns, widest_ns),
             max(run.widest_path_ns, widest_ns) if path else run.widest_path_ns,
@@ -152,11 +152,11 @@ def _make_round(draw: Random) -> list[dict[str, Any]]:
     """Two circles and two moves from the same place and back to it, each with pulses in time and in positions."""
     in_time = {"output": OUTPUT, "every": f"{draw.uniform(LEAST_MS, MOST_MS):.3f} ms"}
     on_way = {"output": OUTPUT, "every": f"{draw.uniform(LEAST_MM, MOST_MM):.3f} mm", "of": f"{NAME}.x"}
-    away = draw.uniform(2, 4) * RADIUS
+    distance = draw.uniform(2, 4) * RADIUS
     return [
         {**_make_circle(), "triggers": [in_time]},
         {**_make_circle(), "triggers": [{**on_way, "of": f"{NAME}.y"}]},
-        {**_make_move(away, RADIUS), "triggers": [on_way]},
+        {**_make_move(distance, RADIUS), "triggers": [on_way]},
         {**_make_move(0, RADIUS), "triggers": [in_time]},
     ]
 
@@ -166,8 +166,8 @@ def _make_move(x: float, y: float) -> dict[str, Any]:
 
 
 def _make_circle() -> dict[str, Any]:
-    place, centre = [0, RADIUS], [RADIUS, RADIUS]
-    pieces = [{"piece": "arc", "to": place, "centre": centre}]
+    target, centre = [0, RADIUS], [RADIUS, RADIUS]
+    pieces = [{"piece": "arc", "to": target, "centre": centre}]
     axes = [f"{NAME}.x", f"{NAME}.y"]
-    path = {"do": "path", "axes": axes, "start": place, "pieces": pieces}
+    path = {"do": "path", "axes": axes, "start": target, "pieces": pieces}
     return {**path, "speed": "50 mm/s", "tolerance": "0.2 mm"}

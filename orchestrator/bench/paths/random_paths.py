@@ -74,8 +74,8 @@ def stop_everywhere(outline: Outline) -> Outline:
 def find_worst_use(run: Run, limits: PathLimits, samples: int = 7) -> float:
     """The largest part of any limit that is used, at samples inside every segment, the path's own limits included."""
     motion = run.motion
-    inside = np.linspace(1e-6, 1 - 1e-6, samples)
-    t = (motion.t[:, None] + (motion.ends_s - motion.t)[:, None] * inside).ravel()
+    shares = np.linspace(1e-6, 1 - 1e-6, samples)
+    t = (motion.t[:, None] + (motion.ends_s - motion.t)[:, None] * shares).ravel()
     _, v, a, j = run.evaluate(t)
     _, speed, acceleration, jerk = motion.evaluate(t)
     axes = max(np.abs(x / y).max() for x, y in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk)))

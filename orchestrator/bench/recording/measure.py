@@ -59,15 +59,15 @@ async def bench_record(folder: Path, seconds: float, cuts: int, show_progress: C
     router = await start_part("orchestrator.bus.zenoh.router", endpoint, str(os.getpid()))
     try:
         show_progress(f"{CONTROLLERS * AXES} axes at {HZ:g} Hz for {seconds:g} s")
-        place = folder / "run"
-        recorder = await _start_recorder(endpoint, place)
+        run_folder = folder / "run"
+        recorder = await _start_recorder(endpoint, run_folder)
         watcher = await _BusWatcher.start(endpoint)
-        published = await _publish(endpoint, seconds)
+        publications = await _publish(endpoint, seconds)
         answers = await watcher.find_answers()
         cpu_s = await _end_recorder(recorder)
-        recorded, dropped = _count_recorded(place)
-        size = sum(path.stat().st_size for path in place.glob("*.mcap"))
-        others = await watcher.close()
+        record_count, drop_count = _count_recorded(run_folder)
+        size = sum(path.stat().st_size for path in run_folder.glob("*.mcap"))
+        other_figures = await watcher.close()
         show_progress(f"{cuts} cut copies of a recording of {CUT_S:g} s")
         lost_chunks = await _cut_and_repair(endpoint, folder, cuts)
         show_progress(f"{KILLS} kills of the recorder")
@@ -80,18 +80,18 @@ async def bench_record(folder: Path, seconds: float, cuts: int, show_progress: C
         CONTROLLERS * AXES,
         HZ,
         seconds,
-        published,
-        recorded,
-        dropped,
+        publications,
+        record_count,
+        drop_count,
         cpu_s / seconds,
         mb,
-        others,
+        other_figures,
         answers,
         cuts,
         lost_chunks,
         KILLS,
         kill_losses,
-        recorded + dropped == published,
+        record_count + drop_count == publications,
         cpu_s / seconds <= CPU_TARGET,
         mb <= HOUR_TARGET_MB,
     )
@@ -167,14 +167,14 @@ def read_cpu_s(pid: int) -> float:
 
 def _count_recorded(place: Path) -> tuple[int, int]:
     """How many states the recordings have, and how many they say were left out."""
-    recorded = dropped = 0
+    record_count = drop_count = 0
     for path in place.glob("*.mcap"):
         with Recording(path) as recording:
             for message in recording.read_messages():
-                recorded += message.key.endswith("/state") and message.valid
+                record_count += message.key.endswith("/state") and message.valid
                 if message.key == "recorder/dropped":
-                    dropped += MessagesDropped.read_message(message.payload).total
-    return recorded, dropped
+                    drop_count += MessagesDropped.read_message(message.payload).total
+    return record_count, drop_count
 
 
 def _list_chunks(path: Path) -> list[tuple[int, int]]:
@@ -182,44 +182,46 @@ def _list_chunks(path: Path) -> list[tuple[int, int]]:
     with path.open("rb") as file:
         groups = read_frames(file, path.stat().st_size)
         counted_ends = [(group.ends_at, group.message_count) for group in groups if isinstance(group, FrameGroup)]
-    return [each for each in counted_ends if each[1]]
+    return [end for end in counted_ends if end[1]]
 
 
 async def _cut_and_repair(endpoint: str, folder: Path, cuts: int) -> int:
     """Cut copies of a recording at random bytes, and repair them; return how many closed chunks were lost."""
-    place = folder / "cut"
-    recorder = await _start_recorder(endpoint, place)
+    cut_folder = folder / "cut"
+    recorder = await _start_recorder(endpoint, cut_folder)
     await _publish(endpoint, CUT_S)
     await _end_recorder(recorder)
-    (path,) = place.glob("fleet-*.mcap")
-    whole, chunks, draw = path.read_bytes(), _list_chunks(path), Random(1)
-    lost = 0
-    copy = place / "copy.mcap"
+    (path,) = cut_folder.glob("fleet-*.mcap")
+    content, chunks, draw = path.read_bytes(), _list_chunks(path), Random(1)
+    losses = 0
+    copy = cut_folder / "copy.mcap"
     for _ in range(cuts):
-        cut = draw.randrange(200, len(whole))
-        copy.write_bytes(whole[:cut])
+        cut = draw.randrange(200, len(content))
+        copy.write_bytes(content[:cut])
         result = repair_recording(copy)
-        kept = sum(messages for ends_at, messages in chunks if ends_at <= cut)
+        count = sum(messages for ends_at, messages in chunks if ends_at <= cut)
         recording_after = summarize_recording(copy)
-        lost += result.messages < kept or not recording_after.is_complete or recording_after.messages != result.messages
-    return lost
+        losses += (
+            result.messages < count or not recording_after.is_complete or recording_after.messages != result.messages
+        )
+    return losses
 
 
 async def _kill_and_repair(endpoint: str, folder: Path) -> int:
     """Kill the recorder at work; return in how many recordings a chunk that was closed before is missing."""
     losses, draw = 0, Random(2)
     for number in range(KILLS):
-        place = folder / f"kill-{number}"
-        recorder = await _start_recorder(endpoint, place)
+        kill_folder = folder / f"kill-{number}"
+        recorder = await _start_recorder(endpoint, kill_folder)
         publishing = asyncio.ensure_future(_publish(endpoint, 4.0))
         await asyncio.sleep(2.0 + draw.random() * 2)
-        (path,) = place.glob("fleet-*.mcap")
-        before = sum(messages for _, messages in _list_chunks(path))
+        (path,) = kill_folder.glob("fleet-*.mcap")
+        message_count = sum(messages for _, messages in _list_chunks(path))
         recorder.send_signal(signal.SIGKILL)
         await recorder.wait()
         await publishing
         result = repair_recording(path)
-        losses += result.messages < before or before == 0 or not summarize_recording(path).is_complete
+        losses += result.messages < message_count or message_count == 0 or not summarize_recording(path).is_complete
     return losses
 
 

@@ -20,14 +20,14 @@ HEARTBEAT_S = 0.5
 def make_state(controller: str, number: int, at_ns: int, utc: str, moving: int = 2) -> ControllerState:
     """The state of a controller of four axes, of which the first `moving` ones move. at_ns: fleet time."""
     axes: dict[str, AxisState] = {}
-    for place, name in enumerate(AXES):
-        moves = place < moving
-        counts = number * 123 * (place + 1) % 400_000 if moves else 12_500 * place
+    for index, name in enumerate(AXES):
+        moves = index < moving
+        counts = number * 123 * (index + 1) % 400_000 if moves else 12_500 * index
         following = 2 if moves else 0
         axes[name] = AxisState(
             position=counts / COUNTS_PER_MM,
             commanded=(counts + following) / COUNTS_PER_MM,
-            velocity=12.3 * (place + 1) if moves else 0.0,
+            velocity=12.3 * (index + 1) if moves else 0.0,
             motor_position=counts / COUNTS_PER_MM,
             raw_counts=counts,
             commanded_counts=counts + following,
@@ -62,7 +62,7 @@ async def publish_states(place: tuple[str, str], controllers: int, hz: float, se
     bus, clock, keys = await open_bus(endpoint), LiveClock(), FleetKeys(fleet)
     origin_ns = clock.now_ns()
     names = [f"c{number:02}" for number in range(controllers)]
-    sent, rounds = 0, round(hz * seconds)
+    count, rounds = 0, round(hz * seconds)
     for number in range(rounds):
         await sleep_until_ns(clock, origin_ns + round(number * NS_PER_S / hz))
         if number % round(hz * HEARTBEAT_S) == 0:
@@ -81,12 +81,12 @@ async def publish_states(place: tuple[str, str], controllers: int, hz: float, se
         for name in names:
             state = make_state(name, number, clock.now_ns() - origin_ns, utc, moving)
             bus.put(keys.state(name), state.to_json(), Priority.EVENT)  # so that none is lost on the way
-            sent += 1
+            count += 1
     while bus.backlog:
         await asyncio.sleep(0.1)
     await asyncio.sleep(1.0)
     await bus.close()
-    return sent
+    return count
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from orchestrator.bench.registry.record import Benchmark
 from orchestrator.bench.registry.virtual_records import VIRTUAL_BENCHMARKS
 
 BENCHMARKS: dict[str, Benchmark] = {
-    each.name: each for each in sorted((*VIRTUAL_BENCHMARKS, *LIVE_BENCHMARKS), key=lambda benchmark: benchmark.name)
+    benchmark.name: benchmark
+    for benchmark in sorted((*VIRTUAL_BENCHMARKS, *LIVE_BENCHMARKS), key=lambda benchmark: benchmark.name)
 }
 """By name of the command."""

@@ -20,7 +20,7 @@ def _list_dispatch_rows(document: Document) -> list[tuple[str, Any]]:
         ("submit to first motion", document["first_motion"]),
         ("lead time, once settled", document["lead"]),
         ("last arming to T0", document["armed_to_t0"]),
-        *((f"part: {name}", each) for name, each in document["parts"].items()),
+        *((f"part: {name}", part) for name, part in document["parts"].items()),
         ("process wake-up delay", document["noise"]),
     ]
 

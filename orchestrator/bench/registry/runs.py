@@ -206,8 +206,8 @@ def run_journal(_: ShowProgress, jobs: int, history: int, folder: Path | None) -
 
     from orchestrator.bench.journal import bench_journal
 
-    with tempfile.TemporaryDirectory(prefix="tutti-bench-", dir=folder) as place:
-        return bench_journal(_load_demo_fleet(), Path(place), jobs, history)._asdict()
+    with tempfile.TemporaryDirectory(prefix="tutti-bench-", dir=folder) as folder_name:
+        return bench_journal(_load_demo_fleet(), Path(folder_name), jobs, history)._asdict()
 
 
 def run_kills(show_progress: ShowProgress, rounds: int) -> Fields:

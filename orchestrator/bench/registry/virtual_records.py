@@ -6,7 +6,7 @@ from orchestrator.bench.registry import runs
 from orchestrator.bench.registry.record import BenchColumn, Benchmark, BenchNote, BenchOption, BenchTable, Document
 
 _SEED = BenchOption("seed", "int", "Of all random draws.", default=1)
-_PERCENTILES = (BenchColumn("n>", "n"), *(BenchColumn(f"{each}>", each, ".3f") for each in ("p50", "p99", "max")))
+_PERCENTILES = (BenchColumn("n>", "n"), *(BenchColumn(f"{title}>", title, ".3f") for title in ("p50", "p99", "max")))
 
 
 def _make_plan_table(title: str, rows: str) -> BenchTable:
@@ -34,8 +34,8 @@ def _list_shares(document: Document) -> list[str]:
 
 def _list_choices(document: Document) -> list[str]:
     return [
-        f"{each.cruise}: {', '.join(f'{count} by {way}' for way, count in sorted(each.ways.items()))}"
-        for each in document["chosen"]
+        f"{choice.cruise}: {', '.join(f'{count} by {way}' for way, count in sorted(choice.ways.items()))}"
+        for choice in document["chosen"]
     ]
 
 
@@ -71,9 +71,9 @@ def _list_sync_targets(document: Document) -> list[str]:
         "verdicts that do not contain the true skew; late: a link delayed a command for longer than its adapter "
         "allows, and only the controllers' evidence must hold\n"
     )
-    kept = {True: "kept", False: "[red]missed[/]"}
+    words = {True: "kept", False: "[red]missed[/]"}
     targets = [
-        f"{_name_row(row)}: target {row.asked}: {kept[bool(row.met)]}; worst is {row.worst}"
+        f"{_name_row(row)}: target {row.asked}: {words[bool(row.met)]}; worst is {row.worst}"
         for row in rows
         if row.asked
     ]

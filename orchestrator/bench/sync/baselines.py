@@ -49,9 +49,9 @@ def _measure_skew(units: list[SimulatedController]) -> int:
 
 async def _wait_for_acknowledgement(link: Link, ends: bytes) -> None:
     """Read until an acknowledgement has arrived."""
-    seen = b""
-    while not seen.endswith(ends):
-        seen += (await link.read()).data
+    reply = b""
+    while not reply.endswith(ends):
+        reply += (await link.read()).data
 
 
 async def _start_by_broadcast(clock: VirtualClock, draw: Random, *, shared: bool) -> int:

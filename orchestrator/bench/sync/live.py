@@ -40,9 +40,9 @@ async def _run_fleet(name: str, steps: int, state: Path, on_line: Callable[[str]
     on_line(f"{name}: {steps} steps")
     fleet = make_sync_fleet(name, 1)
     names = list(fleet.controllers)
-    far = {f"{each}.x": fleet.controllers[each].axes["x"].limits.velocity * 0.5 for each in names}
+    targets = {f"{name}.x": fleet.controllers[name].axes["x"].limits.velocity * 0.5 for name in names}
     moves: list[dict[str, object]] = [
-        {"do": "move", "to": far if k % 2 == 0 else dict.fromkeys(far, 0.0), "speed": 0.5} for k in range(steps)
+        {"do": "move", "to": targets if k % 2 == 0 else dict.fromkeys(targets, 0.0), "speed": 0.5} for k in range(steps)
     ]
     job = Job.model_validate(
         {
@@ -60,11 +60,11 @@ async def _run_fleet(name: str, steps: int, state: Path, on_line: Callable[[str]
             raise NothingHappened(f"{name}: the job is {report.state}: {report.reason}")
         async with tutti.subscribe_samples(tutti.keys.leader) as heartbeats:
             origin_ns = LeaderHeartbeat.read_message((await heartbeats.get()).payload).origin_host_ns
-        held_checks = check_verdicts(fleet, report, live.state / "truth", origin_ns)
+        checks = check_verdicts(fleet, report, live.state / "truth", origin_ns)
         on_line(f"{name}: {(raw_ns() - began_ns) / 1e9:.0f} s")
         return LiveSync(
             name,
-            make_spread([check.skew_ns for check in held_checks]),
-            sum(not check.held for check in held_checks),
+            make_spread([check.skew_ns for check in checks]),
+            sum(not check.held for check in checks),
             noise.make_spread(),
         )

@@ -213,7 +213,7 @@ def bench_sync(
     options: SyncOptions, on_row: Callable[[SyncFigures], None] = lambda _: None
 ) -> tuple[list[SyncFigures], dict[str, list[float]]]:
     """Run the chosen rows, baselines first; return also their start skews, ms."""
-    trials, seed, only, history_s, processes = options
+    trials, seed, pattern, history_s, processes = options
     rows: list[SyncFigures] = []
     starts: dict[str, list[float]] = {}
 
@@ -223,20 +223,16 @@ def bench_sync(
         on_row(row)
 
     for row, baseline in enumerate(BASELINES):
-        if re.search(only, f"{baseline.fleet}, {baseline.way}"):
+        if re.search(pattern, f"{baseline.fleet}, {baseline.way}"):
             olds = [BaselineTrial(row, seed, number) for number in range(trials)]
             add_row(*_make_baseline_figures(baseline, list(map_in_processes(_run_baseline_trial, olds, processes))))
     for row, case in enumerate(CASES):
-        if re.search(only, f"{case.fleet}, {case.name}"):
+        if re.search(pattern, f"{case.fleet}, {case.name}"):
             worlds = list(_make_fleet_trials(row, max(2, round(trials * case.trials)), seed, history_s))
             add_row(
                 *_make_figures(
                     case,
-                    [
-                        trial
-                        for found_trials in map_in_processes(_run_fleet_trials, worlds, processes)
-                        for trial in found_trials
-                    ],
+                    [trial for results in map_in_processes(_run_fleet_trials, worlds, processes) for trial in results],
                 )
             )
     return rows, starts
@@ -301,8 +297,8 @@ def _make_figures(case: SyncCase, found: list[SyncTrial]) -> tuple[SyncFigures, 
     figures = figures._replace(width_most=round(max(3 * figures.start_p99, 2 * irreducible), 3))
     # What the delays of a network leave open is no fault of the evidence.
     most_ms = {**case.most_ms, **({"width": figures.width_most} if case.to_ms is None else {})}
-    met = all(getattr(figures, name) <= most for name, most in most_ms.items()) if case.most_ms else None
-    return figures._replace(met=met), starts
+    is_met = all(getattr(figures, name) <= most for name, most in most_ms.items()) if case.most_ms else None
+    return figures._replace(met=is_met), starts
 
 
 async def _run_trials(clock: VirtualClock, world: FleetTrials) -> list[SyncTrial]:
@@ -340,9 +336,9 @@ def _set_apart(fleet: VirtualFleet, to_ms: float, back_ms: float, draw: Random) 
 
 
 async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, draw: Random) -> SyncTrial:
-    controllers_before = {name: len(controller.commanded_motions) for name, controller in fleet.controllers.items()}
-    seen: list[tuple[int, dict[str, float]]] = []
-    watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, seen))
+    motion_counts = {name: len(controller.commanded_motions) for name, controller in fleet.controllers.items()}
+    positions: list[tuple[int, dict[str, float]]] = []
+    watching = asyncio.get_running_loop().create_task(_watch_path(fleet, look_ns, draw, positions))
     report = await _run_job(fleet, [move])
     watching.cancel()
     step = report.steps[0]
@@ -350,30 +346,30 @@ async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, dr
     recording = await client.load_recording(report.job_id, 0)
     await client.close()
     assert recording is not None
-    motions = [controller.commanded_motions[controllers_before[name]] for name, controller in fleet.controllers.items()]
+    motions = [controller.commanded_motions[motion_counts[name]] for name, controller in fleet.controllers.items()]
     origin_ns = next(iter(fleet.coordinators.values()))[1].leadership.scale.origin_host_ns
     start_ns = max(motion.start_ns for motion in motions) - min(motion.start_ns for motion in motions)
     ends = [motion.end_ns for motion in motions if motion.end_ns is not None]
     skew, budget = step.narrowest_skew, step.budget
     assert skew is not None and budget is not None
-    moved_motions = dict(zip(fleet.controllers, motions, strict=True))
+    motion_by_name = dict(zip(fleet.controllers, motions, strict=True))
     late = any(
         step.members[name].start_class == "host" and fleet.wires[name].delayed_start(motion.start_ns)
-        for name, motion in moved_motions.items()
+        for name, motion in motion_by_name.items()
     )
-    missed = not late and not skew.at_least_ns <= start_ns <= skew.at_most_ns
-    for name, motion in moved_motions.items():
+    is_missed = not late and not skew.at_least_ns <= start_ns <= skew.at_most_ns
+    for name, motion in motion_by_name.items():
         for evidence in step.members[name].evidence.values():
-            for said in (evidence.start,) if late else (evidence.start, evidence.start_for_verdict):
-                missed = missed or not said.earliest_ns <= motion.start_ns - origin_ns <= said.latest_ns
+            for interval in (evidence.start,) if late else (evidence.start, evidence.start_for_verdict):
+                is_missed = is_missed or not interval.earliest_ns <= motion.start_ns - origin_ns <= interval.latest_ns
     return SyncTrial(
         start_ns,
         max(ends) - min(ends),
-        _measure_path_skew(recording, origin_ns, seen),
+        _measure_path_skew(recording, origin_ns, positions),
         budget.predicted_ns,
         skew.at_most_ns - skew.at_least_ns,
         sum(sorted(_irreducible_ns(step, name) for name in fleet.controllers)[-2:]),
-        missed,
+        is_missed,
         late,
         f"{budget.worst_member}, {budget.worst_term}",
     )
@@ -396,24 +392,26 @@ async def _watch_path(
     motors = {name: config.axes["x"].motors[0] for name, config in fleet.fleet.controllers.items()}
     while True:
         await sleep_ns(fleet.clock, every_ns // 2 + draw.randrange(every_ns))
-        where = {f"{name}.x": controller.position(motors[name]) for name, controller in fleet.controllers.items()}
-        seen.append((fleet.clock.now_ns(), where))
+        present_positions = {
+            f"{name}.x": controller.position(motors[name]) for name, controller in fleet.controllers.items()
+        }
+        seen.append((fleet.clock.now_ns(), present_positions))
 
 
 def _measure_path_skew(recording: StepRecording, origin_ns: int, seen: list[tuple[int, dict[str, float]]]) -> float:
     """Return the largest distance in time between the axes' positions on the plan, ns: (position - plan) / planned
     velocity, where that is at least a tenth of the axis's peak."""
     worst_ns = 0.0
-    at = {axis: each.profile.make_evaluator() for axis, each in recording.axes.items()}
-    for now_ns, where in seen:
+    at = {axis: axis_motion.profile.make_evaluator() for axis, axis_motion in recording.axes.items()}
+    for now_ns, axis_positions in seen:
         since_s = (now_ns - origin_ns - recording.t0_fleet_ns) * 1e-9
         late: list[float] = []
-        for axis, each in recording.axes.items():
-            if not 0.0 < since_s < each.profile.duration_s:
+        for axis, axis_motion in recording.axes.items():
+            if not 0.0 < since_s < axis_motion.profile.duration_s:
                 continue
             planned_state = at[axis](since_s)
-            if abs(planned_state.velocity) >= PEAK_SHARE * each.profile.peak_velocity:
-                off = where[axis] - each.profile.start_counts - planned_state.position
+            if abs(planned_state.velocity) >= PEAK_SHARE * axis_motion.profile.peak_velocity:
+                off = axis_positions[axis] - axis_motion.profile.start_counts - planned_state.position
                 late.append(off / planned_state.velocity * 1e9)
         if len(late) > 1:
             worst_ns = max(worst_ns, max(late) - min(late))

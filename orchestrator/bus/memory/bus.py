@@ -139,11 +139,11 @@ class MemoryNet:
         """End the partition. Samples and requests pass at once; presence returns when all have reconnected."""
         self._sides = {}
         self._cuts += 1
-        healed = self._cuts
+        cuts = self._cuts
         self.presence.refresh_watches()
 
         def restore_presence() -> None:
-            if self._cuts == healed:
+            if self._cuts == cuts:
                 self._lost_sides = {}
                 self.presence.refresh_watches()
 
@@ -248,8 +248,8 @@ class MemoryNet:
 
     def is_lost(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes count each other as gone."""
-        lost = _are_apart(self._lost_sides, one, other) or self.network.is_lost(one, other)
-        return one.given_up or other.given_up or lost
+        is_lost = _are_apart(self._lost_sides, one, other) or self.network.is_lost(one, other)
+        return one.given_up or other.given_up or is_lost
 
     def deliver_call(self, bus: BusProcess, priority: Priority, call: Callable[[], None]) -> None:
         """Deliver something to a process: now, or when the process runs again."""

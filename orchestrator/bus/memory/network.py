@@ -67,8 +67,8 @@ class Network:
 
     def is_cut(self, sender: BusProcess, receiver: BusProcess) -> bool:
         """Whether nothing passes from one process to the other now."""
-        apart = sender.computer != receiver.computer
-        return apart and (sender.computer in self._mute or receiver.computer in self._deaf)
+        is_apart = sender.computer != receiver.computer
+        return is_apart and (sender.computer in self._mute or receiver.computer in self._deaf)
 
     def is_cut_off(self, computer: str) -> bool:
         """Whether nothing reaches a computer, or nothing leaves it."""

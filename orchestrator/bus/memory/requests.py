@@ -76,7 +76,7 @@ class RequestBoard:
 
     def remove_servers(self, bus: BusProcess) -> None:
         """A process has left or died: it gets no new requests."""
-        for served_expression in [served for served in self._served if served.bus is bus]:
+        for served_expression in [candidate for candidate in self._served if candidate.bus is bus]:
             self.remove_server(served_expression)
 
     def fail_requests(self, bus: BusProcess) -> None:

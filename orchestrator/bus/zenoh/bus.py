@@ -169,11 +169,11 @@ class ZenohBus(RequestingBus):
         declaration = _ZenohDeclaration(self._standing)
 
         def start_answer(query: zenoh.Query, payload: bytes) -> None:
-            asked = str(query.key_expr)
-            if not declaration.stands or self._closed or is_silent_on(expression, asked):
+            request_key = str(query.key_expr)
+            if not declaration.stands or self._closed or is_silent_on(expression, request_key):
                 query.drop()
                 return
-            if len(self._answering) >= MAX_ANSWERING and not is_stop(asked):
+            if len(self._answering) >= MAX_ANSWERING and not is_stop(request_key):
                 self._refuse_query(query, f"busy: {MAX_ANSWERING} requests are being answered; try again")
                 return
             task = self._loop.create_task(self._answer_query(query, payload, expression, handler))
@@ -220,14 +220,14 @@ class ZenohBus(RequestingBus):
         self._sure_sender.queue_call(Priority.EVENT, send_refusal)
 
     async def _answer_query(self, query: zenoh.Query, payload: bytes, expression: str, handler: RequestHandler) -> None:
-        asked = str(query.key_expr)
-        key = expression if is_wild(asked) else asked
+        question_key = str(query.key_expr)
+        key = expression if is_wild(question_key) else question_key
         try:
             answer = await handler(BusSample(key, payload))
             _require_sendable("answer", answer)
             reply = partial(query.reply, key, answer, express=True)
         except RequestRefused as refusal:
-            if is_wild(asked):
+            if is_wild(question_key):
                 query.drop()
                 return
             reply = partial(query.reply_err, str(refusal), encoding=_REFUSED)
@@ -311,16 +311,16 @@ class ZenohBus(RequestingBus):
 
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         declaration = _ZenohDeclaration(self._standing)
-        believed: set[str] = set()
+        present_keys: set[str] = set()
 
         def notify_change(key: str, *, present: bool) -> None:
             # Zenoh may repeat an earlier notification, e.g. after a reconnect.
-            if not declaration.stands or present == (key in believed):
+            if not declaration.stands or present == (key in present_keys):
                 return
             if present:
-                believed.add(key)
+                present_keys.add(key)
             else:
-                believed.remove(key)
+                present_keys.remove(key)
             callback(key, present)
 
         def receive_token(sample: zenoh.Sample) -> None:
@@ -349,21 +349,21 @@ class ZenohBus(RequestingBus):
         for task in list(self._answering):
             task.cancel()
         self._inbox.close()
-        thread_left = await run_in_thread("bus-close", self._flush_senders)
-        gone = threading.Semaphore(0)
+        is_stuck = await run_in_thread("bus-close", self._flush_senders)
+        closings = threading.Semaphore(0)
 
         def close_session(session: zenoh.Session) -> None:
             try:
                 session.close()
             finally:
-                gone.release()
+                closings.release()
 
         def close_all() -> None:
             until_s = time.monotonic() + _FLUSH_TIMEOUT_S
             for sender in (self._sure_sender, self._lossy_sender):
                 sender.wait_for_call(max(0.0, until_s - time.monotonic()))
             for _ in closing:
-                gone.acquire(timeout=max(0.0, until_s - time.monotonic()))
+                closings.acquire(timeout=max(0.0, until_s - time.monotonic()))
             time.sleep(_DROP_TIMEOUT_S)
 
         closing = [run_in_thread("bus-close", partial(close_session, session)) for session in (self._lossy, self._sure)]
@@ -374,19 +374,19 @@ class ZenohBus(RequestingBus):
                         _LOG.warning("closing the bus at %s: %s", self._endpoint, failure)
         except TimeoutError:
             _LOG.warning("the router at %s does not answer; disconnected without it", self._endpoint)
-            thread_left = True
-        if thread_left:
+            is_stuck = True
+        if is_stuck:
             atexit.register(close_all)
 
     def _flush_senders(self) -> bool:
         """Send what is left. Returns whether some of it could not be sent in time and may still be in progress."""
         until_s = time.monotonic() + CLOSE_TIMEOUT_S
-        stops_left = [
+        counts = [
             sender.stop(max(0.0, until_s - time.monotonic())) for sender in (self._sure_sender, self._lossy_sender)
         ]
-        if sum(stops_left):
-            _LOG.warning("%d samples were not taken by the bus at %s", sum(stops_left), self._endpoint)
-        return any(stops_left)
+        if sum(counts):
+            _LOG.warning("%d samples were not taken by the bus at %s", sum(counts), self._endpoint)
+        return any(counts)
 
     async def _run_declaration(self, declare: Callable[[], T]) -> T:
         self._check_open()
@@ -400,8 +400,8 @@ class ZenohBus(RequestingBus):
         return not self._closed and bool(self._sure.info.routers_zid())
 
     def _transport_event(self, event: zenoh.TransportEvent) -> None:
-        lost = event.kind == zenoh.SampleKind.DELETE
-        self._inbox.queue_call(Priority.EVENT, partial(self._transport_changed, lost=lost))
+        is_lost = event.kind == zenoh.SampleKind.DELETE
+        self._inbox.queue_call(Priority.EVENT, partial(self._transport_changed, lost=is_lost))
 
     def _transport_changed(self, *, lost: bool) -> None:
         if lost:

@@ -60,9 +60,9 @@ async def report_open_router(endpoint: str, listen: str, fleet: str, name: str) 
             continue
         try:
             while True:
-                for each in [fleet] if fleet else await find_fleets(bus):
+                for fleet_name in [fleet] if fleet else await find_fleets(bus):
                     request = _make_open_bus(openness)
-                    bus.put(FleetKeys(each).alarm_request("router", name), request.to_json(), Priority.EVENT)
+                    bus.put(FleetKeys(fleet_name).alarm_request("router", name), request.to_json(), Priority.EVENT)
                 await asyncio.sleep(ROUTER_REPEAT_S)
         finally:
             await bus.close()

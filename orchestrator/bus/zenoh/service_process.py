@@ -19,19 +19,19 @@ def run_service(service: Coroutine[Any, Any, int], place: Path, codes: Mapping[t
     place: what the service writes, for errors of the operating system that name no file. codes: of the errors that only
     this service has; those are written to stderr without a traceback.
     """
-    known: dict[type[Exception], int] = {
+    exit_codes: dict[type[Exception], int] = {
         UnsafePath: BAD_INPUT,
         BadIdentity: BAD_INPUT,
         RouterUnreachable: NO_BUS,
         **codes,
     }
-    kinds = tuple(known)
+    kinds = tuple(exit_codes)
     try:
         return asyncio.run(service)
     except kinds as error:
         sys.stderr.write(f"{error}\n")
-        return next(code for kind, code in known.items() if isinstance(error, kind))
+        return next(code for kind, code in exit_codes.items() if isinstance(error, kind))
     except OSError as error:
-        where = error.filename or place
-        sys.stderr.write(f"{where}: {error.strerror}; free space there, or choose another place\n")
+        path = error.filename or place
+        sys.stderr.write(f"{path}: {error.strerror}; free space there, or choose another place\n")
         return BAD_INPUT

@@ -125,7 +125,9 @@ def _explain_absence(endpoint: str, timeout_s: float, identity: Identity | None)
     if identity is None:
         return f"{text}; start one there (`tutti up FLEET`), or give the right endpoint with --connect"
     # A router that refuses a certificate closes without a word.
-    reasons = "; ".join(each for each in map(partial(probe_tls, identity=identity), split_endpoints(endpoint)) if each)
+    reasons = "; ".join(
+        reason for reason in map(partial(probe_tls, identity=identity), split_endpoints(endpoint)) if reason
+    )
     remedy = "start one there (`tutti router`), or give the right endpoint with --connect"
     return f"{text}, as {identity.common_name}: {reasons or remedy}"
 
@@ -154,10 +156,10 @@ class ZenohRouter:
 def make_router_settings(endpoint: str, security: Mapping[str, object], links: str = "") -> dict[str, object]:
     """All settings of a router in Zenoh's terms. security: those of TLS and of the access control. links: endpoints of
     other routers of the fleet, which are connected to whenever they are there."""
-    others_endpoints = split_endpoints(links) if links else []
+    other_endpoints = split_endpoints(links) if links else []
     ends = {
         "listen/endpoints": split_endpoints(endpoint),
-        "connect/endpoints": others_endpoints,
+        "connect/endpoints": other_endpoints,
         "connect/retry": _RETRY_CONFIG,
     }
     return {**_make_common_settings("router"), **ends, **_ROUTER_LIMITS, **security}
@@ -172,16 +174,16 @@ def open_router(
     the network without. Raises `RouterRefused` for that without `insecure`, and if an endpoint is in use or malformed.
     """
     security = security or {}
-    for each in split_endpoints(endpoint):
-        if uses_tls(each) and not security:
-            raise RouterRefused(f"{each} needs certificates; give the folder of keys: `tutti router --keys DIR`")
-        if not (uses_tls(each) or is_private(each) or insecure):
-            text = f"{each} would listen to the network without TLS"
+    for part in split_endpoints(endpoint):
+        if uses_tls(part) and not security:
+            raise RouterRefused(f"{part} needs certificates; give the folder of keys: `tutti router --keys DIR`")
+        if not (uses_tls(part) or is_private(part) or insecure):
+            text = f"{part} would listen to the network without TLS"
             raise RouterRefused(f"{text}; use tcp/127.0.0.1:PORT, or tls/… with the fleet's keys (`tutti keys`)")
     try:
         session = zenoh.open(_to_config(make_router_settings(endpoint, security, links)))
-        for each in filter(is_socket, split_endpoints(endpoint)):
-            Path(socket_path(each)).chmod(0o600)
+        for part in filter(is_socket, split_endpoints(endpoint)):
+            Path(socket_path(part)).chmod(0o600)
     except zenoh.ZError as error:
         if "in use" in str(error):
             cause = (

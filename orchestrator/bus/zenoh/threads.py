@@ -103,9 +103,9 @@ class SenderThread:
             self._changed.notify()
         self._thread.join(timeout_s)
         with self._changed:
-            busy_left = len(self._lanes) + self._busy
+            count = len(self._lanes) + self._busy
             self._lanes.discard_calls()
-            return busy_left
+            return count
 
     def wait_for_call(self, timeout_s: float) -> None:
         """Wait for the end of a call that is in progress."""
@@ -184,15 +184,15 @@ async def run_in_thread(name: str, call: Callable[[], T]) -> T:
     ends would end the process by SIGABRT, because it is inside Zenoh when it may not return.
     """
     loop = asyncio.get_running_loop()
-    done: asyncio.Future[T] = loop.create_future()
+    future: asyncio.Future[T] = loop.create_future()
 
     def settle_future(result: T | None, error: Exception | None) -> None:
-        if done.done():
+        if future.done():
             return
         if error is not None:
-            done.set_exception(error)
+            future.set_exception(error)
         else:
-            done.set_result(result)  # pyright: ignore[reportArgumentType]
+            future.set_result(result)  # pyright: ignore[reportArgumentType]
 
     def run_call() -> None:
         nonlocal call
@@ -208,4 +208,4 @@ async def run_in_thread(name: str, call: Callable[[], T]) -> T:
             loop.call_soon_threadsafe(settle_future, result, failure)
 
     threading.Thread(target=run_call, name=name, daemon=True).start()
-    return await done
+    return await future

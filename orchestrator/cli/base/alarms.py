@@ -33,8 +33,8 @@ def make_alarm_table(alarms: Sequence[AlarmRecord], *, actions: bool) -> Rendera
 def describe_absence(alarm: AlarmRecord) -> str:
     """Why an alarm is set aside; empty if it is not."""
     if alarm.shelved_until_utc is not None:
-        why = f": {alarm.shelved_why}" if alarm.shelved_why else ""
-        return f"shelved by {alarm.shelved_by} until {format_time(alarm.shelved_until_utc)}{why}"
+        reason = f": {alarm.shelved_why}" if alarm.shelved_why else ""
+        return f"shelved by {alarm.shelved_by} until {format_time(alarm.shelved_until_utc)}{reason}"
     return f"out of service: {alarm.out_of_service}" if alarm.out_of_service else ""
 
 
@@ -44,8 +44,8 @@ def print_open_alarms(alarms: Sequence[AlarmRecord]) -> None:
     if not waiting_alarms:
         return
     counts = Counter(record.priority for record in waiting_alarms)
-    shown = ", ".join(f"{counts[priority]} {priority}" for priority in PRIORITIES if counts[priority])
+    count_list = ", ".join(f"{counts[priority]} {priority}" for priority in PRIORITIES if counts[priority])
     new = sum(record.state != "acknowledged" for record in waiting_alarms)
     worst = next(priority for priority in PRIORITIES if counts[priority])
-    text = f"alarms: {shown}; {new} not acknowledged → `tutti alarm ls`"
+    text = f"alarms: {count_list}; {new} not acknowledged → `tutti alarm ls`"
     console.print(text, style=PRIORITIES[worst], highlight=False, markup=False)

@@ -45,8 +45,8 @@ complete_outputs = complete_names(lambda names: names.outputs)
 
 def complete_jobs(context: click.Context, _: click.Parameter, begun: str) -> list[CompletionItem]:
     """The newest jobs, by id, with their names where the shell shows help; and `last`."""
-    fleet = ask_fleet(context, lambda tutti: tutti.list_jobs(limit=JOBS_OFFERED))
-    jobs = [] if fleet is None else [("last", "the newest job"), *((job.id, job.name) for job in fleet.jobs)]
+    listing = ask_fleet(context, lambda tutti: tutti.list_jobs(limit=JOBS_OFFERED))
+    jobs = [] if listing is None else [("last", "the newest job"), *((job.id, job.name) for job in listing.jobs)]
     return [CompletionItem(job_id, help=name) for job_id, name in jobs if job_id.startswith(begun)]
 
 
@@ -55,8 +55,8 @@ def complete_fleets(context: click.Context, _: click.Parameter, begun: str) -> l
     from orchestrator.bus.fleets import find_fleets
 
     # Any name will do: only the bus of the connection is used.
-    fleet = ask_fleet(context, lambda tutti: find_fleets(tutti.bus), fleet="any")
-    return [CompletionItem(name) for name in fleet or () if name.startswith(begun)]
+    fleets = ask_fleet(context, lambda tutti: find_fleets(tutti.bus), fleet="any")
+    return [CompletionItem(name) for name in fleets or () if name.startswith(begun)]
 
 
 def ask_fleet(

@@ -71,8 +71,8 @@ def exit_with_error(
     code: for programs; without, the general one of the exit code. details: further fields of the JSON object.
     """
     if _json_wanted.get():
-        shown = {"code": code or _PLAIN_CODES[exit_code], "text": text, "remedy": remedy}
-        click.echo(json.dumps({**shown, **details}, indent=2))
+        fields = {"code": code or _PLAIN_CODES[exit_code], "text": text, "remedy": remedy}
+        click.echo(json.dumps({**fields, **details}, indent=2))
         raise SystemExit(exit_code)
     from orchestrator.monitor.times import localize_times
 

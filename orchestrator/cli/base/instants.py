@@ -22,19 +22,19 @@ class InstantType(click.ParamType[datetime]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> datetime:
         if isinstance(value, datetime):
             return value
-        text, now = str(value), datetime.now().astimezone()
+        text, present = str(value), datetime.now().astimezone()
         if self._past and DURATION.match(text):
-            return now - timedelta(seconds=DurationType().convert(text, param, ctx))
+            return present - timedelta(seconds=DurationType().convert(text, param, ctx))
         try:
             if _CLOCK.match(text):
                 clock = datetime.strptime(text, "%H:%M:%S" if text.count(":") == 2 else "%H:%M").time()
-                day = now.date()
-                wanted = datetime.combine(day, clock).astimezone()
-                if not self._past and wanted <= now:
-                    wanted = datetime.combine(day + timedelta(days=1), clock).astimezone()
-                return wanted
+                day = present.date()
+                instant = datetime.combine(day, clock).astimezone()
+                if not self._past and instant <= present:
+                    instant = datetime.combine(day + timedelta(days=1), clock).astimezone()
+                return instant
             return datetime.fromisoformat(text).astimezone()
         except (ValueError, OverflowError):
-            also = ", or an age as 7d" if self._past else ""
-            known = "2026-11-21T22:30:00+01:00, or 2026-11-21T22:30 or 22:30 in local time"
-            self.fail(f"{text!r}: write e.g. {known}{also}", param, ctx)
+            age_hint = ", or an age as 7d" if self._past else ""
+            forms = "2026-11-21T22:30:00+01:00, or 2026-11-21T22:30 or 22:30 in local time"
+            self.fail(f"{text!r}: write e.g. {forms}{age_hint}", param, ctx)

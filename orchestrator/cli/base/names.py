@@ -18,26 +18,26 @@ NEAR = 0.7  # similarity from which a name is suggested
 def unknown_name(kind: str, name: str, known: Iterable[str], remedy: str = "see `tutti status`") -> Refusal:
     """The refusal for a name that the fleet does not have, with the near ones, or with those that there are."""
     known = list(known)
-    near = get_close_matches(name, known, n=3, cutoff=NEAR)
-    if near:
-        there = f"did you mean {' or '.join(near)}?"
+    matches = get_close_matches(name, known, n=3, cutoff=NEAR)
+    if matches:
+        hint = f"did you mean {' or '.join(matches)}?"
     elif known:
-        there = f"it has: {', '.join(known[:MAX_SHOWN])}{' …' if len(known) > MAX_SHOWN else ''}"
+        hint = f"it has: {', '.join(known[:MAX_SHOWN])}{' …' if len(known) > MAX_SHOWN else ''}"
     else:
-        there = f"it has no {kind} at all"
-    return Refusal("unknown-name", f"the fleet has no {kind} {name}; {there}", remedy)
+        hint = f"it has no {kind} at all"
+    return Refusal("unknown-name", f"the fleet has no {kind} {name}; {hint}", remedy)
 
 
 def require_axes(names: "FleetNames", wanted: Iterable[str], *, groups: bool = True) -> list[str]:
     """The axes that `wanted` stand for, each once. groups: groups and controllers are allowed. Raises `Refusal`."""
-    found: list[str] = []
+    axis_names: list[str] = []
     for name in wanted:
         axes = names.expand_name(name) if groups else [name for _ in range(name in names.axes)]
         if not axes:
             kind = "axis, group or controller" if groups else "axis"
             raise unknown_name(kind, name, [*names.axes, *(names.groups if groups else ()), *names.controllers])
-        found += axes
-    return list(dict.fromkeys(found))
+        axis_names += axes
+    return list(dict.fromkeys(axis_names))
 
 
 async def explain_absence(tutti: "Tutti", refusal: Refusal) -> Refusal:

@@ -17,15 +17,15 @@ def choose_state(state: Path | None, fleet: str | None, part: str, what: str) ->
 
     base = default_state("any").parent
     if state is None and fleet is None:
-        running_folders = [each.folder for each in find_running_fleets()]
-        paths_there = running_folders or [path.parent for path in sorted(base.glob(f"*/{part}"))]
-        if len(paths_there) > 1:
-            names = ", ".join(each.name for each in paths_there)
+        running_folders = [fleet.folder for fleet in find_running_fleets()]
+        folders = running_folders or [path.parent for path in sorted(base.glob(f"*/{part}"))]
+        if len(folders) > 1:
+            names = ", ".join(folder.name for folder in folders)
             text = f"several fleets {'run' if running_folders else f'have {what}'}: {names}"
             exit_with_error(text, BAD_INPUT, "choose one with --fleet or --state", code="which-fleet")
-        if not paths_there:
+        if not folders:
             exit_with_error(f"no fleet has {what} below {base}", BAD_INPUT, _NAME_FOLDER)
-        state = paths_there[0]
+        state = folders[0]
     folder = state or default_state(fleet or "")
     if not (folder / part).exists():
         exit_with_error(f"{folder} has no {what}", BAD_INPUT, _NAME_FOLDER)

@@ -67,7 +67,7 @@ async def run_armed(options: ArmedOptions, new_event: Callable[[], tuple[str, st
         if words:
             report("input", f"{words} presses the button; Ctrl-C disarms it")
         trigger = watch_port(options.port, button.press, report) if options.port else _fail_when_lost(lost_event)
-        tasks = [loop.create_task(each) for each in (button.run(connect), trigger, _wait_for(end))]
+        tasks = [loop.create_task(work) for work in (button.run(connect), trigger, _wait_for(end))]
         try:
             await _wait_for_first(tasks)
         finally:
@@ -87,8 +87,8 @@ async def _fail_when_lost(lost: asyncio.Event) -> None:
 
 async def _wait_for_first(tasks: "list[asyncio.Task[None]]") -> None:
     """Wait for the first of the tasks to end, raise its error, and cancel the others."""
-    done_tasks, others_tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    for task in others_tasks:
+    done_tasks, other_tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in other_tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
     for task in done_tasks:

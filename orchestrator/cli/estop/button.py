@@ -84,14 +84,14 @@ class EstopButton:
 
     async def _watch_connection(self) -> None:
         while True:
-            now_s, connected = asyncio.get_running_loop().time(), self.is_connected
-            if connected and not self._connected:
+            now_s, is_connected = asyncio.get_running_loop().time(), self.is_connected
+            if is_connected and not self._connected:
                 await asyncio.sleep(SILENCE_S)  # for the other controllers, so that all are named
                 self._report("armed", f"armed: connected to {', '.join(sorted(self._seen))}")
-            elif not connected and (self._connected is not False or now_s - self._reminded_s >= REMIND_S):
+            elif not is_connected and (self._connected is not False or now_s - self._reminded_s >= REMIND_S):
                 self._reminded_s = now_s
                 self._report("not-connected", f"NOT CONNECTED: a press stops nothing now; {WIRED}")
-            self._connected = connected
+            self._connected = is_connected
             await asyncio.sleep(POLL_S)
 
     def _put_pending(self) -> None:
@@ -103,18 +103,18 @@ class EstopButton:
         """Repeat the e-stop until it is confirmed, or was not within the time that it has for that."""
         left_s = CONFIRM_S
         while self._pending is not None:
-            began_s, missing = asyncio.get_running_loop().time(), sorted(self._seen)
+            began_s, missing_names = asyncio.get_running_loop().time(), sorted(self._seen)
             if self.is_connected:
                 self._put_pending()
-                latched = await self._find_latched(bus)
-                missing = [each for each in sorted(self._seen) if not latched.get(each)]
-                if not missing:
+                latches = await self._find_latched(bus)
+                missing_names = [name for name in sorted(self._seen) if not latches.get(name)]
+                if not missing_names:
                     self._pending = None
-                    self._report("latched", f"E-STOP LATCHED: {', '.join(sorted(latched))}; `tutti reset` releases it")
+                    self._report("latched", f"E-STOP LATCHED: {', '.join(sorted(latches))}; `tutti reset` releases it")
                     return
             await asyncio.sleep(POLL_S)
             if self.is_connected:
                 left_s -= asyncio.get_running_loop().time() - began_s
             if left_s <= 0:
                 self._pending = None
-                self._report("not-latched", f"E-STOP NOT CONFIRMED by {', '.join(missing)}; {WIRED}")
+                self._report("not-latched", f"E-STOP NOT CONFIRMED by {', '.join(missing_names)}; {WIRED}")

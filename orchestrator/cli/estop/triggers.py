@@ -31,8 +31,8 @@ class LineSplitter:
 
     def has_line(self, data: bytes) -> bool:
         """Whether a line that is not blank ends in `data`."""
-        *lines, rest = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
-        self._rest = rest[-MAX_LINE_BYTES:]
+        *lines, tail = (self._rest + data).replace(b"\r", b"\n").split(b"\n")
+        self._rest = tail[-MAX_LINE_BYTES:]
         return any(line.strip(b" \t\0") for line in lines)
 
 
@@ -66,12 +66,12 @@ def watch_standard_input(press: Callable[[], None], lost: asyncio.Event) -> Gene
 async def watch_port(device: str, press: Callable[[], None], report: Report) -> None:
     """Press the button at a line of text on a serial port, 9600 baud; open the port again when it is lost."""
     link = SerialLink(kind="serial", device=device, baud=9600)
-    said = ""
+    text = ""
     while True:
         try:
             port = open_serial(link, LiveClock())
             report("port", f"a line of text on {device} presses the button")
-            said, lines = "", LineSplitter()
+            text, lines = "", LineSplitter()
             try:
                 while True:
                     if lines.has_line((await port.read()).data):
@@ -79,7 +79,7 @@ async def watch_port(device: str, press: Callable[[], None], report: Report) -> 
             finally:
                 await port.close()
         except (LinkRefused, LinkClosed) as error:
-            if said != str(error):
-                said = str(error)
+            if text != str(error):
+                text = str(error)
                 report("port-lost", f"NO BUTTON on {device}: {error}; {WIRED}")
             await asyncio.sleep(REOPEN_S)

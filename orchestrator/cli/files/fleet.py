@@ -51,17 +51,17 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: b
         for name, config in loaded_fleet.controllers.items():
             state = states.get(name)
             if state is None:
-                said = "no adapter runs for it; is its host part of `tutti up`?"
+                text = "no adapter runs for it; is its host part of `tutti up`?"
             elif state.digest != config.digest:
-                said = f"its adapter has another configuration ({state.digest}, the file has {config.digest})"
+                text = f"its adapter has another configuration ({state.digest}, the file has {config.digest})"
             elif state.faults:
-                said = f"{state.faults[0].text}; {state.faults[0].remedy}"
+                text = f"{state.faults[0].text}; {state.faults[0].remedy}"
             else:
                 live_words[name] = "controller and adapter agree with the file"
                 continue
             wrong += 1
-            live_words[name] = said
-        lines = [words, *(f"{name}: {said}" for name, said in live_words.items())]
+            live_words[name] = text
+        lines = [words, *(f"{name}: {text}" for name, text in live_words.items())]
         print_result({**value, "live": live_words}, "\n".join(lines), as_json=as_json)
         if wrong:
             raise SystemExit(FAILED)
@@ -83,9 +83,9 @@ def init(makes: tuple[str, ...], out: Path | None, name: str | None, *, force: b
     if sum(count.number for count in counts) > MAX_CONTROLLERS or len({count.make for count in counts}) < len(counts):
         text = f"name each make once, and at most {MAX_CONTROLLERS} controllers in all, e.g. smc30:3"
         raise click.BadParameter(text, param_hint="--make")
-    shown = "lab.fleet.yaml" if out is None else str(out)
+    file_name = "lab.fleet.yaml" if out is None else str(out)
     try:
-        text = make_example_fleet(counts, name or _fleet_name_of(shown), shown)
+        text = make_example_fleet(counts, name or _fleet_name_of(file_name), file_name)
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--make") from None
     if out is None:

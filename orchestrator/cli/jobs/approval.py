@@ -63,17 +63,17 @@ def approve(job: str, seen: str | None, connect: str, fleet: str | None, *, yes:
         planned_job = await tutti.plan_job(entry.id)
         assert planned_job.plan is not None
         if digits is not None:
-            wanted = _find_wanted(digits[1], planned_job.plan, entry.id)
+            plan_hash = _find_wanted(digits[1], planned_job.plan, entry.id)
         else:
-            wanted = planned_job.plan.hash
+            plan_hash = planned_job.plan.hash
             if not as_json:
                 await _print_plan(tutti, entry, planned_job)
             if not yes and not click.confirm("approve this plan?"):
                 console.print("nothing is approved")
                 return
-        await tutti.approve_job(entry.id, wanted)
-        words = f"{name_jobs(entry)} is approved: {wanted}"
-        print_result({"job_id": entry.id, "plan": wanted}, words, as_json=as_json)
+        await tutti.approve_job(entry.id, plan_hash)
+        words = f"{name_jobs(entry)} is approved: {plan_hash}"
+        print_result({"job_id": entry.id, "plan": plan_hash}, words, as_json=as_json)
 
     with_fleet(connect, fleet, approve_job)
 
@@ -99,6 +99,6 @@ async def _print_plan(tutti: "Tutti", entry: "QueueEntry", planned: "JobPlanned"
     lines += [f"  {index} {step.describe()}" for index, step in steps[:MAX_SHOWN_STEPS]]
     lines += [f"  and {len(steps) - MAX_SHOWN_STEPS} more steps"] if len(steps) > MAX_SHOWN_STEPS else []
     lines += ["plan:", *(f"  {name}: {text}" for name, text in planned.plan.parts.items())]
-    lines += [f"changed since it was approved: {each}" for each in planned.changed]
+    lines += [f"changed since it was approved: {change}" for change in planned.changed]
     for line in [*lines, planned.plan.hash]:
         console.print(line, highlight=False, markup=False, soft_wrap=True)

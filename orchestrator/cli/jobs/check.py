@@ -148,4 +148,4 @@ def show_progress(total: int, *, hidden: bool) -> "Generator[Callable[[int], Non
     columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"))
     with Progress(*columns, console=errors, transient=True) as progress:
         task = progress.add_task("check", total=total)
-        yield lambda done: progress.update(task, completed=done)
+        yield lambda count: progress.update(task, completed=count)

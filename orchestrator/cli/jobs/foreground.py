@@ -94,9 +94,9 @@ async def stop_own_job(tutti: "Tutti", job_id: str, controllers: list[str], inte
     """Stop a job and report where its axes have come to rest. Ends the process at a further interrupt, and when no stop
     could be sent."""
     say("stopping …")
-    seen = interrupts.count
+    count = interrupts.count
     stop = asyncio.ensure_future(_stop_and_wait(tutti, job_id, controllers))
-    task_again = asyncio.ensure_future(interrupts.wait_for_next(seen))
+    task_again = asyncio.ensure_future(interrupts.wait_for_next(count))
     await asyncio.wait([stop, task_again], return_when=asyncio.FIRST_COMPLETED)
     if not stop.done():
         stop.cancel()
@@ -119,8 +119,8 @@ async def _stop_and_wait(tutti: "Tutti", job_id: str, controllers: list[str]) ->
         if not (isinstance(error, Refusal) and error.code == "ended"):
             return await _stop_directly(tutti, controllers, str(error))
     report = await tutti.wait_for_job(job_id)
-    where = await _describe_positions(tutti, controllers)
-    say(f"stopped{where}" if report.state != "done" else f"done before the stop{where}")
+    position_text = await _describe_positions(tutti, controllers)
+    say(f"stopped{position_text}" if report.state != "done" else f"done before the stop{position_text}")
     return True
 
 
@@ -131,7 +131,7 @@ async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) ->
     from orchestrator.model.errors import Refusal
     from orchestrator.model.messages import Reply, StopRequest
 
-    failed: list[str] = []
+    failures: list[str] = []
     present = list(await _find_states(tutti, []))
     # A group, or the whole fleet, is not resolved here: in doubt all controllers are stopped.
     controllers = controllers if controllers and set(controllers) <= set(present) else present
@@ -141,9 +141,9 @@ async def _stop_directly(tutti: "Tutti", controllers: list[str], reason: str) ->
             async with asyncio.timeout(STOP_S):
                 await tutti.request_controller(controller, "stop", request, Reply)
         except (Refusal, BusError, TimeoutError) as error:
-            failed.append(f"{controller}: {error or 'no answer'}")
-    if failed or not controllers:
-        say(f"NOT STOPPED ({reason}): {'; '.join(failed)}")
+            failures.append(f"{controller}: {error or 'no answer'}")
+    if failures or not controllers:
+        say(f"NOT STOPPED ({reason}): {'; '.join(failures)}")
         say("use the e-stop: `tutti estop`, or the wired one")
         return False
     say(f"stopped: {', '.join(controllers)}; the coordinator has not confirmed the end of the job ({reason})")

@@ -37,8 +37,8 @@ def list_jobs(
     from orchestrator.model.jobs.service import ListJobs
 
     async def show_jobs(tutti: Tutti) -> None:
-        asked_jobs = ListJobs.model_validate({**tutti.request_fields(), "state": state})
-        jobs = await tutti.list_jobs(limit, asked_jobs.state, name, None if since is None else since.isoformat())
+        request = ListJobs.model_validate({**tutti.request_fields(), "state": state})
+        jobs = await tutti.list_jobs(limit, request.state, name, None if since is None else since.isoformat())
         if as_json:
             print_json([entry.to_plain() for entry in jobs.jobs])
             return
@@ -73,7 +73,7 @@ def prune(older: float, keep: int, connect: str, fleet: str | None, *, as_json: 
     from orchestrator.client import Tutti
 
     async def prune_jobs(tutti: Tutti) -> None:
-        gone_jobs = await tutti.prune_jobs(older, keep)
-        print_json({"jobs": gone_jobs}) if as_json else console.print(f"{gone_jobs} jobs deleted", highlight=False)
+        count = await tutti.prune_jobs(older, keep)
+        print_json({"jobs": count}) if as_json else console.print(f"{count} jobs deleted", highlight=False)
 
     with_fleet(connect, fleet, prune_jobs)

@@ -164,15 +164,15 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             line = f"  {index} {step.describe()}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
-                line += f", {followed}" if (followed := describe_gap(over)) else ""
+                line += f", {gap_text}" if (gap_text := describe_gap(over)) else ""
             console.print(line, highlight=False, markup=False, soft_wrap=True)
             for inner in () if step.is_single else step.iterate_written():
                 console.print(f"      {inner.describe()}", highlight=False, markup=False, soft_wrap=True)
         if shown_job.progress is not None:
             console.print(f"now: {format_step(shown_job.progress)}", highlight=False, markup=False)
         for change in shown_job.transitions:
-            why = f" {localize_times(change.reason)}" if change.reason else ""
-            line = f"{format_time(change.utc, precise=True)} {change.state}{why} ({change.actor})"
+            reason = f" {localize_times(change.reason)}" if change.reason else ""
+            line = f"{format_time(change.utc, precise=True)} {change.state}{reason} ({change.actor})"
             console.print(line, highlight=False, markup=False)
 
     with_fleet(connect, fleet, show_job)

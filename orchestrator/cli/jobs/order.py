@@ -87,8 +87,8 @@ def pause(job: str, connect: str, fleet: str | None, *, now: bool, as_json: bool
     async def pause_job(tutti: "Tutti") -> None:
         entry = await tutti.find_job(job)
         await tutti.pause_job(entry.id, now=now)
-        how = "brakes and pauses" if now else "pauses at the end of its step"
-        words = f"{name_jobs(entry)} {how}; `tutti job resume {entry.id}` continues it"
+        manner = "brakes and pauses" if now else "pauses at the end of its step"
+        words = f"{name_jobs(entry)} {manner}; `tutti job resume {entry.id}` continues it"
         print_result({"job_id": entry.id}, words, as_json=as_json)
 
     with_fleet(connect, fleet, pause_job)

@@ -67,7 +67,7 @@ async def _draw_figures(
     title = f"job {entry.id} {entry.name!r}"
     scans = await _load_scans(tutti, entry, step)
     # The first step of a scan is its first point too; the scan is meant.
-    wanted_steps = [each for each in ([step] if step is not None else _list_moves(shown)) if each not in scans]
+    wanted_steps = [number for number in ([step] if step is not None else _list_moves(shown)) if number not in scans]
     recordings = await _load_recordings(tutti, entry.id, wanted_steps)
     figures: dict[str, Figure] = {}
     if recordings:

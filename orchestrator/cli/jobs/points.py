@@ -51,11 +51,11 @@ def points(
 
 async def _print_json(records: "AsyncIterator[PointRecord]") -> None:
     """One array, written as it comes: a scan may have millions of points."""
-    before = "["
+    separator = "["
     async for record in records:
-        click.echo(f"{before}\n{json.dumps(record.to_plain())}", nl=False)
-        before = ","
-    click.echo("[]" if before == "[" else "\n]")
+        click.echo(f"{separator}\n{json.dumps(record.to_plain())}", nl=False)
+        separator = ","
+    click.echo("[]" if separator == "[" else "\n]")
 
 
 async def _print_table(records: "AsyncIterator[PointRecord]", entry: "QueueEntry", limit: int) -> None:

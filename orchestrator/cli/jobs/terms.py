@@ -102,8 +102,8 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     if entry.origin is not None:
         lines.append(f"retries job {entry.origin}, from step {entry.from_step} on")
     if terms.at is not None:
-        missed = "begins late" if terms.missed == "run" else "is skipped"
-        lines.append(f"at {format_time(terms.at)}; {missed} if no coordinator leads then")
+        consequence = "begins late" if terms.missed == "run" else "is skipped"
+        lines.append(f"at {format_time(terms.at)}; {consequence} if no coordinator leads then")
     if terms.after is not None:
         lines.append(f"after job {terms.after}")
     if terms.expires is not None:

@@ -48,14 +48,16 @@ def timeline(job: str, step: int | None, out: Path | None, connect: str, fleet: 
 
 
 def _select_step(timeline: "JobTimeline", report: "JobReport", step: int | None) -> "JobTimeline":
-    steps_there = [each.step for each in timeline.steps]
-    if step is None and steps_there:
+    numbers = [step.step for step in timeline.steps]
+    if step is None and numbers:
         return timeline
-    if step in steps_there:
-        return timeline.model_copy(update={"steps": [each for each in timeline.steps if each.step == step]})
+    if step in numbers:
+        return timeline.model_copy(
+            update={"steps": [step_line for step_line in timeline.steps if step_line.step == step]}
+        )
     text = f"job {report.name!r} {report.job_id} has no motion step{'' if step is None else f' {step}'} that was armed"
-    known = f"it has: {', '.join(map(str, steps_there[:12]))}" if steps_there else "see `tutti job report`"
-    exit_with_error(text, FAILED if step is None else BAD_INPUT, known)
+    number_list = f"it has: {', '.join(map(str, numbers[:12]))}" if numbers else "see `tutti job report`"
+    exit_with_error(text, FAILED if step is None else BAD_INPUT, number_list)
 
 
 def _write_pictures(timeline: "JobTimeline", out: Path) -> dict[str, str]:

@@ -65,10 +65,10 @@ def init(folder: Path, fleet: str, addresses: tuple[str, ...], lifetime_s: float
 
     This computer's own names are always among the addresses.
     """
-    made = _open(folder)
+    key_folder = _open(folder)
     with expected_errors():
-        register = made.init(_check_fleet(fleet), datetime.now(UTC), lifetime_s / DAY_S)
-        entry = made.add("router", "main", datetime.now(UTC), addresses=_own_addresses(addresses))
+        register = key_folder.init(_check_fleet(fleet), datetime.now(UTC), lifetime_s / DAY_S)
+        entry = key_folder.add("router", "main", datetime.now(UTC), addresses=_own_addresses(addresses))
     value = {"fleet": register.fleet, "authority": register.authority, "router": str(entry.key_name)}
     words = f"the authority of fleet {register.fleet} is in {folder}; its key never leaves that folder\n"
     words += f"router {entry.key_name} is reached under {', '.join(entry.addresses)}\n"
@@ -150,10 +150,10 @@ def renew(name: str, folder: Path, lifetime_s: float, *, as_json: bool) -> None:
     The router takes the new table at its next restart; until then the certificate before it counts, and the new one
     does not yet.
     """
-    made = _open(folder)
+    key_folder = _open(folder)
     with expected_errors():
-        entry = made.renew(_drop_generation(name), datetime.now(UTC), lifetime_s / DAY_S)
-    _print_entry(made, entry, as_json=as_json)
+        entry = key_folder.renew(_drop_generation(name), datetime.now(UTC), lifetime_s / DAY_S)
+    _print_entry(key_folder, entry, as_json=as_json)
 
 
 @keys.command(epilog="Example: tutti keys revoke operator-anna --keys keys")
@@ -163,9 +163,9 @@ def renew(name: str, folder: Path, lifetime_s: float, *, as_json: bool) -> None:
 @json_option
 def revoke(name: str, folder: Path, *, now: bool, as_json: bool) -> None:
     """Take NAME out of the table, e.g. `operator-anna`. It counts until the router has restarted."""
-    made = _open(folder)
+    key_folder = _open(folder)
     with expected_errors():
-        entry = made.revoke(_drop_generation(name), at_once=now)
+        entry = key_folder.revoke(_drop_generation(name), at_once=now)
     words = f"{entry.key_name} is revoked; "
     words += "the router stops the fleet, and restarts now" if now else RESTART
     print_result({"name": str(entry.key_name), "revoked": True, "now": now}, words, as_json=as_json)
@@ -182,15 +182,18 @@ def list_keys(folder: Path, *, as_json: bool) -> None:
 
     with expected_errors():
         register = read_register(folder)
-    now = datetime.now(UTC)
+    utc = datetime.now(UTC)
     if as_json:
         print_json(
-            [{"name": str(each.key_name), **each.to_plain(), "state": _state_of(each, now)} for each in _sort(register)]
+            [
+                {"name": str(entry.key_name), **entry.to_plain(), "state": _state_of(entry, utc)}
+                for entry in _sort(register)
+            ]
         )
         return
     table = Table("name", "role", "expires", "state", "addresses", box=None)
     for entry in _sort(register):
-        cells = (str(entry.key_name), entry.role, f"{entry.expires():%Y-%m-%d}", _state_of(entry, now))
+        cells = (str(entry.key_name), entry.role, f"{entry.expires():%Y-%m-%d}", _state_of(entry, utc))
         table.add_row(*cells, ", ".join(entry.addresses))
     console.print(table)
 
@@ -208,17 +211,17 @@ def _state_of(entry: "RegisterEntry", now: datetime) -> str:
 def _add(
     role: Any, name: str, folder: Path, lifetime_s: float, *, addresses: tuple[str, ...] = (), as_json: bool
 ) -> None:
-    made = _open(folder)
+    key_folder = _open(folder)
     with expected_errors():
         _check_name(name)
-        entry = made.add(role, name, datetime.now(UTC), lifetime_s / DAY_S, addresses)
-    _print_entry(made, entry, as_json=as_json)
+        entry = key_folder.add(role, name, datetime.now(UTC), lifetime_s / DAY_S, addresses)
+    _print_entry(key_folder, entry, as_json=as_json)
 
 
 def _print_entry(made: "KeyFolder", entry: "RegisterEntry", *, as_json: bool) -> None:
-    handed_identity = made.identity(entry.key_name.subject)
-    value = {"name": str(entry.key_name), "identity": str(handed_identity), "expires_utc": entry.expires_utc}
-    words = f"{entry.key_name}, until {entry.expires():%Y-%m-%d}; hand over the folder {handed_identity}\n{RESTART}"
+    identity = made.identity(entry.key_name.subject)
+    value = {"name": str(entry.key_name), "identity": str(identity), "expires_utc": entry.expires_utc}
+    words = f"{entry.key_name}, until {entry.expires():%Y-%m-%d}; hand over the folder {identity}\n{RESTART}"
     print_result(value, words, as_json=as_json)
 
 

@@ -73,19 +73,19 @@ def router(
     from orchestrator.runtime.services.router import RouterPlace, load_security
     from orchestrator.runtime.state.folder import default_state
 
-    place = RouterPlace(listen, keys, file, state, links, insecure)
+    router_place = RouterPlace(listen, keys, file, state, links, insecure)
     with expected_errors():
-        security = load_security(place)
+        security = load_security(router_place)
     if print_config:
         print_json(nest_settings(make_router_settings(listen, security.settings, links)))
         return
     if state is None and security.fleet:
-        place = replace(place, state=default_state(security.fleet))
+        router_place = replace(router_place, state=default_state(security.fleet))
     prepare_router_process()
     warning = describe_openness(listen) if insecure else ""
     if warning:
         errors.print(warning, style="bold red", highlight=False, soft_wrap=True)
-    run_main(_route(place))
+    run_main(_route(router_place))
 
 
 async def _route(place: "RouterPlace") -> None:
@@ -100,17 +100,17 @@ async def _route(place: "RouterPlace") -> None:
         print_line(f"router on {place.listen}")
         manager.notify(READY)
 
-    manager, served = ServiceManager(), 0
+    manager, probe_count = ServiceManager(), 0
 
     async def probe() -> None:
         """Count the sessions that it serves, for the watchdog of the service manager."""
-        nonlocal served
+        nonlocal probe_count
         while manager.watchdog_s is not None:
             if not await probe_router(find_own_endpoint(place.listen)):
-                served += 1
+                probe_count += 1
             await asyncio.sleep(PROBE_S)
 
-    tasks_beside = [asyncio.create_task(probe()), asyncio.create_task(manager.feed_watchdog(lambda: served))]
+    other_tasks = [asyncio.create_task(probe()), asyncio.create_task(manager.feed_watchdog(lambda: probe_count))]
     running_task = asyncio.ensure_future(RouterService(place, print_line).run(announce))
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, running_task.cancel)
@@ -119,5 +119,5 @@ async def _route(place: "RouterPlace") -> None:
     except asyncio.CancelledError:
         return
     finally:
-        for task in tasks_beside:
+        for task in other_tasks:
             task.cancel()

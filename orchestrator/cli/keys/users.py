@@ -86,19 +86,19 @@ def list_users(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
     with expected_errors():
         users = _open_users(state, fleet).load().users
     if as_json:
-        print_json([{"name": name, **each.model_dump(mode="json", exclude=_SECRET)} for name, each in users.items()])
+        print_json([{"name": name, **user.model_dump(mode="json", exclude=_SECRET)} for name, user in users.items()])
         return
     if not users:
         console.print("no users: whatever reaches this machine's own address is an operator", highlight=False)
         return
     table = make_plain_table(["user", "role", "signs in by", "since", "tokens"], ["tokens"])
-    for name, each in users.items():
+    for name, user in users.items():
         tokens = ", ".join(
             f"{token} ({stored_token.role}, until {format_time(stored_token.expires_utc)})"
-            for token, stored_token in each.tokens.items()
+            for token, stored_token in user.tokens.items()
         )
-        how = "password" if each.password else "tokens only"
-        table.add_row(name, each.role, how, format_time(each.created_utc), tokens or "-")
+        sign_in = "password" if user.password else "tokens only"
+        table.add_row(name, user.role, sign_in, format_time(user.created_utc), tokens or "-")
     console.print(table)
 
 

@@ -68,21 +68,21 @@ def check(make_or_package: str, *, everything: bool, as_json: bool) -> None:
         except PluginError as error:
             exit_with_error(error.text, FAILED, error.remedy, code="plug-in")
         results[make] = []
-        for each in checks:
-            result = run_check(each)
+        for check in checks:
+            result = run_check(check)
             results[make].append(result)
             if not as_json:
                 _print_result(result)
-    broken_findings = [each for found_results in results.values() for each in found_results if each.state == "broken"]
+    broken_findings = [finding for findings in results.values() for finding in findings if finding.state == "broken"]
     if as_json:
         plain = {
-            make: [{"part": e.part, "check": e.name, "state": e.state, "text": e.text} for e in found_results]
-            for make, found_results in results.items()
+            make: [{"part": e.part, "check": e.name, "state": e.state, "text": e.text} for e in findings]
+            for make, findings in results.items()
         }
         print_json({"makes": plain, "broken": len(broken_findings)})
     else:
-        for make, found_result in results.items():
-            counts = {state: sum(each.state == state for each in found_result) for state in MARKS}
+        for make, findings in results.items():
+            counts = {state: sum(finding.state == state for finding in findings) for state in MARKS}
             _print_plain(
                 f"{make}: {counts['holds']} hold, {counts['broken']} do not, {counts['not-applicable']} do not apply"
             )
@@ -102,7 +102,7 @@ def ls(*, as_json: bool) -> None:
 
     listings = [*list_makes(), *list_simulators()]
     if as_json:
-        print_json({"api_version": API_VERSION, "plug_ins": [_to_plain(each) for each in listings]})
+        print_json({"api_version": API_VERSION, "plug_ins": [_to_plain(listing) for listing in listings]})
     else:
         table = make_plain_table(["make", "kind", "package", "from"])
         for listing in listings:
@@ -114,7 +114,7 @@ def ls(*, as_json: bool) -> None:
         for listing in listings:
             if listing.problem:
                 _print_plain(f"{listing.name}: {listing.problem}")
-    if any(each.problem for each in listings):
+    if any(listing.problem for listing in listings):
         raise SystemExit(FAILED)
 
 
@@ -150,8 +150,8 @@ def probe(endpoint: str, query: str, end: str, wait_s: float, *, as_json: bool) 
     except (LinkRefused, LinkClosed) as error:
         exit_with_error(str(error), UNREACHABLE)
     if as_json:
-        shown = [{"after_ns": each.after_ns, "data": each.data.decode("latin-1")} for each in parts]
-        print_json({"sent": data.decode("latin-1"), "received": shown})
+        plain_parts = [{"after_ns": part.after_ns, "data": part.data.decode("latin-1")} for part in parts]
+        print_json({"sent": data.decode("latin-1"), "received": plain_parts})
     else:
         _print_plain(f"{'0.000 ms':>14}  sent      {data!r}")
         for part in parts:

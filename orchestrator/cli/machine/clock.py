@@ -39,12 +39,12 @@ def ls(connect: str, fleet: str | None, *, as_json: bool) -> None:
         table = make_plain_table(
             ["controller", "starts by", "rate>", "bound>", "in 5 s>", "age>", "samples>", "residual>"]
         )
-        learned: list[str] = []
+        lines: list[str] = []
         for name, reply in clocks.items():
             table.add_row(name, ", ".join(reply.start_classes), *_make_cells(reply.mapping, reply.crystal))
-            learned += describe_learned(reply, datetime.now(UTC))
+            lines += describe_learned(reply, datetime.now(UTC))
         console.print(table)
-        for line in learned:
+        for line in lines:
             console.print(line, highlight=False)
 
     with_fleet(connect, fleet, list_clocks)
@@ -117,8 +117,8 @@ def describe_learned(reply: ClockReply, now: datetime) -> list[str]:
 
 def _make_cells(mapping: ClockMapping | None, crystal: LearnedCrystal | None) -> list[str]:
     if mapping is None and crystal is not None:
-        known = f"{crystal.moves} moves" if crystal.consistent else "outside the model"
-        return [f"{-crystal.rate_ppm:+.1f} ppm", f"{crystal.bound_ppm:.1f} ppm", "", "", known, ""]
+        knowledge = f"{crystal.moves} moves" if crystal.consistent else "outside the model"
+        return [f"{-crystal.rate_ppm:+.1f} ppm", f"{crystal.bound_ppm:.1f} ppm", "", "", knowledge, ""]
     if mapping is None:
         return ["no clock", "", "", "", "", ""]
     return [

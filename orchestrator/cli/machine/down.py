@@ -48,8 +48,8 @@ def down(state: Path | None, fleet: str | None, host: str, *, as_json: bool) -> 
         os.close(process)
     _wait_for_end(running_fleet)
     value = {"fleet": running_fleet.fleet, "state": str(running_fleet.folder)}
-    what = f"adapter host {running_fleet.adapter_host} of fleet" if running_fleet.adapter_host else "fleet"
-    print_result(value, f"{what} {running_fleet.fleet} is down", as_json=as_json)
+    noun = f"adapter host {running_fleet.adapter_host} of fleet" if running_fleet.adapter_host else "fleet"
+    print_result(value, f"{noun} {running_fleet.fleet} is down", as_json=as_json)
 
 
 def _choose_fleet(state: Path | None, fleet: str | None, host: str) -> "RunningFleet":
@@ -62,11 +62,15 @@ def _choose_fleet(state: Path | None, fleet: str | None, host: str) -> "RunningF
             exit_with_error(f"no fleet runs with the state folder {state}", UNREACHABLE)
         return found_fleet
     running_fleets = find_running_fleets(host)
-    chosen_fleets = [each for each in running_fleets if fleet in (None, each.fleet)]
-    names = ", ".join(each.fleet for each in running_fleets)
+    chosen_fleets = [candidate for candidate in running_fleets if fleet in (None, candidate.fleet)]
+    names = ", ".join(candidate.fleet for candidate in running_fleets)
     if not chosen_fleets:
-        where = f"below {default_state('any').parent}"
-        text = f"no fleet {fleet} runs {where}; there run: {names}" if fleet and names else f"no fleet runs {where}"
+        folder_text = f"below {default_state('any').parent}"
+        text = (
+            f"no fleet {fleet} runs {folder_text}; there run: {names}"
+            if fleet and names
+            else f"no fleet runs {folder_text}"
+        )
         exit_with_error(
             text, UNREACHABLE, "name its folder, if it was started with --state: `tutti down --state FOLDER`"
         )
@@ -86,17 +90,17 @@ async def _bring_to_rest(running: "RunningFleet") -> None:
 
     try:
         async with Tutti(running.connect, running.fleet, actor=actor_name()) as tutti:
-            moving = await _find_moving(tutti)
-            if moving:
+            moving_axes = await _find_moving(tutti)
+            if moving_axes:
                 await tutti.stop()
             until_s = time.monotonic() + REST_S
-            while moving and time.monotonic() < until_s:
+            while moving_axes and time.monotonic() < until_s:
                 await asyncio.sleep(POLL_S)
-                moving = await _find_moving(tutti)
+                moving_axes = await _find_moving(tutti)
     except RouterUnreachable:
         return
-    if moving:
-        text = f"{', '.join(moving)} still moves {REST_S:g} s after a stop; nothing was ended"
+    if moving_axes:
+        text = f"{', '.join(moving_axes)} still moves {REST_S:g} s after a stop; nothing was ended"
         exit_with_error(text, FAILED, "stop it: `tutti estop`, or the wired e-stop; then repeat", code="moving")
 
 

@@ -58,13 +58,13 @@ def host(
         folder = state or default_state(f"{fleet}@{name}")
         async with Tutti(connect, fleet, actor="host") as tutti:
             found_fleet = await _find_fleet(tutti, connect, folder, print_line)
-            served = await _find_served(tutti, found_fleet, name)
+            names = await _find_served(tutti, found_fleet, name)
         if name not in found_fleet.hosts:
             hosts = ", ".join(found_fleet.hosts)
             exit_with_error(
                 f"fleet {fleet} has no controller with `host: {name}`; its hosts: {hosts}", BAD_INPUT, code="no-host"
             )
-        _require_absence(served, name)
+        _require_absence(names, name)
         run = FleetRun(connect=connect, simulated=simulated, truth=truth, hosts=frozenset((name,)))
         live = LiveFleet(found_fleet, folder, print_line, run)
         await _run_until_ended(live, name, as_json=as_json)
@@ -104,8 +104,8 @@ async def _find_fleet(tutti: "Tutti", connect: str, folder: Path, print_line: Ca
 
 async def _find_served(tutti: "Tutti", fleet: "Fleet", name: str) -> list[str]:
     """The controllers of this host that another process serves already."""
-    mine = {each for each, config in fleet.controllers.items() if config.host == name}
-    return [status for status in await tutti.status(1.0) if status in mine]
+    own_names = {controller for controller, config in fleet.controllers.items() if config.host == name}
+    return [status for status in await tutti.status(1.0) if status in own_names]
 
 
 def _require_absence(served: list[str], name: str) -> None:
@@ -125,9 +125,11 @@ async def _run_until_ended(live: "LiveFleet", name: str, *, as_json: bool) -> No
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
     await live.start_hosts()
-    mine = [each for each, config in live.fleet.controllers.items() if config.host == name]
-    value = {"host": name, "fleet": live.fleet.fleet, "controllers": mine, "digest": live.fleet.digest}
-    words = f"host {name} of fleet {live.fleet.fleet} drives {', '.join(mine)}; state in {live.state}; Ctrl-C ends it"
+    own_names = [controller for controller, config in live.fleet.controllers.items() if config.host == name]
+    value = {"host": name, "fleet": live.fleet.fleet, "controllers": own_names, "digest": live.fleet.digest}
+    words = (
+        f"host {name} of fleet {live.fleet.fleet} drives {', '.join(own_names)}; state in {live.state}; Ctrl-C ends it"
+    )
     print_result({**value, "connect": live.connect, "state": str(live.state)}, words, as_json=as_json)
     following = loop.create_task(_follow_file(live))
     ended_task = loop.create_task(end.wait())

@@ -49,22 +49,22 @@ def check(state: Path | None, fleet: str | None, *, as_json: bool) -> None:
 
     path = _find_journal(state, fleet)
     with _journal_errors():
-        found_journal = check_journal(path)
+        journal_check = check_journal(path)
     if as_json:
-        damages = [damage._asdict() for damage in found_journal.damages]
-        fields = {"schema": found_journal.schema, "epoch": found_journal.epoch, "jobs": found_journal.jobs}
+        damages = [damage._asdict() for damage in journal_check.damages]
+        fields = {"schema": journal_check.schema, "epoch": journal_check.epoch, "jobs": journal_check.jobs}
         print_json({"journal": str(path), **fields, "damages": damages})
     else:
-        schema = f"schema {found_journal.schema}"
-        if found_journal.schema < VERSION:
+        schema = f"schema {journal_check.schema}"
+        if journal_check.schema < VERSION:
             schema += f", which becomes {VERSION} at the next start of the fleet"
-        jobs = ", ".join(f"{count} {name}" for name, count in found_journal.jobs.items()) or "none"
-        epoch = "damaged" if found_journal.epoch is None else found_journal.epoch
+        jobs = ", ".join(f"{count} {name}" for name, count in journal_check.jobs.items()) or "none"
+        epoch = "damaged" if journal_check.epoch is None else journal_check.epoch
         lines = [f"{path}: {schema}; epoch {epoch}; jobs: {jobs}"]
-        lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in found_journal.damages]
-        lines += [] if found_journal.damages else ["no damage found"]
+        lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in journal_check.damages]
+        lines += [] if journal_check.damages else ["no damage found"]
         _print_lines(lines)
-    if found_journal.damages:
+    if journal_check.damages:
         raise SystemExit(FAILED)
 
 
@@ -131,22 +131,24 @@ def import_(file: Path, state: Path | None, fleet: str | None, *, replace: bool,
     if state is None and fleet is None:
         exit_with_error("the state folder is missing", BAD_INPUT, "name it with --state, or --fleet for its usual one")
     folder = state or default_state(fleet or "")
-    seen = with_fleet(connect, fleet, _find_epochs) if connect else {}
+    epochs = with_fleet(connect, fleet, _find_epochs) if connect else {}
     with _journal_errors(), expected_errors():
-        wishes = ImportWishes(actor_name(), _utc(), replace, tuple(seen.values()))
-        done_state = import_state(file, folder, wishes)
+        wishes = ImportWishes(actor_name(), _utc(), replace, tuple(epochs.values()))
+        result = import_state(file, folder, wishes)
     if as_json:
-        damages = [damage._asdict() for damage in done_state.damages]
-        kept = None if done_state.replaced is None else str(done_state.replaced)
-        fields = {"epoch": done_state.epoch, "jobs": done_state.jobs, "replaced": kept, "left_out": done_state.left_out}
-        print_json({"state": str(folder), **fields, "controllers": seen, "damages": damages})
+        damages = [damage._asdict() for damage in result.damages]
+        copy_path = None if result.replaced is None else str(result.replaced)
+        fields = {"epoch": result.epoch, "jobs": result.jobs, "replaced": copy_path, "left_out": result.left_out}
+        print_json({"state": str(folder), **fields, "controllers": epochs, "damages": damages})
         return
-    jobs = ", ".join(f"{count} {name}" for name, count in done_state.jobs.items()) or "none"
-    lines = [f"{folder}: imported; epoch {done_state.epoch}; jobs: {jobs}"]
-    lines += [f"the journal of before is in {done_state.replaced}"] if done_state.replaced else []
-    lines += [f"left as it was in the folder: {', '.join(done_state.left_out)}"] if done_state.left_out else []
-    lines += [f"epochs of controllers: {', '.join(f'{name} {epoch}' for name, epoch in seen.items())}"] if seen else []
-    lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in done_state.damages]
+    jobs = ", ".join(f"{count} {name}" for name, count in result.jobs.items()) or "none"
+    lines = [f"{folder}: imported; epoch {result.epoch}; jobs: {jobs}"]
+    lines += [f"the journal of before is in {result.replaced}"] if result.replaced else []
+    lines += [f"left as it was in the folder: {', '.join(result.left_out)}"] if result.left_out else []
+    lines += (
+        [f"epochs of controllers: {', '.join(f'{name} {epoch}' for name, epoch in epochs.items())}"] if epochs else []
+    )
+    lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in result.damages]
     _print_lines([*lines, "the queue is stopped: look which jobs still have to run, then `tutti queue start`"])
 
 
@@ -190,8 +192,8 @@ def _journal_errors() -> Generator[None]:
         exit_code = BAD_INPUT if isinstance(error, BadBackup) else FAILED
         exit_with_error(error.text, exit_code, error.remedy, code="journal")
     except OSError as error:
-        where = error.filename or "the file"
-        exit_with_error(f"{where}: {error.strerror}", FAILED, "choose another place, or free space there", code="disk")
+        path = error.filename or "the file"
+        exit_with_error(f"{path}: {error.strerror}", FAILED, "choose another place, or free space there", code="disk")
 
 
 def _utc() -> str:

@@ -94,7 +94,7 @@ def install(
     if web_host and identity is None:
         remedy = "give the folder that `tutti keys add-gateway` has made: --identity FOLDER"
         exit_with_error("--web-host needs the gateway's certificate", BAD_INPUT, remedy, code="bad-certificate")
-    place = ServicePlace(
+    service_place = ServicePlace(
         fleet=fleet,
         file=file.absolute(),
         command=Path(sys.argv[0]).absolute()
@@ -113,7 +113,7 @@ def install(
     )
     written_paths: list[Path] = []
     for part in dict.fromkeys(parts):
-        written_paths.append(_write_file(to / make_unit_name(part, place), make_unit(part, place)))
+        written_paths.append(_write_file(to / make_unit_name(part, service_place), make_unit(part, service_place)))
     names = " ".join(path.name for path in written_paths)
     lines = [f"wrote {path}" for path in written_paths]
     if to == UNITS:
@@ -149,7 +149,7 @@ def _require_hosts(fleet: "Fleet", parts: tuple[str, ...], host: str, local: tup
         exit_with_error(
             f"`host` needs its name; the fleet has: {hosts}", BAD_INPUT, "give it: --host NAME", code="no-host"
         )
-    unknown = next((each for each in (*local, *([host] if host else [])) if each not in fleet.hosts), None)
+    unknown = next((name for name in (*local, *([host] if host else [])) if name not in fleet.hosts), None)
     if unknown is not None:
         exit_with_error(f"no controller has `host: {unknown}`; hosts: {hosts}", BAD_INPUT, "correct it", code="no-host")
 

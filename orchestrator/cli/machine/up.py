@@ -250,10 +250,10 @@ def _check_quota(quota: int | None, print_line: Callable[[str], None]) -> int | 
     """The quota of the recorder; None if nothing can be recorded, which is printed, or nothing is to be."""
     from orchestrator.cli.base.extras import find_missing
 
-    missing = None if quota is None else find_missing("record")
-    if missing is not None:
-        print_line(f"nothing is recorded: {'; '.join(missing)}")
-    return quota if missing is None else None
+    missing_extra = None if quota is None else find_missing("record")
+    if missing_extra is not None:
+        print_line(f"nothing is recorded: {'; '.join(missing_extra)}")
+    return quota if missing_extra is None else None
 
 
 def _choose_web(
@@ -265,9 +265,9 @@ def _choose_web(
 
     if web is None:
         return None
-    missing = find_missing("web")
-    if missing is not None:
-        print_line(f"no page: {'; '.join(missing)}")
+    missing_extra = find_missing("web")
+    if missing_extra is not None:
+        print_line(f"no page: {'; '.join(missing_extra)}")
         return None
     from orchestrator.gateway.access.users import UserFile
     from orchestrator.gateway.certificate import read_web_certificate
@@ -311,12 +311,12 @@ async def _run_until_ended(
         starting.cancel()
         await asyncio.wait([starting])
         raise SystemExit(INTERRUPTED)
-    missing, name = await starting, live.fleet.fleet
+    missing_names, name = await starting, live.fleet.fleet
     value = {"fleet": name, "connect": live.connect, "state": str(live.state), "page": live.page or None}
-    absent = f"; {', '.join(missing)} not reached yet" if missing else ""
+    absent = f"; {', '.join(missing_names)} not reached yet" if missing_names else ""
     page = f"; page on {live.page}" if live.page else ""
     words = f"fleet {name} is up{absent}{page}; state in {live.state}; Ctrl-C ends it"
-    print_result({**value, "not_reached": missing}, words, as_json=as_json)
+    print_result({**value, "not_reached": missing_names}, words, as_json=as_json)
     assert live.failed is not None
     await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
     print_line("stopping")
@@ -334,25 +334,27 @@ async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool)
     from orchestrator.runtime.state.folder import UpFailed
 
     await live.start()
-    missing = dict.fromkeys(live.fleet.controllers, "no adapter answers")
+    missing_names = dict.fromkeys(live.fleet.controllers, "no adapter answers")
     try:
         async with asyncio.timeout(limit_s), Tutti(live.connect, live.fleet.fleet, actor="up") as tutti:
-            while missing:
+            while missing_names:
                 for name, state in (await tutti.status(limit_s)).items():
                     fault = next((f"{report.text}; {report.remedy}" for report in state.faults), state.mode)
-                    missing[name] = fault if state.mode == "offline" else ""
-                missing = {name: why for name, why in missing.items() if why and name in live.fleet.controllers}
+                    missing_names[name] = fault if state.mode == "offline" else ""
+                missing_names = {
+                    name: reason for name, reason in missing_names.items() if reason and name in live.fleet.controllers
+                }
                 await asyncio.sleep(POLL_S)
     except TimeoutError:
         pass
     except BaseException:
         await live.close()
         raise
-    if missing and required:
+    if missing_names and required:
         await live.close()
-        reasons = "; ".join(f"{name}: {why}" for name, why in missing.items())
+        reasons = "; ".join(f"{name}: {reason}" for name, reason in missing_names.items())
         raise UpFailed(f"not reached within {limit_s:g} s: {reasons}")
-    return list(missing)
+    return list(missing_names)
 
 
 def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json: bool) -> None:
@@ -378,8 +380,8 @@ def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json
     if process.poll() is not None or "fleet" not in value:
         _exit_with_start_error(value, process.wait(), log)
     value |= {"pid": process.pid, "log": str(log)}
-    missing = value["not_reached"]
-    absent = f"; {', '.join(missing)} not reached yet" if missing else ""
+    missing_names = value["not_reached"]
+    absent = f"; {', '.join(missing_names)} not reached yet" if missing_names else ""
     page = f"; page on {value['page']}" if value.get("page") else ""
     words = f"fleet {value['fleet']} is up{absent}{page}; state in {folder}; lines in {log}; `tutti down` ends it"
     print_result(value, words, as_json=as_json)

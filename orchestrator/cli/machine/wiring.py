@@ -25,14 +25,14 @@ def check(connect: str, fleet: str | None, *, as_json: bool) -> None:
     async def check_wires(tutti: Tutti) -> None:
         findings = await tutti.check_wiring()
         if as_json:
-            print_json([each.to_plain() for each in findings])
+            print_json([finding.to_plain() for finding in findings])
         else:
             table = make_plain_table(["output", "input", "", "found"])
             for finding in findings:
                 words = f"{finding.text}; {finding.remedy}" if finding.remedy else finding.text
                 table.add_row(finding.output, finding.input, "[green]ok[/]" if finding.ok else "[red]wrong[/]", words)
             console.print(table)
-        if not all(each.ok for each in findings):
+        if not all(finding.ok for finding in findings):
             raise SystemExit(FAILED)
 
     with_fleet(connect, fleet, check_wires)

@@ -41,18 +41,18 @@ def list_axes(connect: str, fleet: str | None, *, as_json: bool) -> None:
             print_json({name: state_now.to_plain() for name, (_, state_now) in rows.items()})
             return
         table = make_plain_table(["axis", "position>", "unit", "motor>", "counts>", "axis is"], ["axis is"])
-        for name, (state, row_now) in rows.items():
+        for name, (state, axis_state) in rows.items():
             if state.mode == "offline":
-                table.add_row(name, "-", row_now.unit, "-", "-", "offline")
+                table.add_row(name, "-", axis_state.unit, "-", "-", "offline")
                 continue
-            user, motor = f"{row_now.position:,.4f}", f"{row_now.motor_position:,.4f}"
+            user, motor = f"{axis_state.position:,.4f}", f"{axis_state.motor_position:,.4f}"
             table.add_row(
                 name,
                 user,
-                row_now.unit,
+                axis_state.unit,
                 motor,
-                f"{row_now.raw_counts:,.0f}",
-                describe_axis(row_now, estop=state.estop is not None),
+                f"{axis_state.raw_counts:,.0f}",
+                describe_axis(axis_state, estop=state.estop is not None),
             )
         console.print(table)
 
@@ -70,18 +70,18 @@ def limits(axes: tuple[str, ...], connect: str, fleet: str | None, *, as_json: b
     from orchestrator.client import Tutti
 
     async def show_limits(tutti: Tutti) -> None:
-        found: dict[str, dict[str, Any]] = {}
+        axis_infos: dict[str, dict[str, Any]] = {}
         for name in require_axes(await tutti.list_names(), axes):
             config = await tutti.axis_config(name)
-            found[name] = {"unit": config["unit"], "soft_limits": config["soft_limits"], **config["limits"]}
+            axis_infos[name] = {"unit": config["unit"], "soft_limits": config["soft_limits"], **config["limits"]}
         if as_json:
-            print_json(found)
+            print_json(axis_infos)
             return
-        for name, each in found.items():
-            ends = each["soft_limits"]
-            span = f"{ends['min']} to {ends['max']} {each['unit']}" if ends else "none"
-            most = ", ".join(f"{kind} {each[kind]:g}" for kind in ("velocity", "acceleration", "jerk") if each[kind])
-            console.print(f"{name}: soft limits {span}; {most} (in {each['unit']} and s)", highlight=False)
+        for name, info in axis_infos.items():
+            ends = info["soft_limits"]
+            span = f"{ends['min']} to {ends['max']} {info['unit']}" if ends else "none"
+            most = ", ".join(f"{kind} {info[kind]:g}" for kind in ("velocity", "acceleration", "jerk") if info[kind])
+            console.print(f"{name}: soft limits {span}; {most} (in {info['unit']} and s)", highlight=False)
 
     with_fleet(connect, fleet, show_limits)
 
@@ -188,17 +188,19 @@ axis.add_command(release)
 
 def parse_targets(targets: tuple[str, ...], what: str) -> dict[str, str | float]:
     """Parse AXIS=VALUE arguments into values by axis."""
-    wanted: dict[str, str | float] = {}
+    targets_by_name: dict[str, str | float] = {}
     for target in targets:
         name, equals, value = target.partition("=")
         if not equals or not value:
             raise click.BadParameter(f"{target!r}: write AXIS=VALUE, e.g. gantry.x=120", param_hint=what)
-        if name in wanted:
-            raise click.BadParameter(f"{name} is given twice, as {wanted[name]} and as {value}", param_hint=what)
-        wanted[name] = number = _number_or_text(value)
+        if name in targets_by_name:
+            raise click.BadParameter(
+                f"{name} is given twice, as {targets_by_name[name]} and as {value}", param_hint=what
+            )
+        targets_by_name[name] = number = _number_or_text(value)
         if isinstance(number, float) and not isfinite(number):
             raise click.BadParameter(f"{target!r}: {value} is not a position", param_hint=what)
-    return wanted
+    return targets_by_name
 
 
 def _number_or_text(value: str) -> float | str:

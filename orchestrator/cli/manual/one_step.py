@@ -132,7 +132,7 @@ async def _print_outcome(tutti: "Tutti", report: "JobReport", axes: list[str], d
     from orchestrator.model.state import ControllerState
 
     states: dict[str, ControllerState] = await tutti.status() if axes else {}
-    where = describe_positions(states, axes)
-    words = f"{done}: {where}" if done and where else done or where
+    position_text = describe_positions(states, axes)
+    words = f"{done}: {position_text}" if done and position_text else done or position_text
     value = {"job_id": report.job_id, "state": report.state, "axes": list_positions(states, axes)}
     print_result(value, words, as_json=as_json)

@@ -76,7 +76,7 @@ def list_positions(connect: str, fleet: str | None, *, as_json: bool) -> None:
     async def show_positions(tutti: "Tutti") -> None:
         positions = await tutti.list_positions()
         if as_json:
-            print_json([each.to_plain() for each in positions])
+            print_json([entry.to_plain() for entry in positions])
             return
         table = make_plain_table(["position", "axes", "from", "description"], ["axes", "description"])
         for entry in positions:
@@ -98,7 +98,7 @@ def show(name: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.cli.base.names import unknown_name
 
     async def show_position(tutti: "Tutti") -> None:
-        known_positions = {each.name: each for each in await tutti.list_positions()}
+        known_positions = {entry.name: entry for entry in await tutti.list_positions()}
         if name not in known_positions:
             raise unknown_name("position", name, known_positions, "see `tutti position ls`")
         entry = known_positions[name]
@@ -143,13 +143,13 @@ def remove(name: str, connect: str, fleet: str | None, *, as_json: bool) -> None
 
     async def remove_position(tutti: "Tutti") -> None:
         uncovered_position = await tutti.remove_position(name)
-        again = (
+        note = (
             ""
             if uncovered_position is None
             else f"; that of the fleet file counts again: {_describe_axes(uncovered_position)}"
         )
         value = {"removed": name, "uncovered": None if uncovered_position is None else uncovered_position.to_plain()}
-        print_result(value, f"{name} is removed{again}", as_json=as_json)
+        print_result(value, f"{name} is removed{note}", as_json=as_json)
 
     with_fleet(connect, fleet, remove_position)
 
@@ -163,5 +163,5 @@ def _describe_source(entry: "PositionEntry") -> str:
 
     if entry.source == "file":
         return "fleet file"
-    made = "saved" if entry.utc is None else f"{entry.actor}, {format_time(entry.utc)}"
-    return made + (" (covers the fleet file's)" if entry.covers_file else "")
+    origin = "saved" if entry.utc is None else f"{entry.actor}, {format_time(entry.utc)}"
+    return origin + (" (covers the fleet file's)" if entry.covers_file else "")

@@ -48,12 +48,12 @@ def acquire(
     async def acquire_axes(tutti: "Tutti") -> None:
         require_axes(await tutti.list_names(), axes)
         if seconds is not None:
-            acquired, holder = await tutti.reserve_axes(list(axes), seconds, what)
+            axis_names, holder = await tutti.reserve_axes(list(axes), seconds, what)
             if as_json:
-                print_json({"holder": holder, "axes": acquired})
+                print_json({"holder": holder, "axes": axis_names})
             else:
                 console.print(
-                    f"acquired: {', '.join(acquired)}; release them with `tutti axis release`", highlight=False
+                    f"acquired: {', '.join(axis_names)}; release them with `tutti axis release`", highlight=False
                 )
             return
         async with tutti.manual_control(list(axes), what=what) as control:
@@ -93,25 +93,25 @@ def release(axes: tuple[str, ...], connect: str, fleet: str | None, *, force: bo
     from orchestrator.cli.base.names import require_axes
 
     async def release_axes(tutti: "Tutti") -> None:
-        wanted = {name.partition(".")[0] for name in require_axes(await tutti.list_names(), axes)}
+        controllers = {name.partition(".")[0] for name in require_axes(await tutti.list_names(), axes)}
         manual = [lease for lease in await tutti.list_leases() if (lease.holder or "").startswith("manual-")]
-        states = [lease for lease in manual if not wanted or lease.controller in wanted]
-        others_states = [lease for lease in states if lease.actor != actor_name()]
-        if others_states and wanted and not force:
-            first = others_states[0]
+        leases = [lease for lease in manual if not controllers or lease.controller in controllers]
+        other_leases = [lease for lease in leases if lease.actor != actor_name()]
+        if other_leases and controllers and not force:
+            first = other_leases[0]
             exit_with_error(
                 f"{first.controller} is acquired by {first.actor} ({first.what})",
                 remedy="agree with that user, then repeat with --force",
                 code="leased",
             )
-        holders = {lease.holder: lease for lease in states if force or lease.actor == actor_name()}
+        holders = {lease.holder: lease for lease in leases if force or lease.actor == actor_name()}
         for holder in holders:
             assert holder is not None
             await tutti.release_axes(holder)
         if as_json:
-            print_json({"released": [lease.controller for lease in states if lease.holder in holders]})
+            print_json({"released": [lease.controller for lease in leases if lease.holder in holders]})
         else:
-            freed = ", ".join(lease.controller for lease in states if lease.holder in holders)
-            console.print(f"released: {freed}" if holders else "no axis is acquired", highlight=False)
+            controller_list = ", ".join(lease.controller for lease in leases if lease.holder in holders)
+            console.print(f"released: {controller_list}" if holders else "no axis is acquired", highlight=False)
 
     with_fleet(connect, fleet, release_axes)

@@ -65,16 +65,16 @@ def import_path(
 
     if target.exists() and not force:
         exit_with_error(f"{target} is there already", BAD_INPUT, "choose another name, or give --force")
-    named = _read_pairs(axes, "--axis")
+    axis_names = _read_pairs(axes, "--axis")
     places = {letter.upper(): _read_number(value, letter) for letter, value in _read_pairs(starts, "--from").items()}
     with expected_errors():
-        read = read_path_file(file, named, places)
-    steps = [{**step, "tolerance": tolerance} if step["do"] == "path" else step for step in read]
+        path_steps = read_path_file(file, axis_names, places)
+    steps = [{**step, "tolerance": tolerance} if step["do"] == "path" else step for step in path_steps]
     name = file.stem[:60]
     job, problems = validate_value(make_job(name, steps), Job)
     if job is None:
-        places_of = "; ".join(f"{'.'.join(map(str, problem.place))} {problem.text}" for problem in problems[:5])
-        exit_with_error(f"{file}: the job would not be valid: {places_of}", BAD_INPUT)
+        problem_list = "; ".join(f"{'.'.join(map(str, problem.place))} {problem.text}" for problem in problems[:5])
+        exit_with_error(f"{file}: the job would not be valid: {problem_list}", BAD_INPUT)
     # JSON is YAML: each step in a line of its own can be compared and edited.
     lines = ",\n  ".join(json.dumps(step, ensure_ascii=False) for step in steps)
     text = f'{{"schema": "tutti.job/1", "name": {json.dumps(name)}, "steps": [\n  {lines}\n]}}\n'

@@ -55,19 +55,17 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     from orchestrator.runtime.checked import load_checked_fleet
 
     loaded_fleet, job = load_checked_fleet(fleet), load_job(file)
-    number, wanted_path = _find_path(job, step)
+    number, path = _find_path(job, step)
     forecaster = JobForecaster(loaded_fleet, _place_axes(loaded_fleet, parse_targets(at, "--at")))
-    planned_forward = _run_forward(forecaster, loaded_fleet, job, number)
-    axes = {name: loaded_fleet.axis(name) for name in wanted_path.axes}
+    path_plan = _run_forward(forecaster, loaded_fleet, job, number)
+    axes = {name: loaded_fleet.axis(name) for name in path.axes}
     offsets = {name: float(forecaster.axes[name].offset) for name in axes}
-    lines = describe_path(planned_forward.report)
+    lines = describe_path(path_plan.report)
     target = out or file.with_suffix(".png")
     title = f"{job.name!r}, step {number}: {lines[0].partition(';')[0]}"
-    frame = None if wanted_path.frame is None else loaded_fleet.frames[wanted_path.frame]
-    write_picture(plot_path(planned_forward, PathAxes(axes, offsets, frame), title), target)
-    print_result(
-        {"file": str(target), "path": planned_forward.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json
-    )
+    frame = None if path.frame is None else loaded_fleet.frames[path.frame]
+    write_picture(plot_path(path_plan, PathAxes(axes, offsets, frame), title), target)
+    print_result({"file": str(target), "path": path_plan.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json)
 
 
 def _find_path(job: "Job", step: int | None) -> "tuple[int, FollowPath]":
@@ -78,8 +76,10 @@ def _find_path(job: "Job", step: int | None) -> "tuple[int, FollowPath]":
         exit_with_error(f"job {job.name!r} has no step `do: path`", BAD_INPUT, "paths inside repeats are not plotted")
     number = next(iter(paths)) if step is None else step
     if number not in paths:
-        known = ", ".join(map(str, paths))
-        exit_with_error(f"step {number} of job {job.name!r} is no path", BAD_INPUT, f"its paths are the steps {known}")
+        number_list = ", ".join(map(str, paths))
+        exit_with_error(
+            f"step {number} of job {job.name!r} is no path", BAD_INPUT, f"its paths are the steps {number_list}"
+        )
     return number, paths[number]
 
 
@@ -110,6 +110,6 @@ def _run_forward(forecaster: "JobForecaster", fleet: "Fleet", job: "Job", number
         exit_with_error(f"step {problem.place[1]}: {problem.text}", BAD_INPUT, problem.remedy)
     planned_path = None if forecaster.motion is None else forecaster.motion.path
     if planned_path is None:
-        why = "; ".join(forecast.conditions if forecast is not None else ())
-        exit_with_error(f"step {number}: {why}", BAD_INPUT, "say where they are with --at AXIS=VALUE")
+        reason = "; ".join(forecast.conditions if forecast is not None else ())
+        exit_with_error(f"step {number}: {reason}", BAD_INPUT, "say where they are with --at AXIS=VALUE")
     return planned_path

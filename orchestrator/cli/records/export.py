@@ -59,8 +59,8 @@ def export(
     from orchestrator.monitor.export.samples import ExportTooLarge
     from orchestrator.monitor.recording.reader import Recording, RecordingUnreadable
 
-    chosen = cast("TableFormat", table_format)
-    wanted_suffix = SUFFIXES[chosen]
+    format_name = cast("TableFormat", table_format)
+    wanted_suffix = SUFFIXES[format_name]
     if output.suffix != wanted_suffix:
         exit_with_error(
             f"{output} does not end with {wanted_suffix}", BAD_INPUT, f"write it so: -o {output.stem}{wanted_suffix}"
@@ -70,7 +70,7 @@ def export(
     try:
         with Recording(summary.path) as opened_recording:
             tables, notes = _make_tables(opened_recording, summary, period_ns)
-        files = write_tables(tables, output, chosen)
+        files = write_tables(tables, output, format_name)
     except (RecordingUnreadable, ExportTooLarge) as error:
         exit_with_error(str(error), FAILED)
     except OSError as error:

@@ -30,9 +30,9 @@ metrics_option = click.option(
 
 def require_extra(extra: str) -> None:
     """End the command if a part that it needs is not installed."""
-    missing = find_missing(extra)
-    if missing is not None:
-        text, remedy = missing
+    missing_extra = find_missing(extra)
+    if missing_extra is not None:
+        text, remedy = missing_extra
         exit_with_error(text, BAD_INPUT, remedy, code="not-installed")
 
 
@@ -46,13 +46,13 @@ def find_folder(folder: Path | None, fleet: str | None) -> Path:
         return folder
     root = default_state("any").parent
     paths = {path.parent.name: path for path in sorted(root.glob(f"*/{RECORDINGS}"))}
-    paths |= {each.fleet: each.folder / RECORDINGS for each in find_running_fleets()}
+    paths |= {running_fleet.fleet: running_fleet.folder / RECORDINGS for running_fleet in find_running_fleets()}
     if fleet is not None:
         paths = {name: path for name, path in paths.items() if name == fleet}
     if not paths:
-        what = f"no recordings of fleet {fleet}" if fleet else "no recordings"
+        title = f"no recordings of fleet {fleet}" if fleet else "no recordings"
         exit_with_error(
-            f"{what} below {root}", BAD_INPUT, "with `tutti up --state FOLDER` they are in --folder FOLDER/recordings"
+            f"{title} below {root}", BAD_INPUT, "with `tutti up --state FOLDER` they are in --folder FOLDER/recordings"
         )
     if len(paths) > 1:
         names = ", ".join(paths)
@@ -72,12 +72,12 @@ def find_recording(reference: str, folder: Path | None, fleet: str | None) -> "R
             exit_with_error(str(error), BAD_INPUT, "give a file that `tutti record` has written")
         except OSError as error:
             exit_with_error(f"{path}: {error.strerror}", BAD_INPUT)
-    place = find_folder(folder, fleet)
-    jobs = [recording for recording in list_recordings(place) if recording.job_id]
+    recording_folder = find_folder(folder, fleet)
+    jobs = [recording for recording in list_recordings(recording_folder) if recording.job_id]
     named_jobs = jobs[-1:] if reference == "last" else [job for job in jobs if job.job_id.startswith(reference)]
     named_jobs = named_jobs or [job for job in jobs if job.job_name == reference][-1:]
     if not named_jobs:
-        exit_with_error(f"no recording of job {reference!r} in {place}", BAD_INPUT, "see `tutti record ls`")
+        exit_with_error(f"no recording of job {reference!r} in {recording_folder}", BAD_INPUT, "see `tutti record ls`")
     if len(named_jobs) > 1:
         text = ", ".join(summary.job_id[:12] for summary in named_jobs)
         exit_with_error(f"{reference!r} stands for several jobs: {text}", BAD_INPUT, "write more of the id")

@@ -88,17 +88,19 @@ def list_files(folder: Path | None, fleet: str | None, limit: int, *, as_json: b
     from orchestrator.monitor.recording.lock import is_locked
     from orchestrator.monitor.recording.reader import list_recordings
 
-    place = find_folder(folder, fleet)
-    recordings = list(reversed(list_recordings(place)))
-    written = is_locked(place)
+    recording_folder = find_folder(folder, fleet)
+    recordings = list(reversed(list_recordings(recording_folder)))
+    is_open = is_locked(recording_folder)
     if as_json:
-        print_json([_to_plain(summary, written=written) for summary in recordings[:limit]])
+        print_json([_to_plain(summary, written=is_open) for summary in recordings[:limit]])
         return
-    _print_table(recordings[:limit], written=written)
+    _print_table(recordings[:limit], written=is_open)
     total = sum(summary.size for summary in recordings)
     more = f", {limit} of them shown" if len(recordings) > limit else ""
     console.print(
-        f"{len(recordings)} recordings, {format_size(total)}, in {place}{more}", highlight=False, soft_wrap=True
+        f"{len(recordings)} recordings, {format_size(total)}, in {recording_folder}{more}",
+        highlight=False,
+        soft_wrap=True,
     )
 
 
@@ -114,28 +116,28 @@ def repair(files: tuple[Path, ...], *, as_json: bool) -> None:
     from orchestrator.monitor.recording.repair import RepairFailed, repair_recording
 
     results: list[dict[str, Any]] = []
-    failed = False
+    has_failed = False
     for path in files:
         try:
             result = repair_recording(path)
         except (RepairFailed, OSError) as error:
-            failed = True
+            has_failed = True
             text = str(error) if isinstance(error, RepairFailed) else f"{path}: {error.strerror}"
             results.append({"file": str(path), "error": text})
             if not as_json:
                 errors.print(f"[bold red]tutti:[/] {text}", highlight=False, soft_wrap=True)
             continue
-        kept = None if result.original is None else str(result.original)
+        original = None if result.original is None else str(result.original)
         results.append(
-            {"file": str(path), "messages": result.messages, "lost_bytes": result.lost_bytes, "original": kept}
+            {"file": str(path), "messages": result.messages, "lost_bytes": result.lost_bytes, "original": original}
         )
         if not as_json:
             words = f"{path}: {result.messages} messages"
             words += f"; {result.reason}, {result.lost_bytes} bytes left out" if result.reason else ", it is whole"
-            console.print(words + (f"; as it was: {kept}" if kept else ""), highlight=False, soft_wrap=True)
+            console.print(words + (f"; as it was: {original}" if original else ""), highlight=False, soft_wrap=True)
     if as_json:
         print_json(results)
-    if failed:
+    if has_failed:
         raise SystemExit(FAILED)
 
 
@@ -173,10 +175,10 @@ def _print_table(found: "list[RecordingSummary]", *, written: bool) -> None:
     table = PlainTable(["begins", "s>", "job", "id", "messages>", "size>", "state", "file"], ["job", "file"])
     for summary in found:
         begins, ends = summary.begins_ns, summary.ends_ns
-        taken = "" if begins is None or ends is None else f"{(ends - begins) / 1e9:.1f}"
+        duration = "" if begins is None or ends is None else f"{(ends - begins) / 1e9:.1f}"
         table.add_row(
             format_time(_format_ns(begins) or ""),
-            taken,
+            duration,
             summary.job_name or "(fleet)",
             summary.job_id[:8],
             "" if summary.messages is None else str(summary.messages),

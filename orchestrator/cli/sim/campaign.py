@@ -70,12 +70,12 @@ def campaign(
         raise SystemExit(FAILED if story.violations else 0)
 
     stage_options = [*(f" --stage {stage}" for stage in stages), *(f" --fault {fault}" for fault in faults)]
-    again = "".join([*stage_options, " --apart" if apart else ""])
+    options = "".join([*stage_options, " --apart" if apart else ""])
 
     def print_run(story: "SeedRun") -> None:
         if story.violations and not as_json:
             _print_plain(story.summarize())
-            console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed}{again} --trace")
+            console.print(f"[bold]repeat:[/] tutti sim campaign --seed {story.seed}{options} --trace")
 
     began_s = _cpu_s()
     result = run_campaign(range(first, first + seeds), print_run, processes, choice)

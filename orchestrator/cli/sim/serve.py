@@ -96,8 +96,8 @@ def serve(
         await starting
         links = describe_links(live.fleet)
         if truth:
-            for each in (each for link in links for each in link["controllers"]):
-                each["truth"] = str(folder / "truth" / f"{each['name']}.jsonl")
+            for controller in (controller for link in links for controller in link["controllers"]):
+                controller["truth"] = str(folder / "truth" / f"{controller['name']}.jsonl")
         print_result({"state": str(folder), "links": links}, _describe(links, folder), as_json=as_json)
         live.say = print_line
         assert live.failed is not None
@@ -144,11 +144,11 @@ def _parse_options(text: str) -> dict[str, Any]:
 def _describe(links: list[dict[str, Any]], folder: Path) -> str:
     lines: list[str] = []
     for link in links:
-        for each in link["controllers"]:
-            address = "" if each["address"] is None else f", address {each['address']}"
-            lines.append(f"{each['name']}: {each['model']} on {_describe_place(link)}{address}")
-            if "truth" in each:
-                lines.append(f"  true motions: {each['truth']}")
+        for controller in link["controllers"]:
+            address = "" if controller["address"] is None else f", address {controller['address']}"
+            lines.append(f"{controller['name']}: {controller['model']} on {_describe_place(link)}{address}")
+            if "truth" in controller:
+                lines.append(f"  true motions: {controller['truth']}")
     first = links[0]["controllers"][0]["name"]
     lines.append(f"to change their environment: tutti sim power {first} off --state {folder}")
     return "\n".join([*lines, "Ctrl-C ends it"])

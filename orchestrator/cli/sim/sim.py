@@ -34,7 +34,7 @@ def check(model: str, file: Path, only: str | None, *, as_json: bool) -> None:
         report = check_file(model, file, only)
     except ValueError as error:
         exit_with_error(str(error), BAD_INPUT)
-    failures = [failure for each in report.failures.values() for failure in each]
+    failures = [failure for failure_list in report.failures.values() for failure in failure_list]
     if as_json:
         print_json(
             {
@@ -50,8 +50,8 @@ def check(model: str, file: Path, only: str | None, *, as_json: bool) -> None:
         for failure in failures:
             console.print(f"{failure.vector} ({failure.lines})", style="bold", highlight=False, markup=False)
             for name in ("sent", "expected", "received"):
-                shown = repr(failure.sent) if name == "sent" else getattr(failure, name)
-                console.print(f"  {name:9}{shown}", highlight=False, markup=False, soft_wrap=True)
+                value = repr(failure.sent) if name == "sent" else getattr(failure, name)
+                console.print(f"  {name:9}{value}", highlight=False, markup=False, soft_wrap=True)
         console.print(f"{len(report.passed)} passed, {len(report.failures)} failed", highlight=False)
     if report.failures:
         raise SystemExit(FAILED)

@@ -41,7 +41,7 @@ _PRESSED = {"none": "no limit switch is", "both": "both limit switches are"}
 def set_input(name: str, to: str, fleet: str | None, state: Path | None, *, as_json: bool) -> None:
     """Make a named input of a simulated controller active or inactive, whatever its polarity."""
     folder, controllers = _find_simulation(fleet, state)
-    controller, point = _split_name(name, {c: each.inputs for c, each in controllers.items()}, "input")
+    controller, point = _split_name(name, {c: unit.inputs for c, unit in controllers.items()}, "input")
     wired_input = controllers[controller].inputs[point]
     change = {"input": [wired_input.number, (to == "active") == (wired_input.active == "high")]}
     _write_change(folder, controller, change, f"{name} is {to}", as_json=as_json)
@@ -154,15 +154,15 @@ def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict
 
 def _find_axis(name: str, fleet: str | None, state: Path | None) -> "tuple[Path, str, Axis]":
     folder, controllers = _find_simulation(fleet, state)
-    controller, axis = _split_name(name, {c: each.axes for c, each in controllers.items()}, "axis")
+    controller, axis = _split_name(name, {c: unit.axes for c, unit in controllers.items()}, "axis")
     return folder, controller, controllers[controller].axes[axis]
 
 
 def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
-    controller, _, rest = name.partition(".")
-    if controller not in known or rest not in known[controller]:
-        raise unknown_name(what, name, [f"{c}.{each}" for c, names in known.items() for each in names])
-    return controller, rest
+    controller, _, point = name.partition(".")
+    if controller not in known or point not in known[controller]:
+        raise unknown_name(what, name, [f"{c}.{point_name}" for c, names in known.items() for point_name in names])
+    return controller, point
 
 
 def _write_change(state: Path, controller: str, change: dict[str, Any], words: str, *, as_json: bool) -> None:

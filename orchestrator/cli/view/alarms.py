@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def _complete_alarms(context: click.Context, _: click.Parameter, begun: str) -> list[CompletionItem]:
     from orchestrator.cli.base.completion import ask_fleet
 
-    fleet = ask_fleet(context, lambda tutti: tutti.list_alarms()) or []
-    return [CompletionItem(record.id, help=record.text) for record in fleet if record.id.startswith(begun)]
+    records = ask_fleet(context, lambda tutti: tutti.list_alarms()) or []
+    return [CompletionItem(record.id, help=record.text) for record in records if record.id.startswith(begun)]
 
 
 _ID = click.argument("alarm_id", metavar="ID", shell_complete=_complete_alarms)

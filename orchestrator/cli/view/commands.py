@@ -31,10 +31,10 @@ def list_commands(
     from orchestrator.monitor.times import format_time
 
     async def show_commands(tutti: "Tutti") -> None:
-        until = None if before is None else before.isoformat()
-        commands = await tutti.list_commands(limit, before=until, by=by)
+        end_utc = None if before is None else before.isoformat()
+        commands = await tutti.list_commands(limit, before=end_utc, by=by)
         if as_json:
-            print_json([each.to_plain() for each in commands])
+            print_json([record.to_plain() for record in commands])
             return
         table = make_plain_table(["time", "user", "command", "about", "refused"], ["user", "about"])
         for record in commands:

@@ -91,18 +91,18 @@ def estop(connect: str, fleet: str | None, reason: str, port: str, *, armed: boo
     if armed:
         _run_armed(connect, fleet, reason, port, as_json=as_json)
         return
-    latched_main = run_main(_send_estop(connect, fleet, reason))
+    latches = run_main(_send_estop(connect, fleet, reason))
     remedy = "use the wired e-stop; then see `tutti status`"
     if not as_json:
-        for controller, done in latched_main.items():
-            console.print(f"{controller}: {'latched' if done else '[bold red]NOT LATCHED[/]'}")
-    if not latched_main:
+        for controller, is_latched in latches.items():
+            console.print(f"{controller}: {'latched' if is_latched else '[bold red]NOT LATCHED[/]'}")
+    if not latches:
         exit_with_error(f"no controller on {connect} confirms the e-stop", UNREACHABLE, remedy, code="no-answer")
-    if not all(latched_main.values()):
+    if not all(latches.values()):
         text = "not every controller confirms the e-stop"
-        exit_with_error(text, FAILED, remedy, code="not-latched", latched=latched_main)
+        exit_with_error(text, FAILED, remedy, code="not-latched", latched=latches)
     if as_json:
-        print_json(latched_main)
+        print_json(latches)
 
 
 async def _send_estop(connect: str, fleet: str | None, reason: str) -> dict[str, bool]:
@@ -117,12 +117,12 @@ async def _send_estop(connect: str, fleet: str | None, reason: str) -> dict[str,
     try:
         put_estop(bus, fleet, *_new_event(), reason)
         # Everything else is imported only now that the e-stop is sent.
-        latched = await _find_latched(bus, fleet)
+        latches = await _find_latched(bus, fleet)
     finally:
         await bus.close()
-    if len({name.partition("/")[0] for name in latched}) > 1:
-        return latched
-    return {name.partition("/")[2]: done for name, done in latched.items()}
+    if len({name.partition("/")[0] for name in latches}) > 1:
+        return latches
+    return {name.partition("/")[2]: is_latched for name, is_latched in latches.items()}
 
 
 def _new_event() -> tuple[str, str]:
@@ -137,11 +137,11 @@ async def _find_latched(bus: "Bus", fleet: str | None) -> dict[str, bool]:
     from orchestrator.client import Tutti
 
     fleets = await find_fleets(bus) if fleet is None else [fleet]
-    gather = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
+    results = await asyncio.gather(*(Tutti(bus, name).wait_for_latch() for name in fleets))
     return {
-        f"{name}/{controller}": done
-        for name, each in zip(fleets, gather, strict=True)
-        for controller, done in each.items()
+        f"{name}/{controller}": is_latched
+        for name, latches in zip(fleets, results, strict=True)
+        for controller, is_latched in latches.items()
     }
 
 
@@ -174,18 +174,18 @@ def reset(event: str | None, connect: str, fleet: str | None, *, as_json: bool) 
             text = f"no e-stop {event} is latched; latched: {', '.join(latched_estops) or 'none'}"
             exit_with_error(text, BAD_INPUT, code="unknown-name")
         if event is None and len(latched_estops) > 1:
-            shown = "; ".join(f"{name} by {latch.actor}: {latch.reason}" for name, latch in latched_estops.items())
-            text = f"several e-stops are latched: {shown}"
+            event_list = "; ".join(f"{name} by {latch.actor}: {latch.reason}" for name, latch in latched_estops.items())
+            text = f"several e-stops are latched: {event_list}"
             exit_with_error(text, BAD_INPUT, "name one: `tutti reset EVENT`", code="ambiguous")
         for name in latched_estops if event is None else [event]:
             if not as_json:
                 console.print(f"releasing e-stop {name} by {latched_estops[name].actor}", markup=False)
         answers = await tutti.reset(event)
-        refused = any(answers.values())
+        is_refused = any(answers.values())
         if not as_json:
             print_queue_stop(await load_queue(tutti))
         _print_answers(
-            answers, "still latched by another e-stop" if refused and latched_estops else "reset", as_json=as_json
+            answers, "still latched by another e-stop" if is_refused and latched_estops else "reset", as_json=as_json
         )
 
     with_fleet(connect, fleet, reset_estop)

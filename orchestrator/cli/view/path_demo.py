@@ -63,8 +63,8 @@ def run_path(out: Path | None, *, wanted: bool, as_json: bool) -> None:
     else:
         for line in describe_path(report):
             console.print(line, highlight=False, markup=False, soft_wrap=True)
-        shown = f"{worst:.3g} {demo.unit} at most, at {len(demo.errors)} instants"
-        console.print(f"true distance from the path: {shown}", highlight=False)
+        distance_text = f"{worst:.3g} {demo.unit} at most, at {len(demo.errors)} instants"
+        console.print(f"true distance from the path: {distance_text}", highlight=False)
         if out is not None:
             console.print(str(out), highlight=False, markup=False, soft_wrap=True)
     if worst > report.bound.predicted:

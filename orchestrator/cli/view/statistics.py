@@ -48,7 +48,7 @@ def stats(
         elif as_csv:
             writer = csv.writer(sys.stdout, lineterminator="\n")
             writer.writerow(("day", "kind", "subject", "figure", "value", "unit"))
-            writer.writerows(line for each in statistics.days for line in list_figures(each))
+            writer.writerows(line for day in statistics.days for line in list_figures(day))
         else:
             for figures in [*statistics.days, statistics.total]:
                 title = f"since {statistics.since}" if figures.day is None else figures.day

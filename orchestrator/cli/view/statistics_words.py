@@ -45,8 +45,8 @@ def make_tables(figures: PeriodFigures, title: str) -> Iterator[RenderableType]:
 
 def describe_counts(counts: Mapping[str, int]) -> str:
     """Counts in words, the largest first: `12 done, 1 failed`."""
-    ordered = sorted(counts.items(), key=lambda each: (-each[1], each[0]))
-    return ", ".join(f"{count:,} {name}" for name, count in ordered)
+    entries = sorted(counts.items(), key=lambda entry: (-entry[1], entry[0]))
+    return ", ".join(f"{count:,} {name}" for name, count in entries)
 
 
 def format_time_span(seconds: float) -> str:

@@ -101,10 +101,10 @@ def _format_frame(frame: "ShownFrame") -> "Text":
 
     arrow = "→" if frame.direction == "out" else "←"
     address = f"[{frame.address}] " if frame.address else ""
-    shown = Text(f"{frame.after_s:+11.6f} s {arrow} ")
+    line = Text(f"{frame.after_s:+11.6f} s {arrow} ")
     if not frame.meaning:
-        return shown.append(f"{address}{frame.text}")
-    return shown.append(f"{address}{frame.text}".ljust(TEXT_COLUMNS)).append(f"  {frame.meaning}", style="dim")
+        return line.append(f"{address}{frame.text}")
+    return line.append(f"{address}{frame.text}".ljust(TEXT_COLUMNS)).append(f"  {frame.meaning}", style="dim")
 
 
 def _write_log(reply: "TraceReply", form: "LogFormat", output: Path, controller: str) -> int:

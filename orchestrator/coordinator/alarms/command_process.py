@@ -19,18 +19,18 @@ async def run_command_process(
 ) -> CommandResult:
     """Run a command; `text` (less than 64 kB) is its standard input, and `variables` are added to its environment. What
     it prints is left out, but for the beginning of its standard error. Raises nothing."""
-    said = bytearray()
-    inner, given = os.pipe()
-    errors, printed = os.pipe()
+    output = bytearray()
+    inner, input_writer = os.pipe()
+    errors, error_writer = os.pipe()
     loop = asyncio.get_running_loop()
 
     def take_errors() -> None:
-        said.extend(os.read(errors, READ_BYTES)[: MAX_SAID - len(said)])
+        output.extend(os.read(errors, READ_BYTES)[: MAX_SAID - len(output)])
 
     try:
         # The kernel keeps it until the command reads it: nothing waits for a command that never does.
-        os.write(given, text)
-        os.close(given)
+        os.write(input_writer, text)
+        os.close(input_writer)
         os.set_blocking(errors, False)
         loop.add_reader(errors, take_errors)
         try:
@@ -38,7 +38,7 @@ async def run_command_process(
                 *words,
                 stdin=inner,
                 stdout=asyncio.subprocess.DEVNULL,
-                stderr=printed,
+                stderr=error_writer,
                 env={**os.environ, **variables},
                 start_new_session=True,
             )
@@ -50,11 +50,11 @@ async def run_command_process(
             take_errors()
     finally:
         loop.remove_reader(errors)
-        for each in (inner, errors, printed):
-            os.close(each)
+        for descriptor in (inner, errors, error_writer):
+            os.close(descriptor)
     if code is None:
         return CommandResult(None, f"killed after {timeout_ns / NS_PER_S:g} s")
-    return CommandResult(code, said.decode("utf-8", "replace").strip())
+    return CommandResult(code, output.decode("utf-8", "replace").strip())
 
 
 async def _wait_for_end(process: asyncio.subprocess.Process, timeout_ns: int) -> int | None:

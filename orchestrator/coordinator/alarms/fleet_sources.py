@@ -89,16 +89,16 @@ class FleetAlarms:
             self._report_breaks(controller)
 
     def _report_connection(self, controller: str, faults: list[FaultReport], *, absent: bool) -> None:
-        why = faults[0].text if faults else "its adapter is silent"
+        reason = faults[0].text if faults else "its adapter is silent"
         remedy = faults[0].remedy if faults else "see `tutti status`; is its adapter host running?"
-        text = f"{controller} is offline: {why}"
+        text = f"{controller} is offline: {reason}"
         action = remedy or "check power and cable of the controller"
         self._conditions.report(AlarmCause("disconnected", controller, text, action), holds=absent)
 
     def _report_faults(self, controller: str, faults: list[FaultReport], *, known: bool) -> None:
         """One alarm for each code. known: what is not among `faults` is over; of a controller that is offline it is
         not known."""
-        reported: set[str] = set()
+        reported_ids: set[str] = set()
         for fault in faults[:MAX_FAULTS]:
             if fault.code == _STARTING:
                 continue
@@ -107,10 +107,10 @@ class FleetAlarms:
             cause = AlarmCause(
                 "fault", subject[:MAX_SUBJECT], f"{controller}: {fault.text}", action, fault.code[:MAX_CODE]
             )
-            reported.add(cause.id)
+            reported_ids.add(cause.id)
             self._conditions.report(cause, holds=True)
         for cause in self._conditions.find_all("fault") if known else ():
-            if controller_of(cause.subject) == controller and cause.id not in reported:
+            if controller_of(cause.subject) == controller and cause.id not in reported_ids:
                 self._conditions.report(cause, holds=False)
 
     def _report_estop(self, state: ControllerState) -> None:
@@ -119,10 +119,10 @@ class FleetAlarms:
         if latch is None:
             self._estops.pop(state.controller, None)
         else:
-            why = f": {latch.reason}" if latch.reason else ""
-            self._estops[state.controller] = f"e-stop by {latch.actor}{why}"
-        others_controllers = [controller for controller in self._view.fleet.controllers if controller not in self._seen]
-        if not self._estops and not all(map(self._view.is_silent, others_controllers)):
+            reason = f": {latch.reason}" if latch.reason else ""
+            self._estops[state.controller] = f"e-stop by {latch.actor}{reason}"
+        other_controllers = [controller for controller in self._view.fleet.controllers if controller not in self._seen]
+        if not self._estops and not all(map(self._view.is_silent, other_controllers)):
             return  # after a start, one that is not seen yet may be latched
         text = next(iter(self._estops.values()), "")
         action = "find the reason, make the machine safe, then `tutti reset`"
@@ -131,8 +131,8 @@ class FleetAlarms:
     def _report_limits(self, state: ControllerState) -> None:
         for name, axis in state.axes.items():
             full, on = f"{state.controller}.{name}", axis.limit != "none"
-            begun = on and full not in self._limits
-            if begun:
+            is_new = on and full not in self._limits
+            if is_new:
                 # An axis that searches for its reference may reach its limit switch.
                 self._limits[full] = "" if axis.homing or not axis.referenced else axis.limit
             elif not on:

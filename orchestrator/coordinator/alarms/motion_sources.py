@@ -112,16 +112,16 @@ class MotionAlarms:
             return
         members = name_members(list(report.members))
         used = skew.at_most_ns / budget.allowed_ns
-        near = self._near.pop(members, 0) + 1 if used > rule.limit else 0
-        if near:
-            self._near[members] = near
+        near_count = self._near.pop(members, 0) + 1 if used > rule.limit else 0
+        if near_count:
+            self._near[members] = near_count
             while len(self._near) > MAX_SETS:
                 del self._near[next(iter(self._near))]
-        text = f"{near} steps in succession of {members} have used more than {rule.limit:.0%} of their start skew"
+        text = f"{near_count} steps in succession of {members} have used more than {rule.limit:.0%} of their start skew"
         action = (
             f"see `tutti job report last`: {budget.worst_member}, {budget.worst_term}; allow more, or mend its link"
         )
-        self._conditions.report(AlarmCause("budget", members, text, action), holds=near >= rule.steps)
+        self._conditions.report(AlarmCause("budget", members, text, action), holds=near_count >= rule.steps)
 
 
 def name_members(members: Sequence[str]) -> str:

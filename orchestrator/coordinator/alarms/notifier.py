@@ -74,7 +74,7 @@ class AlarmNotifier:
                 self._wake.clear()
                 await self._wake.wait()
                 continue
-            change, notice = min(self._pending.items(), key=lambda each: each[1].due_ns)
+            change, notice = min(self._pending.items(), key=lambda entry: entry[1].due_ns)
             await self._wait_until(notice.due_ns)
             if notice.due_ns <= self._clock.now_ns():
                 await self._try_notice(command, change, notice)
@@ -95,14 +95,14 @@ class AlarmNotifier:
         record = notice.record
         variables = {f"TUTTI_ALARM_{name.upper()}": str(getattr(record, name)).replace("\0", " ") for name in VARIABLES}
         result = await self._run_command(command.command, record.to_json(), variables, command.timeout)
-        why = result.why or f"exit code {result.exit_code}"
+        reason = result.why or f"exit code {result.exit_code}"
         if result.exit_code == 0:
             self._failures = 0
             self._end_notice(change)
         else:
             self._failures += 1
-            self._note_failure(command, change, notice, why)
-        self.on_result(self._failures, why)
+            self._note_failure(command, change, notice, reason)
+        self.on_result(self._failures, reason)
 
     def _note_failure(self, command: NotifyCommand, change: str, notice: _PendingNotice, why: str) -> None:
         notice.tries += 1

@@ -136,7 +136,7 @@ class AlarmRegister:
         normal = [record for record in self._records.values() if record.state == "normal" and not record.is_suppressed]
         if not normal:
             return False
-        oldest = min(normal, key=lambda each: each.raised_utc).id
+        oldest = min(normal, key=lambda record: record.raised_utc).id
         del self._records[oldest]
         self._store.forget_alarm(oldest)
         return True
@@ -145,9 +145,9 @@ class AlarmRegister:
 
     async def serve_new(self) -> None:
         """Serve the alarms that are new, so that a late reader finds them, and no longer those that are forgotten."""
-        for alarm_id in [record for record in self._records if record not in self._served]:
+        for alarm_id in [known_id for known_id in self._records if known_id not in self._served]:
             self._served[alarm_id] = await self._bus.serve(self._keys.alarm(alarm_id), self._reply_alarm)
-        for alarm_id in [each for each in self._served if each not in self._records]:
+        for alarm_id in [served_id for served_id in self._served if served_id not in self._records]:
             await self._served.pop(alarm_id).undeclare()
 
     async def _reply_alarm(self, sample: BusSample) -> bytes:
@@ -161,8 +161,8 @@ class AlarmRegister:
     async def list_alarms(self, request: ListAlarms) -> AlarmsListed:
         """List alarms: the more urgent ones first, and of one priority the newest. Raises `JournalError`."""
         shown_records = [record for record in self._records.values() if request.all or record.state != "normal"]
-        shown_records.sort(key=lambda each: each.raised_utc, reverse=True)
-        shown_records.sort(key=lambda each: (not each.is_open, ORDER.index(each.priority)))
+        shown_records.sort(key=lambda record: record.raised_utc, reverse=True)
+        shown_records.sort(key=lambda record: (not record.is_open, ORDER.index(record.priority)))
         history = await self._store.load_history(request.history) if request.history else []
         return AlarmsListed(alarms=shown_records, history=history)
 
@@ -184,15 +184,15 @@ class AlarmRegister:
         if request.for_s is None:
             change: Transition = unshelve_alarm
         else:
-            until_utc = parse_utc(self._access.clock.utc()) + timedelta(seconds=request.for_s)
-            change = partial(shelve_alarm, until_utc=format_utc(until_utc), actor=request.actor, why=request.why)
+            end_utc = parse_utc(self._access.clock.utc()) + timedelta(seconds=request.for_s)
+            change = partial(shelve_alarm, until_utc=format_utc(end_utc), actor=request.actor, why=request.why)
         await self._change_recorded([request.alarm_id], change)
         return AlarmShelved(alarm=self._records[request.alarm_id])
 
     def _require(self, alarm_id: str) -> None:
         if alarm_id not in self._records:
-            near = difflib.get_close_matches(alarm_id, self._records, 1)
-            hint = f"did you mean {near[0]}? " if near else ""
+            matches = difflib.get_close_matches(alarm_id, self._records, 1)
+            hint = f"did you mean {matches[0]}? " if matches else ""
             raise Refusal("unknown-alarm", f"there is no alarm {alarm_id}", f"{hint}see `tutti alarm ls --all`")
 
     async def _change_recorded(self, ids: Iterable[str], change: Transition) -> list[AlarmRecord]:
@@ -200,19 +200,21 @@ class AlarmRegister:
         records_before = {alarm_id: self._records[alarm_id] for alarm_id in ids}
         records_after = {alarm_id: change(record) for alarm_id, record in records_before.items()}
         changes = [
-            self._make_change(records_after[each], records_before[each])
-            for each in records_before
-            if records_after[each] is not records_before[each]
+            self._make_change(records_after[alarm_id], records_before[alarm_id])
+            for alarm_id in records_before
+            if records_after[alarm_id] is not records_before[alarm_id]
         ]
         if changes:
             await self._store.write_pending(*changes)
-        for each in changes:
-            record_now = self._records.get(each.record.id)
-            if record_now is records_before[each.record.id]:
-                self._show(each, record_now)
+        for alarm_change in changes:
+            record_now = self._records.get(alarm_change.record.id)
+            if record_now is records_before[alarm_change.record.id]:
+                self._show(alarm_change, record_now)
             elif record_now is not None:  # its condition has changed while this was written
                 self._take(change(record_now), record_now)
-        return [self._records[each.record.id] for each in changes if each.record.id in self._records]
+        return [
+            self._records[alarm_change.record.id] for alarm_change in changes if alarm_change.record.id in self._records
+        ]
 
 
 def _is_annunciated(record: AlarmRecord) -> bool:

@@ -63,8 +63,8 @@ class AlarmService:
     async def start(self, epoch: int) -> None:
         """Go on where the last leader ended. Raises `JournalError`."""
         self.register.epoch = epoch
-        records, damaged = await self._execute(self._tables.load_alarms)
-        for name in damaged:
+        records, damaged_names = await self._execute(self._tables.load_alarms)
+        for name in damaged_names:
             self._access.log.warning(f"alarm {name}: its record in the journal is damaged; it begins anew")
         self.register.restore(records)
         for record in records:
@@ -90,8 +90,8 @@ class AlarmService:
         self._conditions.started = False
         for task in self._tasks:
             task.cancel()
-        declared, self._declared = self._declared, []
-        for declaration in declared:
+        declarations, self._declared = self._declared, []
+        for declaration in declarations:
             await declaration.undeclare()
         await self.register.close()
         with suppress(JournalError):

@@ -97,8 +97,8 @@ class ServiceAlarms:
             request = AlarmRequest.model_validate_json(sample.payload)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"])) or "it"
-            self._log.warning(f"an alarm of {source} is left out: {where}: {first['msg']}")
+            field = ".".join(map(str, first["loc"])) or "it"
+            self._log.warning(f"an alarm of {source} is left out: {field}: {first['msg']}")
             return
         cause = AlarmCause(
             request.kind, request.subject, request.text, request.action, "", request.priority, source[:MAX_SOURCE]
@@ -115,8 +115,8 @@ class ServiceAlarms:
         if not active or any(record.id == cause.id for record in requested_records):
             return True
         sources = {record.source for record in requested_records} | {cause.source}
-        mine = sum(record.source == cause.source for record in requested_records)
-        if mine < MAX_REQUESTED and len(sources) <= MAX_SOURCES:
+        own_count = sum(record.source == cause.source for record in requested_records)
+        if own_count < MAX_REQUESTED and len(sources) <= MAX_SOURCES:
             return True
         self._log.warning(f"an alarm of {cause.source} is left out, because there are too many: {cause.text}")
         return False

@@ -34,13 +34,13 @@ class CertificateEnds:
         certificate of these controllers' hosts, or of the coordinator. not_before: RFC 3339, where it begins later.
         """
         own = [(self._own.ends_utc, "", self._own)] if self._own is not None else []
-        stated_controllers = ((controller, self._stated.get(controller)) for controller in controllers)
-        held_own = own + [(end.ends_utc, controller, end) for controller, end in stated_controllers if end is not None]
-        if not held_own:
+        stated_ends = ((controller, self._stated.get(controller)) for controller in controllers)
+        all_ends = own + [(end.ends_utc, controller, end) for controller, end in stated_ends if end is not None]
+        if not all_ends:
             return
-        ends_utc, controller, certificate = min(held_own, key=lambda each: each[:2])
-        until_utc = shift_utc(max(self._clock.utc(), not_before or ""), within_s)
-        if until_utc < ends_utc:
+        ends_utc, controller, certificate = min(all_ends, key=lambda entry: entry[:2])
+        end_utc = shift_utc(max(self._clock.utc(), not_before or ""), within_s)
+        if end_utc < ends_utc:
             return
         holder, part = "the coordinator", "the coordinator"
         if controller:
@@ -49,7 +49,7 @@ class CertificateEnds:
         raise Refusal(
             ENDS_BEFORE,
             f"{holder}: its certificate {certificate.name} ends at {_show(ends_utc)}, and this would end at "
-            f"{_show(until_utc)}",
+            f"{_show(end_utc)}",
             f"`tutti keys renew {certificate.name.rpartition('.')[0]}`, copy its folder, and restart {part}",
             controller or None,
         )

@@ -66,8 +66,8 @@ class LeaseStates:
     def publish(self, held: LeaseHold, holder: str | None) -> None:
         """Publish what a lease has become. holder: of its axes now; None: they are free."""
         for controller, names in group_by_controller(held.axes).items():
-            whole = set(names) == set(self._fleet.view.fleet.controllers[controller].axes)
-            for axis in [None] if whole else names:
+            is_whole = set(names) == set(self._fleet.view.fleet.controllers[controller].axes)
+            for axis in [None] if is_whole else names:
                 lease = self.make_state(held, controller, axis, holder)
                 self._bus.put(self._keys.lease(controller, axis), lease.to_json(), Priority.EVENT)
 

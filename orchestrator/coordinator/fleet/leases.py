@@ -50,17 +50,17 @@ class LeaseRegistry:
     async def close(self) -> None:
         if self._renewing is not None:
             self._renewing.cancel()
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
         self._declared.clear()
 
     async def _reply_lease(self, sample: BusSample) -> bytes:
         """Return the lease of a controller; where several holders have its axes, that of the first."""
         controller = sample.key.rpartition("/")[2]
-        mine = [held_hold for held_hold in self._held.values() if controller in group_by_controller(held_hold.axes)]
+        own_holds = [hold for hold in self._held.values() if controller in group_by_controller(hold.axes)]
         lease = (
-            self._states.make_state(mine[0], controller, None, mine[0].holder)
-            if mine
+            self._states.make_state(own_holds[0], controller, None, own_holds[0].holder)
+            if own_holds
             else self._states.make_free_state(controller)
         )
         return lease.to_json()
@@ -76,26 +76,22 @@ class LeaseRegistry:
 
     def may_move(self, holder: str) -> bool:
         """Whether `holder` has a lease that the adapters have, too."""
-        held_hold = self._held.get(holder)
-        return held_hold is not None and not held_hold.idle
+        hold = self._held.get(holder)
+        return hold is not None and not hold.idle
 
     def find_conflict(self, axes: Iterable[str], holder: str = "") -> LeaseHold | None:
         """The lease of another holder on one of `axes`."""
         wanted_axes = set(axes)
         return next(
-            (
-                held_hold
-                for held_hold in self._held.values()
-                if held_hold.holder != holder and wanted_axes & set(held_hold.axes)
-            ),
+            (hold for hold in self._held.values() if hold.holder != holder and wanted_axes & set(hold.axes)),
             None,
         )
 
     def describe_use(self, held: LeaseHold) -> str:
         """A description of a lease for others that need its axes: by which user, what for, until when."""
         end = self._states.find_end_utc(held)
-        until = "" if end is None else f", until {end[:19]}Z"
-        return f"in use by {held.actor} ({held.what}{until})"
+        end_text = "" if end is None else f", until {end[:19]}Z"
+        return f"in use by {held.actor} ({held.what}{end_text})"
 
     def restore_reservation(self, held: LeaseHold) -> None:
         """Restore a reservation of an earlier coordinator, without the right to move."""
@@ -104,15 +100,13 @@ class LeaseRegistry:
 
     async def suspend_motion(self, holder: str, reason: str) -> None:
         """Keep the axes reserved for `holder` without the right to move them; the adapters stop motion."""
-        held_hold = self._held.get(holder)
-        if held_hold is None or held_hold.idle:
+        hold = self._held.get(holder)
+        if hold is None or hold.idle:
             return
-        self._held[holder] = replace(held_hold, idle=True)
-        self._fleet.log.warning(
-            f"{held_hold.actor} ({held_hold.what}) may no longer move axes: {reason}", holder=holder
-        )
+        self._held[holder] = replace(hold, idle=True)
+        self._fleet.log.warning(f"{hold.actor} ({hold.what}) may no longer move axes: {reason}", holder=holder)
         try:
-            await self._send_lease(held_hold, 0, reason)
+            await self._send_lease(hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
 
@@ -128,12 +122,12 @@ class LeaseRegistry:
         """Acquire `axes` for `user`, or renew its lease; return all axes of that lease: whole controllers where
         axes cannot be leased separately. Raises `InUse`, `Refusal`; then no new lease has been made."""
         holder = user.holder
-        whole = await self._complete_controllers(axes)
-        while (other_hold := self.find_conflict(whole, holder)) is not None and other_hold.brief:
+        all_axes = await self._complete_controllers(axes)
+        while (other_hold := self.find_conflict(all_axes, holder)) is not None and other_hold.brief:
             self._given_back.clear()
             await self._given_back.wait()
         if other_hold is not None:
-            theirs = next(axis for axis in whole if axis in other_hold.axes)
+            theirs = next(axis for axis in all_axes if axis in other_hold.axes)
             raise AxesInUse(
                 "leased",
                 f"{theirs} is {self.describe_use(other_hold)}",
@@ -141,51 +135,51 @@ class LeaseRegistry:
                 controller_of(theirs),
             )
         hold_before = self._held.get(holder)
-        mine = tuple(dict.fromkeys((*(hold_before.axes if hold_before else ()), *whole)))
+        own_axes = tuple(dict.fromkeys((*(hold_before.axes if hold_before else ()), *all_axes)))
         until_ns = None if ttl_ns is None else self._fleet.clock.now_ns() + ttl_ns
         # The lease counts from here on: no other holder can acquire the axes while the adapters are queried.
         idle = idle or (hold_before is not None and hold_before.idle)
         self._takings += hold_before is None
         taking = self._takings if hold_before is None else hold_before.acquisition
-        held_hold = self._held[holder] = LeaseHold(
-            holder, user.actor, user.what, mine, until_ns, brief, idle, taking, user.session
+        hold = self._held[holder] = LeaseHold(
+            holder, user.actor, user.what, own_axes, until_ns, brief, idle, taking, user.session
         )
-        if hold_before is None or set(mine) != set(hold_before.axes):
+        if hold_before is None or set(own_axes) != set(hold_before.axes):
             try:
                 if not idle:
-                    await self._send_lease(held_hold, TTL_MS, tries=TRIES)
+                    await self._send_lease(hold, TTL_MS, tries=TRIES)
             except Refusal:
                 await self.release(holder)
                 raise
-            if self._held.get(holder) is not held_hold:
+            if self._held.get(holder) is not hold:
                 raise Refusal("not-leased", "the lease ended while it was being acquired")
-            self._states.publish(held_hold, holder)
-        return whole
+            self._states.publish(hold, holder)
+        return all_axes
 
     async def release(self, holder: str, reason: str = "") -> None:
         """End the lease of `holder`; the adapters stop what it still moves."""
-        held_hold = self._held.get(holder)
-        if held_hold is None:
+        hold = self._held.get(holder)
+        if hold is None:
             return
         # A request that needs the axes now waits for the adapters to end the lease.
-        self._held[holder] = replace(held_hold, brief=True)
+        self._held[holder] = replace(hold, brief=True)
         if reason:
-            self._fleet.log.warning(f"the lease of {held_hold.actor} ({held_hold.what}) ends: {reason}", holder=holder)
+            self._fleet.log.warning(f"the lease of {hold.actor} ({hold.what}) ends: {reason}", holder=holder)
         try:
-            if not held_hold.idle:
-                await self._send_lease(held_hold, 0, reason)
+            if not hold.idle:
+                await self._send_lease(hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
         self._held.pop(holder, None)
         self._told_ns.pop(holder, None)
         self._given_back.set()
-        self._states.publish(held_hold, None)
+        self._states.publish(hold, None)
         for listener in self._listeners:
             listener(holder)
 
     async def _complete_controllers(self, axes: Iterable[str]) -> tuple[str, ...]:
         """Extend `axes` to all axes of the controllers whose axes can only be leased together. Raises `Refusal`."""
-        whole: list[str] = []
+        all_axes: list[str] = []
         for controller, names in group_by_controller(axes).items():
             try:
                 info = await self._fleet.view.query_info(controller)
@@ -200,8 +194,8 @@ class LeaseRegistry:
                     controller,
                 )
             all_names = self._fleet.view.fleet.controllers[controller].axes
-            whole += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
-        return tuple(whole)
+            all_axes += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
+        return tuple(all_axes)
 
     async def _send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "", tries: int = 1) -> None:
         """Send a lease to the adapters. Raises `Refusal` for the first that refuses.
@@ -239,13 +233,13 @@ class LeaseRegistry:
             await sleep_ns(self._fleet.clock, RENEW_POLL_NS)
             now_ns = self._fleet.clock.now_ns()
             # One adapter that does not answer must not delay the renewal of other leases.
-            for held_hold in self._held.values():
-                if held_hold.brief:
+            for hold in self._held.values():
+                if hold.brief:
                     continue
-                if held_hold.until_ns is not None and held_hold.until_ns <= now_ns:
-                    self._fleet.tasks.spawn(self.release(held_hold.holder, "it was not renewed"), vital=False)
-                elif not held_hold.idle and now_ns - self._told_ns.get(held_hold.holder, 0) >= RENEW_NS:
-                    self._fleet.tasks.spawn(self._renew_one(held_hold), vital=False)
+                if hold.until_ns is not None and hold.until_ns <= now_ns:
+                    self._fleet.tasks.spawn(self.release(hold.holder, "it was not renewed"), vital=False)
+                elif not hold.idle and now_ns - self._told_ns.get(hold.holder, 0) >= RENEW_NS:
+                    self._fleet.tasks.spawn(self._renew_one(hold), vital=False)
 
     async def _renew_one(self, held: LeaseHold) -> None:
         try:

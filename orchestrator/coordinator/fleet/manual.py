@@ -39,9 +39,9 @@ class ManualLeases:
 
     async def start(self) -> None:
         """Restore reservations. Raises `JournalError`."""
-        now, now_ns = parse_utc(self._fleet.clock.utc()), self._fleet.clock.now_ns()
+        utc, now_ns = parse_utc(self._fleet.clock.utc()), self._fleet.clock.now_ns()
         for reservation in await self._execute(self._journal.list_reservations):
-            left_s = self._find_rest_s(reservation, now)
+            left_s = self._find_rest_s(reservation, utc)
             axes = tuple(axis for axis in reservation.axes if axis in self._fleet.view.fleet.axis_names)
             if left_s <= 0 or not axes:
                 await self._execute(self._journal.delete_reservation, reservation.holder)
@@ -60,8 +60,8 @@ class ManualLeases:
         try:
             return (parse_utc(reservation.until_utc) - now).total_seconds()
         except ValueError:
-            until = f"its end {reservation.until_utc!r} in the journal is damaged"
-            self._fleet.log.warning(f"axes stay reserved by {reservation.actor} until they are released: {until}")
+            problem = f"its end {reservation.until_utc!r} in the journal is damaged"
+            self._fleet.log.warning(f"axes stay reserved by {reservation.actor} until they are released: {problem}")
             return MAX_MANUAL_LEASE_S
 
     def close(self) -> None:
@@ -71,19 +71,19 @@ class ManualLeases:
     async def acquire(self, request: AcquireAxes) -> AxesAcquired:
         """Acquire axes for manual control, or renew the lease. Raises `Refusal`, `UnknownName`, `JournalError`."""
         axes = self._fleet.view.fleet.expand_names(request.axes)
-        missing = self._fleet.permits.find_missing(axes)
-        if missing is not None and not request.reserve:
-            raise Refusal("permit", missing, "satisfy the permit, then acquire the axes again")
+        missing_permit = self._fleet.permits.find_missing(axes)
+        if missing_permit is not None and not request.reserve:
+            raise Refusal("permit", missing_permit, "satisfy the permit, then acquire the axes again")
         ttl_ns = round(request.ttl_s * NS_PER_S)
-        idle = missing is not None
-        held = await self._leases.acquire(
+        idle = missing_permit is not None
+        hold = await self._leases.acquire(
             LeaseUser(request.holder, request.actor, request.what), axes, ttl_ns, idle=idle
         )
         if request.reserve:
-            await self._record_reservation(request, held)
+            await self._record_reservation(request, hold)
         if request.holder not in self._guards:
             self._guards[request.holder] = self._fleet.permits.watch_losses(axes)
-        return AxesAcquired(axes=list(held), may_move=self._leases.may_move(request.holder))
+        return AxesAcquired(axes=list(hold), may_move=self._leases.may_move(request.holder))
 
     def find_reserved(self) -> dict[str, str]:
         """The axes that are reserved for work at the machine, each with the reason in words."""
@@ -95,8 +95,8 @@ class ManualLeases:
         }
 
     async def _record_reservation(self, request: AcquireAxes, axes: tuple[str, ...]) -> None:
-        until_utc = parse_utc(self._fleet.clock.utc()) + timedelta(seconds=request.ttl_s)
-        values = (request.holder, request.actor, request.what, axes, format_utc(until_utc))
+        end_utc = parse_utc(self._fleet.clock.utc()) + timedelta(seconds=request.ttl_s)
+        values = (request.holder, request.actor, request.what, axes, format_utc(end_utc))
         self._reserved.add(request.holder)
         try:
             await self._execute(self._journal.store_reservation, *values)
@@ -124,10 +124,14 @@ class ManualLeases:
             self._lost.clear()
             holders = {held_lease.holder for held_lease in self._leases.all_leases}
             self._guards = {holder: guard for holder, guard in self._guards.items() if holder in holders}
-            ends = {holder: why for holder, guard in self._guards.items() if (why := guard.describe_loss()) is not None}
+            ends = {
+                holder: reason
+                for holder, guard in self._guards.items()
+                if (reason := guard.describe_loss()) is not None
+            }
             for holder in ends:
                 del self._guards[holder]
-            await asyncio.gather(*(self._end_lease(holder, why) for holder, why in ends.items()))
+            await asyncio.gather(*(self._end_lease(holder, reason) for holder, reason in ends.items()))
 
     async def _end_lease(self, holder: str, why: str) -> None:
         if holder in self._reserved:

@@ -78,30 +78,30 @@ class PermitMonitor:
     def _describe_broken(self, name: str, permit: Permit) -> str | None:
         controller, point = split_name(permit.input)
         state = self._view.last_state(controller)
-        known = state is not None and not self._view.is_silent(controller) and state.mode != "offline"
-        if known and state is not None and state.inputs.get(point) == permit.value:
+        is_known = state is not None and not self._view.is_silent(controller) and state.mode != "offline"
+        if is_known and state is not None and state.inputs.get(point) == permit.value:
             return None
-        if not known:
+        if not is_known:
             return f"input {permit.input} is unknown: its controller is silent"
         return f"input {permit.input} is {'inactive' if permit.value else 'active'}"
 
     def _take_state(self, state: ControllerState) -> None:
-        lost = False
+        is_lost = False
         for name, permit in self._view.fleet.permits.items():
             if controller_of(permit.input) != state.controller:
                 continue
-            held = self._since_ns.get(name) is not None
+            was_held = self._since_ns.get(name) is not None
             holds = self._describe_broken(name, permit) is None
-            if holds and not held:
+            if holds and not was_held:
                 now_ns = self._since_ns[name] = self._clock.now_ns()
                 self._clock.call_at_ns(now_ns + permit.settle + 1, self.on_change)
-            elif held and not holds:
+            elif was_held and not holds:
                 self._since_ns[name] = None
                 self._losses[name] = self._losses.get(name, 0) + 1
-                lost = True
-            if holds != held:
+                is_lost = True
+            if holds != was_held:
                 self.on_change()
-        if lost:
+        if is_lost:
             for listener in list(self._listeners):
                 listener()
 
@@ -120,9 +120,9 @@ class PermitWatch:
 
     def describe_loss(self) -> str | None:
         """A description of what was lost, also if it holds again; None if all have held."""
-        broken = self._permits.find_broken(self._axes)
-        if broken is not None:
-            return broken
+        broken_permit = self._permits.find_broken(self._axes)
+        if broken_permit is not None:
+            return broken_permit
         if self._permits.count_losses(self._axes) != self._losses:
             return "a permit was lost for a moment"
         return None

@@ -69,7 +69,7 @@ class PositionBook:
         names = {entry.name: None for entry in saved_entries}
         return [
             *list_file_positions(self._access.view.fleet, names),
-            *sorted(saved_entries, key=lambda each: each.name),
+            *sorted(saved_entries, key=lambda entry: entry.name),
         ]
 
     async def list_positions(self, _: object) -> PositionsListed:
@@ -84,11 +84,11 @@ class PositionBook:
         if position_before is None and len(self._saved) >= MAX_POSITIONS:
             raise Refusal("too-many", f"{MAX_POSITIONS} positions are saved; there cannot be more", "remove some")
         given_values = {axis: self._read_given(axis, value) for axis, value in request.values.items()}
-        present = await self._read_present(
+        positions = await self._read_present(
             [axis for axis in fleet.expand_names(request.axes) if axis not in given_values]
         )
         if not request.axes and not given_values:
-            present = await self._read_referenced()
+            positions = await self._read_referenced()
         description = (
             position_before.description
             if request.description is None and position_before
@@ -97,7 +97,9 @@ class PositionBook:
         position = SavedPosition(
             name=request.name,
             axes={
-                axis: value for axis in fleet.axis_names if (value := {**present, **given_values}.get(axis)) is not None
+                axis: value
+                for axis in fleet.axis_names
+                if (value := {**positions, **given_values}.get(axis)) is not None
             },
             description=description,
             actor=request.actor,
@@ -123,7 +125,7 @@ class PositionBook:
         return PositionRemoved(uncovered=next((entry for entry in self.list_entries() if entry.name == name), None))
 
     def _note_change(self, name: str, what: str) -> None:
-        self._damaged = [each for each in self._damaged if each != name]
+        self._damaged = [damaged_name for damaged_name in self._damaged if damaged_name != name]
         self._access.log.info(f"position {name} {what}")
         self.on_change()
 
@@ -162,15 +164,15 @@ class PositionBook:
     async def _read_present(self, axes: list[str]) -> dict[str, str]:
         """The present user positions of axes that stand and are referenced. Raises `Refusal`."""
         states = await self._query_states({controller_of(axis) for axis in axes})
-        present: dict[str, str] = {}
+        positions: dict[str, str] = {}
         for axis in axes:
             controller, name = split_name(axis)
             state = states[controller]
             if state is None or state.mode == "offline":
                 text = f"the position of {axis} is not known: {controller} is {'offline' if state else 'absent'}"
                 raise Refusal("offline", text, "see `tutti status`; or give a value: `--at`", controller)
-            present[axis] = self._read_axis(axis, state.axes[name])
-        return present
+            positions[axis] = self._read_axis(axis, state.axes[name])
+        return positions
 
     async def _read_referenced(self) -> dict[str, str]:
         """The present user positions of all axes that are referenced. Raises `Refusal`."""

@@ -106,22 +106,22 @@ class MemberRequests:
                 return await self._request_batch(verb, asked, reply, timeout_s)
             begun_s = asyncio.get_running_loop().time()
             ((member, request),) = asked.items()
-            said = await self.request(member, verb, request, reply, timeout_s)
-            return {member: (said, _elapsed_ns(begun_s))}
+            answer = await self.request(member, verb, request, reply, timeout_s)
+            return {member: (answer, _elapsed_ns(begun_s))}
 
-        found: dict[str, tuple[R, int]] = {}
-        for each in await asyncio.gather(*map(ask, servers.values())):
-            found |= each
+        answers: dict[str, tuple[R, int]] = {}
+        for part in await asyncio.gather(*map(ask, servers.values())):
+            answers |= part
         if answered is not None:
-            for member, (_, took_ns) in found.items():
+            for member, (_, took_ns) in answers.items():
                 answered(member, took_ns)
-        return {member: found[member][0] for member in requests}
+        return {member: answers[member][0] for member in requests}
 
     async def repeat_all(self, verb: str, requests: Mapping[str, Request], reply: type[R]) -> dict[str, R]:
         """Send requests to several members at once, each separately and repeated as by `repeat_request`; return the
         replies by member."""
-        said = await asyncio.gather(*(self.repeat_request(m, verb, r, reply, ANSWER_S) for m, r in requests.items()))
-        return dict(zip(requests, said, strict=True))
+        answers = await asyncio.gather(*(self.repeat_request(m, verb, r, reply, ANSWER_S) for m, r in requests.items()))
+        return dict(zip(requests, answers, strict=True))
 
     async def _request_batch(
         self, verb: str, requests: Mapping[str, Request], reply: type[R], timeout_s: float
@@ -133,28 +133,28 @@ class MemberRequests:
         asked_request = BatchRequest(requests=texts, answer_within_ns=round(HOST_TIMEOUT_SHARE * timeout_s * NS_PER_S))
         first = next(iter(requests))
         key, server = self.keys.batch_command(self._host_of(first), verb), self.view.servers.get(first)
-        said, failure = BatchReply(), None
+        batch, failure = BatchReply(), None
         try:
-            said = BatchReply.read_message(await self.bus.request(key, asked_request.to_json(), timeout_s, server))
+            batch = BatchReply.read_message(await self.bus.request(key, asked_request.to_json(), timeout_s, server))
         except (BusError, ValidationError) as error:
             failure = error
         took_ns = _elapsed_ns(begun_s)
         # The time on the bus was the same for all.
-        both_ways_ns = took_ns - max(said.took_ns.values(), default=took_ns)
+        both_ways_ns = took_ns - max(batch.took_ns.values(), default=took_ns)
 
         def of(member: str) -> R:
             try:
                 if failure is not None:
                     raise failure
-                if member in said.errors:
-                    raise RequestRefused(said.errors[member])
-                if member not in said.replies:
+                if member in batch.errors:
+                    raise RequestRefused(batch.errors[member])
+                if member not in batch.replies:
                     raise RequestTimeout(key)
-                return reply.read_message(said.replies[member])
+                return reply.read_message(batch.replies[member])
             except (BusError, ValidationError) as error:
                 return reply(refused=_make_refusal(member, verb, error, timeout_s))
 
-        return {member: (of(member), said.took_ns.get(member, took_ns) + both_ways_ns) for member in requests}
+        return {member: (of(member), batch.took_ns.get(member, took_ns) + both_ways_ns) for member in requests}
 
     async def _request_reply(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
         key, server = self.keys.command(member, verb), self.view.servers.get(member)

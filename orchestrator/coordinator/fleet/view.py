@@ -52,7 +52,7 @@ class FleetView:
         on_line = Counter(config.line for config in fleet.controllers.values())
         self.neighbours = {name: on_line[config.line] - 1 for name, config in fleet.controllers.items()}
         """Number of other controllers on the line of each controller."""
-        self._silent_ns = {name: SILENT_NS + OTHER_NS * others for name, others in self.neighbours.items()}
+        self._silent_ns = {name: SILENT_NS + OTHER_NS * count for name, count in self.neighbours.items()}
         self.servers: dict[str, str] = {}
         """By controller: the process that answers for it since its adoption, and whose replies alone count."""
         self.adopted: dict[str, str] = {}
@@ -76,8 +76,8 @@ class FleetView:
             self._receive_state(BusSample("", payload))
 
     async def close(self) -> None:
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
 
     def last_state(self, controller: str) -> ControllerState | None:
         """The last state, however old."""
@@ -107,8 +107,8 @@ class FleetView:
 
     def find_refusal(self, controller: str) -> Refusal | None:
         """Why the controller's adapter, as it runs now, is not adopted because of its version; None: it may be."""
-        state, refused = self._states.get(controller), self.refused.get(controller)
-        return refused[1] if refused is not None and state is not None and state.instance == refused[0] else None
+        state, refusal = self._states.get(controller), self.refused.get(controller)
+        return refusal[1] if refusal is not None and state is not None and state.instance == refusal[0] else None
 
     async def bind_server(self, controller: str) -> None:
         """Find the process that answers for the controller: from now on only its replies count. Raises `DoubleServer`,
@@ -172,11 +172,11 @@ class FleetView:
             return
         self._states[state.controller] = state
         self._heard_ns[state.controller] = self._clock.now_ns()
-        told = (state.instance, state.event_seq)
-        if told not in (self._last_event.get(state.controller), self._awaited.get(state.controller)):
-            self._awaited[state.controller] = told
+        mark = (state.instance, state.event_seq)
+        if mark not in (self._last_event.get(state.controller), self._awaited.get(state.controller)):
+            self._awaited[state.controller] = mark
             self._clock.call_at_ns(
-                self._clock.now_ns() + OVERTAKEN_NS, partial(self._query_last_event, state.controller, told)
+                self._clock.now_ns() + OVERTAKEN_NS, partial(self._query_last_event, state.controller, mark)
             )
         for listener in list(self._state_listeners):
             listener(state)

@@ -71,7 +71,7 @@ class JobApprovals:
     async def _explain_change(self, request: ApproveJob, plan: JobPlan) -> str:
         """What differs from the plan that the user has seen: one that this coordinator has shown, or the one that was
         approved before."""
-        seen = self._shown.get((request.job_id, request.plan)) or await self._load_approved(request.job_id)
-        if seen is None or seen.hash != request.plan:
+        shown_plan = self._shown.get((request.job_id, request.plan)) or await self._load_approved(request.job_id)
+        if shown_plan is None or shown_plan.hash != request.plan:
             return "this coordinator has not shown the one that was seen"
-        return join_changes(list_changes(seen, plan))
+        return join_changes(list_changes(shown_plan, plan))

@@ -32,4 +32,6 @@ class SessionMonitor:
         """Those of `sessions` that have been silent for too long. A new one has that time for its first sign."""
         now_ns = self._services.clock.now_ns()
         self._since_ns = {session: self._since_ns.get(session, now_ns) for session in set(sessions)}
-        return {name for name, since in self._since_ns.items() if self._signs.present_until_ns(name, since) < now_ns}
+        return {
+            name for name, since_ns in self._since_ns.items() if self._signs.present_until_ns(name, since_ns) < now_ns
+        }

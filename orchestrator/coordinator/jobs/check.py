@@ -44,14 +44,14 @@ def predict_s(fleet: Fleet, step: Step) -> float:
 
 async def forecast_step(forecaster: JobForecaster, number: int, step: Step, plan: Executor) -> StepForecast:
     """Run one step forward, with breaks for other work. plan: plans paths, beside which heartbeats and stops go on."""
-    work, done = forecaster.take_in_parts(number, step), 0
-    advance = plan if any(each.plans_long for each in step.iterate_written()) else run_inline
+    work, parts_done = forecaster.take_in_parts(number, step), 0
+    advance = plan if any(written_step.plans_long for written_step in step.iterate_written()) else run_inline
     while True:
         forecast = await advance(_advance, work)
         if forecast is not None:
             return forecast
-        done += 1
-        if done % STEPS_AT_ONCE == 0:
+        parts_done += 1
+        if parts_done % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
 
 

@@ -50,23 +50,23 @@ class JobNeeds:
 
 def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
     """What `steps` need before the first of them. Raises `UnknownName`."""
-    enabled, referenced, moved = set[str](), set[str](), dict[str, None]()
+    enabled_axes, referenced_axes, moved_axes = set[str](), set[str](), dict[str, None]()
     enabled_before, referenced_before = set[str](), set[str]()
     for step in iterate_steps(steps):
         axes = set(step.find_axes(fleet))
         if step.enables:
-            enabled |= axes
+            enabled_axes |= axes
         elif step.moves:
-            moved |= dict.fromkeys(step.find_axes(fleet))
+            moved_axes |= dict.fromkeys(step.find_axes(fleet))
             manual = {axis for axis in axes if fleet.axis(axis).enable == "manual"}
-            enabled_before |= manual - enabled
+            enabled_before |= manual - enabled_axes
             if step.searches:
-                referenced |= axes
+                referenced_axes |= axes
             else:
-                referenced_before |= axes - referenced
+                referenced_before |= axes - referenced_axes
     return JobNeeds(
         find_needed_controllers(fleet, steps),
-        tuple(moved),
+        tuple(moved_axes),
         frozenset(enabled_before),
         frozenset(referenced_before),
         any(step.moves or step.enables for step in iterate_steps(steps)),
@@ -95,9 +95,9 @@ class WorldConditions:
             obstacle = self._find_controller_obstacle(controller, moves=needs.moves)
             if obstacle is not None:
                 return obstacle
-        missing = self._permits.find_missing(needs.moved)
-        if missing is not None:
-            return Obstacle("permit", missing, "satisfy the permit")
+        missing_permit = self._permits.find_missing(needs.moved)
+        if missing_permit is not None:
+            return Obstacle("permit", missing_permit, "satisfy the permit")
         return self._find_axis_obstacle(needs.enabled_before, needs.referenced_before)
 
     def _find_controller_obstacle(self, controller: str, *, moves: bool) -> Obstacle | None:
@@ -112,12 +112,12 @@ class WorldConditions:
             return Obstacle("offline", f"{controller} is offline{_first_fault(state)}", "check power and cable")
         epoch = self._leadership.epoch
         if self._view.adopted.get(controller) != state.instance or state.epoch != epoch:
-            refused = self._view.find_refusal(controller)
-            if refused is not None:
-                return Obstacle(refused.code, refused.text, refused.remedy)
+            refusal = self._view.find_refusal(controller)
+            if refusal is not None:
+                return Obstacle(refusal.code, refusal.text, refusal.remedy)
             # For a moment, as a rule: after a change of the leader, or a restart of the adapter.
-            far = abs(state.epoch - epoch) > MAX_EPOCH_STEP
-            remedy = EPOCH_REMEDY if far else "wait; if it stays so, the coordinator's log says why"
+            is_far = abs(state.epoch - epoch) > MAX_EPOCH_STEP
+            remedy = EPOCH_REMEDY if is_far else "wait; if it stays so, the coordinator's log says why"
             return Obstacle("not-adopted", f"{controller} is not adopted by this coordinator yet", remedy)
         if moves and state.faults:
             first = state.faults[0]
@@ -129,12 +129,12 @@ class WorldConditions:
         off = [axis for axis in sorted(enabled) if not (axis_now := self._find_axis(axis)) or not axis_now.enabled]
         if off:
             return Obstacle("not-enabled", _join(off, "not enabled"), f"enable: `tutti axis enable {' '.join(off)}`")
-        lost = [
+        lost_axes = [
             axis for axis in sorted(referenced) if not (axis_now := self._find_axis(axis)) or not axis_now.referenced
         ]
-        if lost:
+        if lost_axes:
             return Obstacle(
-                "not-referenced", _join(lost, "not referenced"), f"home: `tutti axis home {' '.join(lost)}`"
+                "not-referenced", _join(lost_axes, "not referenced"), f"home: `tutti axis home {' '.join(lost_axes)}`"
             )
         return None
 

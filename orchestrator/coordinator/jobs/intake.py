@@ -76,11 +76,11 @@ class JobIntake:
         """Delete old jobs; return how many."""
         services = self._services
         utc_before = parse_utc(services.clock.utc()) - timedelta(seconds=request.older_s)
-        pruned_jobs = await services.execute(services.journal.prune_jobs, format_utc(utc_before), request.keep)
+        count = await services.execute(services.journal.prune_jobs, format_utc(utc_before), request.keep)
         named_points = await services.execute(services.journal.list_named_points)
         await services.execute(services.journal.points.delete_unused, named_points, services.clock.utc())
-        services.log.info(f"{pruned_jobs} jobs submitted before {format_utc(utc_before)} deleted by {request.actor}")
-        return pruned_jobs
+        services.log.info(f"{count} jobs submitted before {format_utc(utc_before)} deleted by {request.actor}")
+        return count
 
     # Inside
 
@@ -185,15 +185,15 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
         raise Refusal("no-step", text, "choose one of them with --from-step")
     if request.from_point is None:
         return first
-    place = order.locate(first)
-    scan = place.scan
+    location = order.locate(first)
+    scan = location.scan
     if scan is None:
-        text = f"step {first} of job {job_id} is no scan ({place.kind}), so it has no point {request.from_point}"
+        text = f"step {first} of job {job_id} is no scan ({location.kind}), so it has no point {request.from_point}"
         raise Refusal("no-step", text, "choose the step of a scan with --from-step; `tutti job show` numbers them")
     if request.from_point > scan.point_count:
-        text = f"the scan of step {place.first} of job {job_id} has the points 1 to {scan.point_count}"
+        text = f"the scan of step {location.first} of job {job_id} has the points 1 to {scan.point_count}"
         raise Refusal("no-step", text, "choose one of them with --from-point")
-    return place.first + (request.from_point - 1) * scan.points_steps
+    return location.first + (request.from_point - 1) * scan.points_steps
 
 
 def _find_warnings(remaining: list[RemainingStep]) -> list[str]:

@@ -202,7 +202,7 @@ def _describe_entries(fleet: Fleet, uses: _JobUses) -> dict[str, str]:
     # A frame that does not exist is refused when the path is planned.
     parts |= {f"frame {name}": fleet.frames[name].to_json().decode() for name in uses.frames if name in fleet.frames}
     if uses.homes_all:
-        order = "; ".join(", ".join(fleet.expand_name(each)) for each in fleet.home_order)
+        order = "; ".join(", ".join(fleet.expand_name(name)) for name in fleet.home_order)
         parts["order of homing"] = order or "axis by axis"
     for wire in find_wires(fleet, {*map(controller_of, uses.moved)}, uses.outputs):
         least_us, most_us = wire.delay_us
@@ -215,5 +215,5 @@ def _describe_permits(fleet: Fleet, permits: Mapping[str, Permit]) -> Iterator[t
     for name, permit in permits.items():
         level = "active" if permit.value else "not active"
         axes = "the whole fleet" if permit.axes is None else ", ".join(fleet.expand_names(permit.axes))
-        settled = f" for {format_ns(permit.settle)}" if permit.settle else ""
-        yield f"permit {name}", f"{permit.input} {level}{settled}, for {axes}"
+        settle_text = f" for {format_ns(permit.settle)}" if permit.settle else ""
+        yield f"permit {name}", f"{permit.input} {level}{settle_text}, for {axes}"

@@ -252,9 +252,9 @@ class JobRun:
         while self._paused_by is not None:
             self._seen_ns = None
             first = self._step == self.row.from_step
-            place = self._steps.locate(self._step if first or self._part else self._step - 1)
-            where = f"{'in' if self._part else 'before' if first else 'after'} {place.describe(kinds=False)}"
-            await self._change_state("paused", f"paused by {self._paused_by} {where}", self._paused_by)
+            location = self._steps.locate(self._step if first or self._part else self._step - 1)
+            place_text = f"{'in' if self._part else 'before' if first else 'after'} {location.describe(kinds=False)}"
+            await self._change_state("paused", f"paused by {self._paused_by} {place_text}", self._paused_by)
             await self._resumed.wait()
             if self._given_up is not None:
                 break
@@ -305,15 +305,15 @@ class JobRun:
                 self._step, self._step_t0_ns, self._step_s = index, 0, 0.0
                 self._part, self._doing = 0.0, ""
                 await self._wait_while_paused()
-                place, step = self._steps.locate(index), await self._steps.read_step(index)
-                self._reports.begin_step(place)
+                location, step = self._steps.locate(index), await self._steps.read_step(index)
+                self._reports.begin_step(location)
                 report = await self._run_step_with_pauses(index, step)
                 self._seen_ns = None
                 report = self._chain.complete_report(report, self._reports.last_motion)
-                await self._reports.add_report(place, report, self._steps.find_target(place))
+                await self._reports.add_report(location, report, self._steps.find_target(location))
                 if report.state != "done":
                     state = "aborted" if report.state == "stopped" else "failed"
-                    reason = f"{place.describe()}: {report.reason}"
+                    reason = f"{location.describe()}: {report.reason}"
                     if self._interrupt is not None:
                         # Its stop has reached the step before the step was cancelled.
                         state, reason, actor = self._interrupt.state, self._interrupt.reason, self._interrupt.actor
@@ -524,11 +524,11 @@ class JobRun:
 
     def make_progress(self) -> JobProgress:
         """The progress of the job: steps done, and the fraction of the current one."""
-        within, remaining_s = self._step_fraction(), None
+        step_share, remaining_s = self._step_fraction(), None
         if self._step_t0_ns and self._step_s > 0:
             remaining_s = self._find_times()[1]
-        place, reason = self._steps.locate(self._step), self._reason
-        within_scan = place.point is not None
+        location, reason = self._steps.locate(self._step), self._reason
+        within_scan = location.point is not None
         rate = None if self._motion_step is None else self._motion_step.rate
         if rate is not None and rate != 1.0:
             reason = f"{reason}; " * bool(reason) + f"on its path at {rate:.0%} of the planned speed"
@@ -541,11 +541,11 @@ class JobRun:
             state=self.state,
             step=self._step,
             steps=len(self._steps),
-            step_name=self._doing or place.step.name or place.step.kind,
-            scan_step=place.first if within_scan else None,
-            point=place.point + 1 if place.point is not None else None,
-            points=None if place.scan is None else place.scan.point_count,
-            fraction=min(1.0, (self._step + within) / len(self._steps)),
+            step_name=self._doing or location.step.name or location.step.kind,
+            scan_step=location.first if within_scan else None,
+            point=location.point + 1 if location.point is not None else None,
+            points=None if location.scan is None else location.scan.point_count,
+            fraction=min(1.0, (self._step + step_share) / len(self._steps)),
             remaining_s=remaining_s,
             override_percent=None if rate is None else round(100 * rate, 3),
             reason=reason,

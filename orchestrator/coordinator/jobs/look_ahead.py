@@ -39,23 +39,25 @@ class ChainBreak:
 
 def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMotion | ChainBreak:
     """The motion step behind the one with number `index`. Dwell and outputs do not hinder it."""
-    moving, pause_ns, acts, between = as_motion(steps[index]), 0, False, ""
-    assert moving is not None
+    first_motion, pause_ns, acts, obstacle = as_motion(steps[index]), 0, False, ""
+    assert first_motion is not None
     for number in range(index + 1, min(len(steps), index + 2 + BETWEEN_MOST)):
         try:
             step = steps[number]
         except KeyError:
             return ChainBreak(number, "its point is not read yet")
         if (motion := as_motion(step)) is not None:
-            broken = between or _find_hindrance(fleet, moving, motion)
-            return ChainBreak(number, broken) if broken else NextMotion(number, motion, BetweenSteps(pause_ns, acts))
+            hindrance = obstacle or _find_hindrance(fleet, first_motion, motion)
+            return (
+                ChainBreak(number, hindrance) if hindrance else NextMotion(number, motion, BetweenSteps(pause_ns, acts))
+            )
         if step.pause_ns is None:
-            between = between or f"step {number} ({step.kind}) comes before it"
+            obstacle = obstacle or f"step {number} ({step.kind}) comes before it"
         else:
             pause_ns += step.pause_ns
             acts = acts or step.acts
-    farther = len(steps) > index + 2 + BETWEEN_MOST
-    return ChainBreak(None, f"more than {BETWEEN_MOST} steps come before it" if farther else "")
+    is_farther = len(steps) > index + 2 + BETWEEN_MOST
+    return ChainBreak(None, f"more than {BETWEEN_MOST} steps come before it" if is_farther else "")
 
 
 def _find_hindrance(fleet: Fleet, moving: Motion, step: Motion) -> str:
@@ -65,11 +67,11 @@ def _find_hindrance(fleet: Fleet, moving: Motion, step: Motion) -> str:
     settling = [name for name in moving.named_axes if fleet.axis(name).done == "in_position"]
     if settling:
         return f"{settling[0]} must settle in position before it"
-    for each, when in ((moving, "before it"), (step, "for it")):
-        if each.record is not None:
-            return f"controllers record positions {when} (`record`)"
-        if each.triggers:
-            return f"outputs are switched on the way {when} (`triggers`)"
+    for neighbour, occasion in ((moving, "before it"), (step, "for it")):
+        if neighbour.record is not None:
+            return f"controllers record positions {occasion} (`record`)"
+        if neighbour.triggers:
+            return f"outputs are switched on the way {occasion} (`triggers`)"
     if step.align:
         return "it waits for aligned ticks (`align`)"
     return "a trigger line starts it (`start: line`)" if step.start_wish == "line" else ""

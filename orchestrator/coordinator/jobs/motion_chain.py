@@ -76,27 +76,27 @@ class MotionChain:
 
     def begin_step(self, index: int, move: Motion) -> MotionStep:
         """The motion step `index`: the one that is prepared behind the present one, or a new one."""
-        ahead = self._ahead
-        if ahead is not None and ahead.step.request.index == index:
-            return ahead.step
+        step_ahead = self._ahead
+        if step_ahead is not None and step_ahead.step.request.index == index:
+            return step_ahead.step
         return MotionStep(self._services, self._make_request(index, move))
 
     async def wait_until_released(self, step: MotionStep) -> PlannedMotion | None:
         """The start of `step` behind the one before; None: it begins from rest.
 
         Raises `Refusal` when it was paused, or was decided and failed."""
-        ahead = self._ahead
-        if ahead is None or ahead.step is not step:
+        step_ahead = self._ahead
+        if step_ahead is None or step_ahead.step is not step:
             self._note_rest(step.request.index)
             return None
-        if ahead.between.acts:
-            acted_ns = self._services.fleet.clock.now_ns() - self._rested_ns - ahead.between.pause_ns
+        if step_ahead.between.acts:
+            acted_ns = self._services.fleet.clock.now_ns() - self._rested_ns - step_ahead.between.pause_ns
             self._services.estimator.record_acting(max(0, acted_ns))
         try:
-            motion = await ahead.wait_until_released()
+            motion = await step_ahead.wait_until_released()
         except Refusal as error:
             self._ahead = None
-            if error.code == FEED_HOLD or ahead.is_decided:
+            if error.code == FEED_HOLD or step_ahead.is_decided:
                 raise
             self._breaks[step.request.index] = error.text
             return None
@@ -125,12 +125,12 @@ class MotionChain:
 
     async def drop(self, reason: str, actor: str) -> None:
         """Unload what is prepared behind the present step; return when that is done."""
-        dropped = (self._after_next, self._ahead)
+        steps_ahead = (self._after_next, self._ahead)
         self._ahead = self._after_next = None
-        for ahead in dropped:
-            if ahead is not None:
-                self._breaks[ahead.step.request.index] = reason
-                await ahead.withdraw(reason, actor)
+        for step_ahead in steps_ahead:
+            if step_ahead is not None:
+                self._breaks[step_ahead.step.request.index] = reason
+                await step_ahead.withdraw(reason, actor)
 
     def complete_report(self, report: StepReport, before: StepReport | None) -> StepReport:
         """The report of a step with how it followed `before`, the motion step before it."""

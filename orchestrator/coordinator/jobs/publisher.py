@@ -57,12 +57,12 @@ class QueuePublisher:
 
     def make_entry(self, row: JobRecord) -> QueueEntry:
         """The list entry of a job. It has its place as soon as the scheduler has decided that it waits."""
-        run, waiting_job, stopped = self._running.get(row.id), self._waiting.get(row.id), self._stopped()
+        run, waiting_job, stop = self._running.get(row.id), self._waiting.get(row.id), self._stopped()
         usual = row.reason
         if waiting_job is not None:
             row = waiting_job.row
             # A job that has just been accepted has not been scheduled yet.
-            usual = describe_stop(stopped) if stopped is not None and not waiting_job.is_attended else row.reason
+            usual = describe_stop(stop) if stop is not None and not waiting_job.is_attended else row.reason
         return QueueEntry(
             id=row.id,
             name=row.name,
@@ -97,17 +97,17 @@ class QueuePublisher:
 
     def take_schedule(self, order: Sequence[WaitingJob], reasons: Mapping[str, str]) -> None:
         """Take over what each job waits for, in the queue's order; publish changes of the jobs that are shown."""
-        self._places = {each.row.id: place for place, each in enumerate(order, 1)}
+        self._places = {job.row.id: rank for rank, job in enumerate(order, 1)}
         self._reasons = reasons
-        told: dict[str, str] = {}
+        published_reasons: dict[str, str] = {}
         for job in order[:MAX_PUBLISHED_JOBS]:
             row = job.row
-            reason = told[row.id] = reasons.get(row.id, row.reason)
+            reason = published_reasons[row.id] = reasons.get(row.id, row.reason)
             if self._told.get(row.id) != reason:
                 steps = len(StepOrder(job.job.steps, row.repeat))
                 progress = make_queued_progress(row, "queued", reason, self._services.clock.utc(), steps)
                 self._services.bus.put(self._services.keys.job_state(row.id), progress.to_json(), Priority.STATE)
-        self._told = told
+        self._told = published_reasons
 
 
 def describe_stop(stop: QueueStop) -> str:

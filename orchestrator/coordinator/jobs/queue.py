@@ -92,23 +92,23 @@ def choose_jobs(
     still waits for; empty: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
     jobs without axes may run.
     """
-    taken_busy = dict(busy)
+    users = dict(busy)
     begin: list[WaitingJob] = []
     reasons: dict[str, str] = {}
     waits_for_world = False
     for job, needs in waiting:
-        why = job.blocking_reason or ("" if job.is_attended else stopped)
-        if why:
-            reasons[job.row.id] = why
+        reason = job.blocking_reason or ("" if job.is_attended else stopped)
+        if reason:
+            reasons[job.row.id] = reason
             continue
         # It keeps its claim on the controllers while it waits.
         claim = f"job {job.row.name!r} {job.row.id} of {job.row.actor}"
-        in_the_way = sorted(needs & taken_busy.keys())
+        in_the_way = sorted(needs & users.keys())
         if not needs and not free_places:
             reasons[job.row.id] = WITHOUT_AXES_REASON
         elif in_the_way:
             first = in_the_way[0]
-            reasons[job.row.id] = f"waits for {first}: {taken_busy[first]}"
+            reasons[job.row.id] = f"waits for {first}: {users[first]}"
             claim += " comes first"
         else:
             condition = find_condition(job)
@@ -120,7 +120,7 @@ def choose_jobs(
                 begin.append(job)
                 free_places -= not needs
         for controller in needs:
-            taken_busy.setdefault(controller, claim)
+            users.setdefault(controller, claim)
     return Schedule(begin, reasons, waits_for_world)
 
 
@@ -132,14 +132,14 @@ def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
 def find_needed_controllers(fleet: Fleet, steps: Sequence[Step]) -> frozenset[str]:
     """Controllers that no other job may use meanwhile: those of its axes, those whose outputs it switches on the way,
     and those whose outputs start its members by a trigger line. Raises `UnknownName`."""
-    moved, outputs, triggered = set[str](), set[str](), set[str]()
+    moved_controllers, outputs, triggered_controllers = set[str](), set[str](), set[str]()
     for step in iterate_steps(steps):
         if step.moves and not step.searches:
-            moved |= {controller_of(axis) for axis in step.named_axes}
-        triggered |= {controller_of(output) for output in step.trigger_outputs}
+            moved_controllers |= {controller_of(axis) for axis in step.named_axes}
+        triggered_controllers |= {controller_of(output) for output in step.trigger_outputs}
         outputs |= set(step.switched_outputs)
-    drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved, outputs)}
-    return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers | triggered)
+    drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved_controllers, outputs)}
+    return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers | triggered_controllers)
 
 
 def find_wires(fleet: Fleet, moved: Collection[str], outputs: Collection[str]) -> list[TriggerWire]:

@@ -97,10 +97,10 @@ class QueueGate:
         # A search for the reference is an order, not a loss.
         known_axes = {axis for axis, axis_now in state.axes.items() if axis_now.referenced and not axis_now.homing}
         searching = {axis for axis, axis_now in state.axes.items() if axis_now.homing}
-        lost = self._referenced.get(name, set()) - known_axes - searching
+        lost_axes = self._referenced.get(name, set()) - known_axes - searching
         self._referenced[name] = known_axes
-        if lost:
-            self.note_break(f"{name}.{min(lost)} is no longer referenced")
+        if lost_axes:
+            self.note_break(f"{name}.{min(lost_axes)} is no longer referenced")
 
     async def _store(self, stop: QueueStop) -> None:
         await self._services.execute(self._services.journal.store_queue_stop, stop)

@@ -86,21 +86,21 @@ class ReportCollector:
 
     async def add_report(self, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         """Take the report of a step that has begun. target: of the point it belongs to. Raises `JournalError`."""
-        scan_now = self._scan
+        scan = self._scan
         if report.t0_fleet_ns is not None:
             self._last_motion = report
-        if scan_now is None:
+        if scan is None:
             self._reports.append(report)
             return
         if place.part == 0:
-            scan_now.moved = report
+            scan.moved = report
             self._close_row()
             self._readings.begin_point(target)
-        scan_now.steps_done += report.state == "done"
+        scan.steps_done += report.state == "done"
         if report.state != "done":
-            scan_now.ended = place, report
-        if report.state != "done" or place.part == scan_now.scan.points_steps - 1:
-            self._end_point(scan_now, place, report, target)
+            scan.ended = place, report
+        if report.state != "done" or place.part == scan.scan.points_steps - 1:
+            self._end_point(scan, place, report, target)
             waited_ns = self._clock.now_ns() - self._written_ns
             if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
                 await self._write_rows()
@@ -161,38 +161,36 @@ class ReportCollector:
 
     def _make_scan_reports(self) -> list[StepReport]:
         """The report of the scan that runs, or ended last, and of its point that was not done."""
-        scan_now = self._scan
-        if scan_now is None:
+        scan = self._scan
+        if scan is None:
             return []
         summary = ScanSummary(
-            points=scan_now.scan.point_count,
-            done=scan_now.points,
-            steps_done=scan_now.steps_done,
-            verdicts=dict(scan_now.verdicts),
-            start_skew_worst_ns=scan_now.skews.worst_ns if scan_now.skews.count else None,
-            start_skew_p50_ns=scan_now.skews.find_quantile(0.5),
-            start_skew_p99_ns=scan_now.skews.find_quantile(0.99),
-            not_green=list(scan_now.findings),
-            least_s=None if scan_now.least_ns is None else scan_now.least_ns / NS_PER_S,
-            mean_s=None
-            if not scan_now.points
-            else (scan_now.point_ns - scan_now.begun_ns) / NS_PER_S / scan_now.points,
-            most_s=None if scan_now.least_ns is None else scan_now.most_ns / NS_PER_S,
+            points=scan.scan.point_count,
+            done=scan.points,
+            steps_done=scan.steps_done,
+            verdicts=dict(scan.verdicts),
+            start_skew_worst_ns=scan.skews.worst_ns if scan.skews.count else None,
+            start_skew_p50_ns=scan.skews.find_quantile(0.5),
+            start_skew_p99_ns=scan.skews.find_quantile(0.99),
+            not_green=list(scan.findings),
+            least_s=None if scan.least_ns is None else scan.least_ns / NS_PER_S,
+            mean_s=None if not scan.points else (scan.point_ns - scan.begun_ns) / NS_PER_S / scan.points,
+            most_s=None if scan.least_ns is None else scan.most_ns / NS_PER_S,
         )
-        worst = scan_now.worst_report
+        worst = scan.worst_report
         report = StepReport(
-            index=scan_now.place.first,
+            index=scan.place.first,
             do="scan",
-            name=scan_now.scan.name or "",
+            name=scan.scan.name or "",
             state="done",
-            actual_s=(scan_now.point_ns - scan_now.begun_ns) / NS_PER_S,
+            actual_s=(scan.point_ns - scan.begun_ns) / NS_PER_S,
             budget=None if worst is None else worst.budget,
             start_skew=None if worst is None else worst.narrowest_skew,
-            verdict=scan_now.worst,
+            verdict=scan.worst,
             scan=summary,
         )
-        if scan_now.ended is None:
+        if scan.ended is None:
             return [report]
-        place, ended_report = scan_now.ended
-        reason = f"{place.describe()}: {ended_report.reason}"
+        location, ended_report = scan.ended
+        reason = f"{location.describe()}: {ended_report.reason}"
         return [report.model_copy(update={"state": ended_report.state, "reason": reason}), ended_report]

@@ -92,25 +92,25 @@ class Scheduler:
     async def start(self) -> None:
         """End the jobs that an earlier leader left running, then begin with the queue. Raises `JournalError`."""
         services = self._services
-        left: list[tuple[JobRecord, Job]] = []
-        damaged = False
+        remaining_jobs: list[tuple[JobRecord, Job]] = []
+        is_damaged = False
         for row in await services.execute(services.journal.list_unfinished):
             job = await self._load_job(row)
             if job is None:
-                damaged = True
+                is_damaged = True
             elif row.state == "queued":
                 waiting_job = self._waiting[row.id] = WaitingJob(row, job, row.after)
                 if waiting_job.awaits_approval:
                     approval = await self._services.load_approval(row.id)
                     waiting_job.deviation = "" if approval is None else approval.void
             else:
-                left.append((row, job))
-        for row, job in left:
+                remaining_jobs.append((row, job))
+        for row, job in remaining_jobs:
             reason = f"the coordinator ended while the job was {row.state}"
             await self._end_job(row, job, self._report_of(row, job), JobEnd("interrupted", reason, "coordinator"))
         for waiting_job in list(self._waiting.values()):
             await self._settle_follower(waiting_job)
-        await self.gate.start(interrupted=bool(left) or damaged)
+        await self.gate.start(interrupted=bool(remaining_jobs) or is_damaged)
         await self._sessions.start()
         self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
         self._spawn(self._schedule_jobs)
@@ -129,15 +129,15 @@ class Scheduler:
                 damage = error.text
         services.log.warning(f"job cannot be run: {damage}", job=row.id)
         transition = services.make_transition("failed", damage, COORDINATOR)
-        ended = {"state": "failed", "reason": damage, "ended_utc": transition.utc, "transitions": [transition]}
-        report = self._report_of(row, None).model_copy(update=ended)
+        changes = {"state": "failed", "reason": damage, "ended_utc": transition.utc, "transitions": [transition]}
+        report = self._report_of(row, None).model_copy(update=changes)
         await services.execute(services.journal.fail_damaged, row, transition, report)
         return None
 
     async def close(self, reason: str) -> None:
         """End: running jobs are stopped and recorded as interrupted."""
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
         await self._sessions.close()
         self.gate.close()
         runs = list(self._running.values())
@@ -231,23 +231,23 @@ class Scheduler:
 
     async def reorder_job(self, job_id: str, before: str, actor: str) -> None:
         """Move a queued job before another one, with that one's priority."""
-        for each in (job_id, before):
-            if each not in self._waiting:
-                raise await self._make_refusal(each, "not-queued", "only queued jobs have a place in the queue")
+        for waiting_id in (job_id, before):
+            if waiting_id not in self._waiting:
+                raise await self._make_refusal(waiting_id, "not-queued", "only queued jobs have a place in the queue")
         if job_id == before:
             raise Refusal("same-job", f"job {job_id} cannot be moved before itself", "choose another job")
         async with self._arranging:
-            mine, other_job = self._waiting[job_id], self._waiting[before]
-            order = [job for job in sort_waiting(self._waiting) if job is not mine]
-            order.insert(order.index(other_job), mine)
+            moved_job, other_job = self._waiting[job_id], self._waiting[before]
+            order = [job for job in sort_waiting(self._waiting) if job is not moved_job]
+            order.insert(order.index(other_job), moved_job)
             ranks = sorted(job.row.place for job in order)
             places = {job.row.id: rank for job, rank in zip(order, ranks, strict=True) if job.row.place != rank}
             services, priority = self._services, other_job.row.priority
             change = services.make_transition("queued", f"moved before job {before} by {actor}", actor)
             await services.execute(services.journal.reorder_jobs, job_id, priority, places, change)
-            for each in order:
-                each.row = each.row._replace(place=places.get(each.row.id, each.row.place))
-            mine.row = mine.row._replace(priority=priority, reason=change.reason)
+            for job in order:
+                job.row = job.row._replace(place=places.get(job.row.id, job.row.place))
+            moved_job.row = moved_job.row._replace(priority=priority, reason=change.reason)
         self.wake_up()
         self._publisher.schedule_publication()
 
@@ -324,9 +324,9 @@ class Scheduler:
 
     def _make_schedule(self) -> Schedule:
         queue = ((job, self._find_needs(job).controllers) for job in sort_waiting(self._waiting))
-        stopped = self.gate.stopped
-        why = "" if stopped is None else describe_stop(stopped)
-        return choose_jobs(queue, self._find_busy(), self._find_condition, why, self._count_free_places())
+        stop = self.gate.stopped
+        reason = "" if stop is None else describe_stop(stop)
+        return choose_jobs(queue, self._find_busy(), self._find_condition, reason, self._count_free_places())
 
     def _count_free_places(self) -> int:
         """How many more jobs without axes may run."""
@@ -350,9 +350,9 @@ class Scheduler:
         """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`,
         `Refusal`."""
         needs = self._find_needs_of(job.steps)
-        stopped, attended = self.gate.stopped, terms.session is not None
-        if stopped is not None and not attended:
-            text = f"the queue is stopped since {stopped.utc}: {stopped.reason}"
+        stop, is_attended = self.gate.stopped, terms.session is not None
+        if stop is not None and not is_attended:
+            text = f"the queue is stopped since {stop.utc}: {stop.reason}"
             return Obstacle("queue-stopped", text, "start it: `tutti queue start`")
         busy = self._find_busy()
         if not needs.controllers and not self._count_free_places():
@@ -360,9 +360,13 @@ class Scheduler:
         in_use = min(needs.controllers & busy.keys(), default=None)
         if in_use is not None:
             return Obstacle("leased", f"{in_use} is in use: {busy[in_use]}", "wait for the end of that use")
-        for each in [] if attended else sort_waiting(self._waiting):
-            if not each.blocking_reason and needs.controllers & self._find_needs(each).controllers:
-                return Obstacle("queued", f"job {each.row.name!r} {each.row.id} comes first", "submit it without `now`")
+        for waiting_job in [] if is_attended else sort_waiting(self._waiting):
+            if not waiting_job.blocking_reason and needs.controllers & self._find_needs(waiting_job).controllers:
+                return Obstacle(
+                    "queued",
+                    f"job {waiting_job.row.name!r} {waiting_job.row.id} comes first",
+                    "submit it without `now`",
+                )
         return self._conditions.find_obstacle(needs)
 
     async def _cancel_impatient(self, reasons: Mapping[str, str]) -> None:
@@ -459,12 +463,12 @@ class Scheduler:
             self.gate.note_break(f"job {run.row.id} was stopped: {outcome.reason}")
         if outcome.state != "failed" or self._services.view.fleet.queue.on_failure != "hold":
             return
-        affected = [
+        affected_ids = [
             job.row.id
             for job in sort_waiting(self._waiting)
             if not job.is_attended and run.needs & self._find_needs(job).controllers
         ]
-        for job_id in affected:
+        for job_id in affected_ids:
             await self._hold_job(job_id, f"job {run.row.id}", f"held: job {run.row.id} has failed: {outcome.reason}")
 
     # Ends
@@ -489,11 +493,11 @@ class Scheduler:
         services.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)
         services.bus.put(services.keys.job_report(row.id), report.to_json(), Priority.EVENT)
         steps = len(StepOrder(job.steps, row.repeat))
-        done = sum(step.steps_done for step in report.steps)
+        steps_done = sum(step.steps_done for step in report.steps)
         progress = make_queued_progress(row, state, reason, transition.utc, steps).model_copy(
             update={
-                "step": min(row.from_step + done, steps - 1),
-                "fraction": min(1.0, (row.from_step + done) / steps),
+                "step": min(row.from_step + steps_done, steps - 1),
+                "fraction": min(1.0, (row.from_step + steps_done) / steps),
                 "remaining_s": 0.0,
             }
         )
@@ -514,10 +518,10 @@ class Scheduler:
 
     async def _settle_follower(self, waiting: WaitingJob) -> None:
         """Release a job from its predecessor, or end it, if the predecessor has ended."""
-        services, before = self._services, waiting.pending
-        if before is None:
+        services, pending_id = self._services, waiting.pending
+        if pending_id is None:
             return
-        row = await services.execute(services.journal.load_record, before)
+        row = await services.execute(services.journal.load_record, pending_id)
         if row is not None and row.state not in FINISHED_STATES:
             return
         if row is not None and row.state == "done":
@@ -527,7 +531,7 @@ class Scheduler:
         if self._waiting.pop(waiting.row.id, None) is None:
             return
         text = f"is {row.state}: {row.reason}" if row is not None else "is no longer in the journal"
-        await self._cancel_waiting(waiting, f"job {before}, which must be done before, {text}", "coordinator")
+        await self._cancel_waiting(waiting, f"job {pending_id}, which must be done before, {text}", "coordinator")
 
     async def _cancel_waiting(self, waiting: WaitingJob, reason: str, actor: str) -> None:
         """End a job that was taken out of the queue; it returns there if its end cannot be recorded."""
@@ -563,36 +567,38 @@ class Scheduler:
         services = self._services
         while not services.leadership.over:
             utc_now = parse_utc(services.clock.utc())
-            left = timedelta.max
+            time_left = timedelta.max
             for job in list(self._waiting.values()):
                 try:
-                    left = min(left, await self._check_times(job, utc_now))
+                    time_left = min(time_left, await self._check_times(job, utc_now))
                 except JournalError as error:
                     services.log.warning(f"job has to wait: {error}", job=job.row.id)
-                    left = min(left, timedelta(seconds=RETRY_NS / NS_PER_S))
-            if left == timedelta.max:
+                    time_left = min(time_left, timedelta(seconds=RETRY_NS / NS_PER_S))
+            if time_left == timedelta.max:
                 await self._timed.wait()
                 self._timed.clear()
             else:
-                await sleep_ns(services.clock, min(CLOCK_POLL_NS, round(left / timedelta(microseconds=1)) * NS_PER_US))
+                await sleep_ns(
+                    services.clock, min(CLOCK_POLL_NS, round(time_left / timedelta(microseconds=1)) * NS_PER_US)
+                )
 
     async def _check_times(self, waiting: WaitingJob, now: datetime) -> timedelta:
         """Act on the start time and the expiry of a job; return how long neither needs attention."""
-        row, utc_left = waiting.row, timedelta.max
+        row, time_left = waiting.row, timedelta.max
         if row.expires_utc is not None:
-            utc_left = parse_utc(row.expires_utc) - now
-            if utc_left <= timedelta(0):
+            time_left = parse_utc(row.expires_utc) - now
+            if time_left <= timedelta(0):
                 reason = f"expired at {row.expires_utc}; last state: {self._publisher.make_entry(row).reason}"
                 if self._waiting.pop(row.id, None) is not None:
                     await self._cancel_waiting(waiting, reason, "coordinator")
                 return timedelta.max
         if row.due or row.at_utc is None:
-            return utc_left
+            return time_left
         at = parse_utc(row.at_utc)
         if at > now:
-            return min(utc_left, at - now)
+            return min(time_left, at - now)
         await self._mark_due(waiting, now - at)
-        return utc_left
+        return time_left
 
     async def _watch_sessions(self) -> None:
         """End the jobs of commands that have ended: of their processes, or the connections to them."""
@@ -654,10 +660,10 @@ class Scheduler:
         """After an e-stop nothing begins by itself when it is reset: neither jobs nor steps."""
         try:
             estop = EstopMessage.read_message(sample.payload)
-            actor, why = estop.actor, f": {estop.reason}" if estop.reason else ""
+            actor, detail = estop.actor, f": {estop.reason}" if estop.reason else ""
         except ValidationError:
-            actor, why = "an e-stop", ""
-        reason = f"e-stop by {actor}{why}"
+            actor, detail = "an e-stop", ""
+        reason = f"e-stop by {actor}{detail}"
         for run in self._running.values():
             run.abandon(JobInterrupted("aborted", reason, actor))
         self._conditions.note_estop(reason)

@@ -45,8 +45,8 @@ class StepSequence:
     def __getitem__(self, index: int) -> Step:
         """Step number `index`, without reading anything: those of the present point, of the next one, and all that are
         in the job itself. Raises `IndexError`, and `KeyError` for a stored point that is not in memory."""
-        place = self.locate(index)
-        return place.choose_step(lambda scan: scan.make_move(self.find_target(place)))
+        location = self.locate(index)
+        return location.choose_step(lambda scan: scan.make_move(self.find_target(location)))
 
     def locate(self, index: int) -> StepPlace:
         """Where step number `index` stands. Raises `IndexError`."""
@@ -54,9 +54,9 @@ class StepSequence:
 
     async def read_step(self, index: int) -> Step:
         """Step number `index`; at most a block of points is read. Raises `JournalError`."""
-        place = self.locate(index)
-        if place.scan is not None and place.point is not None:
-            await self._find_reader(place.scan).load_point(place.point)
+        location = self.locate(index)
+        if location.scan is not None and location.point is not None:
+            await self._find_reader(location.scan).load_point(location.point)
         return self[index]
 
     def find_target(self, place: StepPlace) -> Mapping[str, float]:
@@ -96,7 +96,7 @@ class _GridReader:
 
     def find_positions(self, point: int) -> Sequence[float]:
         # The shortest decimal of the nearest double: exact again for every position that a file can state.
-        return [float(each) for each in self._grid.find_position(point, self._units)]
+        return [float(value) for value in self._grid.find_position(point, self._units)]
 
 
 class _ListedReader:
@@ -108,7 +108,7 @@ class _ListedReader:
         return
 
     def find_positions(self, point: int) -> Sequence[float]:
-        return [float(parse_quantity(each, unit)) for each, unit in zip(self._rows[point], self._units, strict=True)]
+        return [float(parse_quantity(text, unit)) for text, unit in zip(self._rows[point], self._units, strict=True)]
 
 
 class _StoredReader:
@@ -122,7 +122,7 @@ class _StoredReader:
         self._blocks: dict[int, list[tuple[float, ...]]] = {}
 
     async def load_point(self, point: int) -> None:
-        wanted_rows = {each // ROWS_AT_ONCE for each in (point, min(point + 1, self._count - 1))}
+        wanted_rows = {number // ROWS_AT_ONCE for number in (point, min(point + 1, self._count - 1))}
         for number in sorted(wanted_rows - self._blocks.keys()):
             rows = await self._execute(self._store.read_rows, self._digest, number * ROWS_AT_ONCE, ROWS_AT_ONCE)
             self._blocks[number] = rows

@@ -87,13 +87,13 @@ class Leadership:
                 f"coordinator {heartbeat.coordinator[:8]} leads fleet {self._fleet} (epoch {heartbeat.epoch}); "
                 "stop it first, or start with --take-over"
             )
-        seen = 0 if heartbeat is None else heartbeat.epoch
+        highest_epoch = 0 if heartbeat is None else heartbeat.epoch
         for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
             try:
-                seen = max(seen, ControllerState.read_message(payload).epoch)
+                highest_epoch = max(highest_epoch, ControllerState.read_message(payload).epoch)
             except ValidationError:
                 continue
-        self.epoch = await self._execute(self._journal.take_epoch, seen)
+        self.epoch = await self._execute(self._journal.take_epoch, highest_epoch)
         now_ns = self._clock.now_ns()
         scale_id = f"{self.epoch}-{self.coordinator[:8]}"
         scale_id, origin_ns = await self._execute(
@@ -110,8 +110,8 @@ class Leadership:
         for task in (self._beat, self._asking):
             if task is not None:
                 task.cancel()
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
         self._declared.clear()
 
     def fleet_now_ns(self) -> int:

@@ -75,8 +75,8 @@ class LeaderFile:
     def kill_other_process(self) -> int:
         """Kill the process that the file names, if it is still alive; return its process id, or 0."""
         try:
-            said = json.loads(read_private_file(self._path))
-            pid, began = int(said["pid"]), str(said["began"])
+            fields = json.loads(read_private_file(self._path))
+            pid, began = int(fields["pid"]), str(fields["began"])
         except (OSError, ValueError, KeyError, TypeError):
             return 0
         # The process id may have been reused since.

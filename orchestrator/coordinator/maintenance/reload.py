@@ -99,8 +99,10 @@ class FleetReload:
                 if state is not None and state.digest == config.digest and state.mode not in ("offline", "fault"):
                     break
                 if self._fleet.clock.now_ns() > until_ns:
-                    why = state.faults[0].text if state is not None and state.faults else "no state has been received"
+                    reason = (
+                        state.faults[0].text if state is not None and state.faults else "no state has been received"
+                    )
                     raise Refusal(
-                        "not-anew", f"{name} has its new configuration, but: {why}", "see `tutti status`", name
+                        "not-anew", f"{name} has its new configuration, but: {reason}", "see `tutti status`", name
                     )
                 await sleep_ns(self._fleet.clock, POLL_NS)

@@ -31,13 +31,13 @@ class WiringCheck:
     async def check_wires(self, actor: str) -> list[WireFinding]:
         """Check each wire. Raises `Refusal` when axes are in use, or a controller is offline."""
         fleet = self._fleet.view.fleet
-        concerned_connections = sorted({source for wire in fleet.connections for source in (wire.source, wire.target)})
-        if not concerned_connections:
+        controllers = sorted({point for wire in fleet.connections for point in (wire.source, wire.target)})
+        if not controllers:
             raise Refusal(
                 "no-wiring", "the fleet file has no `wiring`", "add it: each entry leads from an output to inputs"
             )
         # An armed member that waits for a trigger line would start by the check.
-        axes = [axis for name in concerned_connections for axis in fleet.expand_name(name)]
+        axes = [axis for name in controllers for axis in fleet.expand_name(name)]
         await self._leases.acquire(LeaseUser(HOLDER, actor, "wiring check"), axes)
         try:
             return [
@@ -47,21 +47,21 @@ class WiringCheck:
             await self._leases.release(HOLDER)
 
     async def _check_output(self, output: str, inputs: list[str], actor: str) -> list[WireFinding]:
-        before, _ = await self._read_inputs()
+        inputs_before, _ = await self._read_inputs()
         try:
             switched_ns = await self._switch_output(output, value=True, actor=actor)
-            during = await self._wait_for_inputs(switched_ns, before, inputs)
+            during = await self._wait_for_inputs(switched_ns, inputs_before, inputs)
         finally:
             with suppress(Refusal):
                 switched_ns = await self._switch_output(output, value=False, actor=actor)
         inputs_after = await self._wait_for_inputs(switched_ns, during, [name for name in inputs if during[name]])
         findings: list[WireFinding] = []
         for name in inputs:
-            ok, text, remedy = _judge_input(before=before[name], during=during[name], after=inputs_after[name])
+            ok, text, remedy = _judge_input(before=inputs_before[name], during=during[name], after=inputs_after[name])
             findings.append(WireFinding(output=output, input=name, ok=ok, text=text, remedy=remedy))
-        crossed = [name for name, level in during.items() if name not in inputs and level != before[name]]
-        for name in crossed:
-            follows = inputs_after[name] == before[name]
+        crossed_inputs = [name for name, level in during.items() if name not in inputs and level != inputs_before[name]]
+        for name in crossed_inputs:
+            follows = inputs_after[name] == inputs_before[name]
             if follows:
                 text = f"{name} follows {output}, but the fleet file has no such wire"
                 findings.append(WireFinding(output=output, input=name, ok=False, text=text, remedy="correct `wiring`"))
@@ -85,11 +85,11 @@ class WiringCheck:
         )
         until_ns = self._fleet.clock.now_ns() + round(period_s * NS_PER_S) + POLL_MARGIN_NS
         while True:
-            now, oldest_ns = await self._read_inputs()
-            if oldest_ns > since_ns and all(now[name] != before[name] for name in wanted):
-                return now
+            levels, oldest_ns = await self._read_inputs()
+            if oldest_ns > since_ns and all(levels[name] != before[name] for name in wanted):
+                return levels
             if self._fleet.clock.now_ns() > until_ns:
-                return now
+                return levels
             await sleep_ns(self._fleet.clock, POLL_NS)
 
     async def _read_inputs(self) -> tuple[dict[str, bool], int]:

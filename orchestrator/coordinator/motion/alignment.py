@@ -44,12 +44,12 @@ def find_closest_ticks(grids: Sequence[TickGrid], from_ns: int, within_ns: int) 
         widest = gaps.argmax(axis=1)
         spreads = longest_ns - gaps.max(axis=1)
         close = spreads <= CLOSE_ENOUGH * longest_ns
-        place = int(close.argmax()) if close.any() else int(spreads.argmin())
-        if float(spreads[place]) < best_spread - 0.5:
-            best_spread = float(spreads[place])
+        index = int(close.argmax()) if close.any() else int(spreads.argmin())
+        if float(spreads[index]) < best_spread - 0.5:
+            best_spread = float(spreads[index])
             # The ticks after the widest gap, which may be those of the next period.
-            behind = (int(widest[place]) + 1) % len(grids)
-            best_ns = from_ns + float(at[place]) + float(phases[place, behind]) + best_spread / 2
+            next_grid = (int(widest[index]) + 1) % len(grids)
+            best_ns = from_ns + float(at[index]) + float(phases[index, next_grid]) + best_spread / 2
         if best_spread <= CLOSE_ENOUGH * longest_ns:
             break
     return round(best_ns), round(best_spread)

@@ -47,7 +47,7 @@ def make_budget(windows: Mapping[str, StartWindow], allowed_ns: int) -> SyncBudg
     if common is not None:
         predicted_ns -= common[1] - common[0]
     worst = max(members, key=lambda name: members[name].latest_ns - members[name].earliest_ns)
-    term = max(members[worst].terms, key=lambda each: each.latest_ns - each.earliest_ns, default=None)
+    term = max(members[worst].terms, key=lambda part: part.latest_ns - part.earliest_ns, default=None)
     return SyncBudget(
         predicted_ns=predicted_ns,
         allowed_ns=allowed_ns,

@@ -95,8 +95,8 @@ class LeadTimeEstimator:
     def knows_loading(self, members: Iterable[str]) -> bool:
         """Whether the time that each member needs to load a step behind the one before, from its planned end, is known
         from earlier steps."""
-        seen = [self._shares.get(("behind", member)) for member in members]
-        return all(history is not None and history.is_known for history in seen)
+        histories = [self._shares.get(("behind", member)) for member in members]
+        return all(history is not None and history.is_known for history in histories)
 
     def record_release(self, took_ns: int, go_ns: int) -> None:
         """Record a release. took_ns: from armed to the last answer to `go`; go_ns: from the last promise."""
@@ -122,8 +122,8 @@ class LeadTimeEstimator:
         """The fraction of its declared arming time that a member needs; at least 1 until it has been armed
         `KNOWN_AFTER` times, or if `use_known` is false."""
         declared_share = self.arming_share(member) if kind == "behind" else 1.0
-        seen = self._shares.get((kind, member))
-        return declared_share if seen is None else seen.allowed_time(declared_share, use_known=use_known)
+        history = self._shares.get((kind, member))
+        return declared_share if history is None else history.allowed_time(declared_share, use_known=use_known)
 
     def go_ns(self, members: int, promise_ns: int = 0, *, follows: bool = False) -> int:
         """The time to allow for decision and release. members: their number. promise_ns: how long their promises

@@ -200,8 +200,8 @@ class StartNegotiation:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
-        aligned = bool(self._request.move.align)
-        first = StartAgreement(plan, aligned=aligned, first=chunk, triggers=self._triggers)
+        is_aligned = bool(self._request.move.align)
+        first = StartAgreement(plan, aligned=is_aligned, first=chunk, triggers=self._triggers)
         # Instants on the way are counted from a T0 by the clock.
         wires = [] if self._triggers.owners else self._view.fleet.wiring
         lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
@@ -214,20 +214,20 @@ class StartNegotiation:
                 "add `wiring` to the fleet file, or remove `start` from the step",
             )
         candidates = [replace(first, line=line) for line in ([] if by_line else [None]) + lines]
-        refused: Refusal | None = None
-        agreed: StartAgreement | None = None
+        last_refusal: Refusal | None = None
+        best_agreement: StartAgreement | None = None
         for candidate in candidates if len(plan.profiles) > 1 or by_line else candidates[:1]:
             try:
                 await self._negotiate_rounds(candidate)
             except Refusal as refusal:
-                refused = refused or refusal
+                last_refusal = last_refusal or refusal
                 continue
-            if agreed is None or _predicted_ns(candidate) < _predicted_ns(agreed):
-                agreed = candidate
-        if agreed is None:
-            assert refused is not None
-            raise refused
-        return agreed
+            if best_agreement is None or _predicted_ns(candidate) < _predicted_ns(best_agreement):
+                best_agreement = candidate
+        if best_agreement is None:
+            assert last_refusal is not None
+            raise last_refusal
+        return best_agreement
 
     async def _plan_first_chunk(self) -> FirstChunk | None:
         """The first chunk of a path, if members can execute it in chunks; a path with triggers is loaded as a whole,
@@ -281,16 +281,18 @@ class StartNegotiation:
     def judge(self, agreement: StartAgreement, stated: Mapping[str, Proposal] | Mapping[str, ArmedReply]) -> None:
         """Compute the budget from what the members state now. Raises `Refusal` if the job does not allow it."""
         request, movers = self._request, set(agreement.movers)
-        windows = {name: agreement.start_window(name, each.terms) for name, each in stated.items() if name in movers}
+        windows = {
+            name: agreement.start_window(name, statement.terms) for name, statement in stated.items() if name in movers
+        }
         agreement.budget = budget = make_budget(windows, request.max_start_skew_ns)
         if budget.predicted_ns > budget.allowed_ns and len(agreement.plan.profiles) > 1:
-            learned = _describe_learned(budget)
+            note = _describe_learned(budget)
             raise Refusal(
                 "start-skew",
                 f"predicted start skew {format_ns(budget.predicted_ns)} > {format_ns(budget.allowed_ns)}; worst is "
-                f"{budget.worst_member}, by its {budget.worst_term}{learned}",
+                f"{budget.worst_member}, by its {budget.worst_term}{note}",
                 "allow more with `max_start_skew`, or improve that member's link"
-                if not learned
+                if not note
                 else "wait some minutes, allow more with `max_start_skew`, or, if the cause is gone, "
                 "`tutti clock forget`; `tutti clock ls` shows what was learned",
                 budget.worst_member,
@@ -377,7 +379,7 @@ class StartNegotiation:
         # The lead time of the same members' last step usually saves a round; bounds over a longer one would be wider.
         movers = frozenset(agreement.movers)
         agreement.lead_ns = agreement.lead_ns or round(LEAD_FACTOR * self._estimator.last_leads_ns.get(movers, 0))
-        synchronised = self._request.is_synchronised and agreement.first is None
+        is_synchronised = self._request.is_synchronised and agreement.first is None
         for _ in range(ROUNDS):
             await self._propose(agreement)
             durations = {
@@ -386,14 +388,14 @@ class StartNegotiation:
                 for axis, duration_s in proposal.durations_s.items()
             }
             longest_s, lead_ns = max(durations.values()), self._lead_ns(agreement)
-            fits = not synchronised or longest_s <= agreement.plan.duration_s + SAME_DURATION_S
+            fits = not is_synchronised or longest_s <= agreement.plan.duration_s + SAME_DURATION_S
             if fits and lead_ns <= agreement.lead_ns:
                 agreement.lead_ns = lead_ns
                 break
             agreement.lead_ns = max(lead_ns, agreement.lead_ns)
             if not fits:
                 agreement.plan = agreement.plan.stretch_to(longest_s)
-        if synchronised:
+        if is_synchronised:
             self._require_same_duration(durations, agreement.plan.duration_s)
         if not self._planned.rehearsal and agreement.present is None:
             self._estimator.last_leads_ns[movers] = agreement.lead_ns
@@ -423,8 +425,8 @@ class StartNegotiation:
                     "start-class", f"{line.driver} cannot drive a trigger line", "wire it from another controller"
                 )
             line = agreement.line = replace(line, edge=sum_terms(edge))
-        others_members = [each for each in agreement.members if each not in proposals]
-        proposals |= await self._request_proposals(agreement, others_members)
+        other_members = [member for member in agreement.members if member not in proposals]
+        proposals |= await self._request_proposals(agreement, other_members)
         agreement.proposals = {member: proposals[member] for member in agreement.members}
         if line is not None:
             middles = [sum(sum_terms(proposals[member].terms)) // 2 for member in line.waiters]

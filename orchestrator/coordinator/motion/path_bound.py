@@ -78,6 +78,6 @@ def _find_half_windows(windows: Mapping[str, StartWindow]) -> dict[str, float]:
     edges = {window.edge for window in windows.values()}
     common = next(iter(edges)) if len(edges) == 1 else None
     early_ns, late_ns = common or (0, 0)
-    spans = {name: (each.earliest_ns - early_ns, each.latest_ns - late_ns) for name, each in windows.items()}
+    spans = {name: (window.earliest_ns - early_ns, window.latest_ns - late_ns) for name, window in windows.items()}
     middle_ns = (min(early for early, _ in spans.values()) + max(late for _, late in spans.values())) / 2
     return {name: max(middle_ns - early, late - middle_ns) / NS_PER_S for name, (early, late) in spans.items()}

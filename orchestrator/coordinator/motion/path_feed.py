@@ -191,9 +191,9 @@ class PathFeed:
         beyond_ns = abs(reply.left_ns) + max(0, reply.bound_ns - self._promised_ns.get(member, reply.bound_ns))
         if bound is None or len(self._promised_ns) < 2 or not beyond_ns:
             return
-        beyond = beyond_ns / NS_PER_S * self._first.course.find_speed(member) * max(1.0, self._wanted)
-        if bound.predicted + beyond > bound.tolerance:
-            text = f"its clock is off by {beyond_ns / NS_PER_MS:.2f} ms more than promised: {beyond:.3g} {bound.unit}"
+        excess = beyond_ns / NS_PER_S * self._first.course.find_speed(member) * max(1.0, self._wanted)
+        if bound.predicted + excess > bound.tolerance:
+            text = f"its clock is off by {beyond_ns / NS_PER_MS:.2f} ms more than promised: {excess:.3g} {bound.unit}"
             raise Refusal("path-error", text, "give the clocks time to settle, or allow a larger `tolerance`", member)
 
     async def _release(self, chunk: ChunkPlan, number: int) -> None:
@@ -266,8 +266,8 @@ class PathFeed:
         course = self._first.course
         if not self.covers_all:
             members = {controller_of(axis) for axis in self._first.plan.profiles}
-            others = ", ".join(sorted(members - self._first.members))
-            raise Refusal("override", f"{others} has the whole path loaded already", "wait for its end")
+            other_members = ", ".join(sorted(members - self._first.members))
+            raise Refusal("override", f"{other_members} has the whole path loaded already", "wait for its end")
         if self.held_by is not None or self.failure is not None:
             raise Refusal("override", "the path is being braked", "resume it first")
         if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:

@@ -59,18 +59,18 @@ def _find_delays(
     report, first, duration_s = reports[member], agreement.first, float(times_s[-1])
     if not report.evidence or len(report.evidence) < len(report.axes):
         return None
-    chunked = first is not None and member in first.members
-    ends_ns = [each.end.latest_ns - t0_ns for each in report.evidence.values() if each.end is not None]
+    has_chunks = first is not None and member in first.members
+    ends_ns = [evidence.end.latest_ns - t0_ns for evidence in report.evidence.values() if evidence.end is not None]
     if first is not None and not _took(ends_ns, duration_s):
         return None
-    ages_s = times_s if first is None or not chunked else np.minimum(times_s, first.most_s + first.load_s)
+    ages_s = times_s if first is None or not has_chunks else np.minimum(times_s, first.most_s + first.load_s)
     rate = agreement.proposals[member].clock_ppm * 1e-6
     early_ns, late_ns = _narrow_start(agreement, member, report, t0_ns)
     low, high = early_ns - ages_s * rate * NS_PER_S, late_ns + ages_s * rate * NS_PER_S
     from_start = low, high
     for axis, evidence in report.evidence.items():
         planned_s = report.lowered_s.get(axis)
-        if chunked or evidence.end is None or planned_s is None:
+        if has_chunks or evidence.end is None or planned_s is None:
             continue
         ahead_ns = np.maximum(planned_s - times_s, 0.0) * rate * NS_PER_S
         low = np.maximum(low, evidence.end.earliest_ns - t0_ns - planned_s * NS_PER_S - ahead_ns)

@@ -26,10 +26,10 @@ def make_time_terms(
     starts: dict[str, Array] = {}
     clocks: dict[str, Array] = {}
     for member, half_s in halves_s.items():
-        times_s, sampled = path.find_speeds(member)
+        times_s, member_speeds = path.find_speeds(member)
         # It is that fast a little earlier or later as well.
-        speeds = np.maximum(sampled, np.interp(times_s - half_s, times_s, sampled))
-        speeds = np.maximum(speeds, np.interp(times_s + half_s, times_s, sampled))
+        speeds = np.maximum(member_speeds, np.interp(times_s - half_s, times_s, member_speeds))
+        speeds = np.maximum(speeds, np.interp(times_s + half_s, times_s, member_speeds))
         starts[member] = half_s * speeds
         ages_s = np.minimum(times_s, within_s.get(member, np.inf))
         clocks[member] = proposals[member].clock_ppm * 1e-6 * ages_s * speeds
@@ -38,10 +38,10 @@ def make_time_terms(
 
 def _share_out(name: PathTermName, errors: Mapping[str, Array]) -> list[PathTerm]:
     """A term for each member, together the largest error of all; in proportion to the squares of their own largest."""
-    whole = float(np.sqrt(np.sum([error**2 for error in errors.values()], axis=0)).max())
+    largest_error = float(np.sqrt(np.sum([error**2 for error in errors.values()], axis=0)).max())
     parts = {member: float(error.max()) ** 2 for member, error in errors.items()}
     total = sum(parts.values())
     return [
-        PathTerm(name=name, member=member, size=whole * part / total if total else 0.0)
+        PathTerm(name=name, member=member, size=largest_error * part / total if total else 0.0)
         for member, part in parts.items()
     ]

@@ -101,7 +101,7 @@ async def plan_request(
     answers = await asyncio.gather(*(_query_controller(view, controller, seen_ns) for controller in controllers))
     for controller, (state, info) in zip(controllers, answers, strict=True):
         infos[controller], instances[controller] = info, state.instance
-        states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
+        states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     context = AxisContext(view.fleet, states, infos, services.targets)
     return await _plan_from(services, request, context, goal, instances)
 
@@ -121,18 +121,18 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
     """Plan the rest of a path from where its axes were braked on it. Raises `Refusal`."""
     planned_step, view = rest.planned, services.fleet.view
     assert planned_step.path is not None and planned_step.path.course is not None
-    missing = services.fleet.permits.find_missing(planned_step.request.axes)
-    if missing is not None:
-        raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
+    missing_permit = services.fleet.permits.find_missing(planned_step.request.axes)
+    if missing_permit is not None:
+        raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")
     counts: dict[str, int] = {}
     instances: dict[str, str] = {}
     for controller in dict.fromkeys(map(controller_of, rest.counts)):
         state, _ = await _query_controller(view, controller, None)
         instances[controller] = state.instance
         counts |= {f"{controller}.{name}": axis.commanded_counts for name, axis in state.axes.items()}
-    for axis, expected in rest.counts.items():
-        if abs(counts[axis] - expected) > MAX_REST_COUNTS:
-            text = f"axis {axis} is at {counts[axis]} counts; it was braked on its path at {expected}"
+    for axis, count in rest.counts.items():
+        if abs(counts[axis] - count) > MAX_REST_COUNTS:
+            text = f"axis {axis} is at {counts[axis]} counts; it was braked on its path at {count}"
             raise Refusal("other-start", text, "submit the job again", controller_of(axis))
     course = planned_step.path.course.restart(rest.path_s, counts)
     path = replace(planned_step.path, course=course)
@@ -150,7 +150,7 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         if state is None or state.mode == "offline" or view.is_silent(controller):
             raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
         infos[controller], instances[controller] = await view.query_info(controller), state.instance
-        states |= {f"{controller}.{axis}": each for axis, each in state.axes.items()}
+        states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     for axis, (_, counts) in before.ends.items():
         if axis in states:
             states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
@@ -172,9 +172,9 @@ async def _plan_from(
         text = "a step with triggers cannot be continued after a feed hold"
         raise Refusal("triggers-held", text, "run the job again, from this step")
     triggers = resolve_triggers(context.fleet, move.triggers, lambda axis: context.states[axis].offset)
-    missing = services.fleet.permits.find_missing(request.axes)
-    if missing is not None:
-        raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
+    missing_permit = services.fleet.permits.find_missing(request.axes)
+    if missing_permit is not None:
+        raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")
     try:
         if isinstance(move, FollowPath):
             starts = make_path_starts(move, context)

@@ -35,7 +35,7 @@ class StepRecorder:
                 points.append((state.read_fleet_ns, state.axes[name].raw_counts))
             if len(points) >= MAX_SAMPLES:
                 self._every *= 2
-                self._sampled = {axis: kept[::2] for axis, kept in self._sampled.items()}
+                self._sampled = {axis: samples[::2] for axis, samples in self._sampled.items()}
 
     def close(self) -> None:
         """Stop recording."""

@@ -126,11 +126,11 @@ def make_step_report(
 ) -> StepReport:
     """The report of the whole step. failure: the kind of event that ended it, and why; None when it was done."""
     axes = agreement.plan.profiles
-    evidence = [each for report in reports.values() for each in report.evidence.values()]
-    starts = [each.start_for_verdict for each in evidence]
+    evidence = [axis_evidence for report in reports.values() for axis_evidence in report.evidence.values()]
+    starts = [axis_evidence.start_for_verdict for axis_evidence in evidence]
     is_complete = len(starts) == len(axes)
-    ends = [each.end for each in evidence if each.end is not None]
-    start_skew = measure_skew([each.start for each in evidence]) if is_complete else None
+    ends = [axis_evidence.end for axis_evidence in evidence if axis_evidence.end is not None]
+    start_skew = measure_skew([axis_evidence.start for axis_evidence in evidence]) if is_complete else None
     promised_skew = measure_skew(starts, agreement.budget) if is_complete else None
     end_skew = measure_skew(ends) if len(ends) == len(axes) else None
     actual_s = None

@@ -110,11 +110,11 @@ class StartSequence:
                 await self._judge_frozen_mappings()
                 await self._require_time("arming took longer than its lead time")
                 await self._release(on_state, 2 * (growth or 0) or 1)
-            except Refusal as refused:
+            except Refusal as refusal:
                 # A member that does not answer may be busy.
-                if refused.code not in LATE or not state.unloaded:
+                if refusal.code not in LATE or not state.unloaded:
                     raise
-                late = refused
+                late = refusal
                 if state.decided:
                     await self._withdraw_decision()
             else:
@@ -156,8 +156,8 @@ class StartSequence:
             self.require_not_paused()
         try:
             await self._release(_ignore_state, 1)
-        except Refusal as refused:
-            if refused.code in LATE:
+        except Refusal as refusal:
+            if refusal.code in LATE:
                 self._estimator.record_late_loading(self._agreement.loads_later)
                 if self.state.decided and self.state.unloaded:
                     await self._withdraw_decision()
@@ -250,23 +250,23 @@ class StartSequence:
         if state.paused_by is not None or state.withdrawn:
             await self.disarm()
             self.require_not_paused()
-        lost = self._permit_watch.describe_loss()
-        if lost is not None:
+        loss = self._permit_watch.describe_loss()
+        if loss is not None:
             await self.disarm()
-            raise Refusal("permit", lost, "satisfy the permit, then resubmit the job")
+            raise Refusal("permit", loss, "satisfy the permit, then resubmit the job")
         # After the decision a late member fails the step; before it, all are armed again.
         estimator, promised_ns = self._estimator, clock.now_ns()
         # Members that load the step after the end of the present one promise only then.
-        waited = bool(agreement.loads_later)
+        has_waited = bool(agreement.loads_later)
         try:
             await self._require_time("promises took longer than their lead time")
         except Refusal:
-            if not waited:
+            if not has_waited:
                 estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        go_ns = go_factor * self._go_ns(0 if waited else promised_ns - armed_ns)
-        slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not waited else 0
+        go_ns = go_factor * self._go_ns(0 if has_waited else promised_ns - armed_ns)
+        slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not has_waited else 0
         earliest_ns = max(state.settled_fleet_ns + go_ns + slack_ns + agreement.disarm_ns, agreement.follows_ns)
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
@@ -280,7 +280,7 @@ class StartSequence:
         released_ns = clock.now_ns()
         if agreement.present is not None:
             estimator.record_following(released_ns - promised_ns)
-        if not waited:
+        if not has_waited:
             estimator.record_release(released_ns - armed_ns, released_ns - promised_ns)
 
     def _go_ns(self, promise_ns: int = 0) -> int:

@@ -157,18 +157,16 @@ class MotionStep:
 
     async def _run_once(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
         services, request = self._services, self._request
-        planned_recording = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
-        self._goal = {axis: exact for axis, (exact, _) in planned_recording.resolved.exact.items()}
-        if not planned_recording.plan.profiles:
+        planned_step = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
+        self._goal = {axis: exact for axis, (exact, _) in planned_step.resolved.exact.items()}
+        if not planned_step.plan.profiles:
             name = request.move.name or ""
             return StepReport(index=request.index, do=request.move.do, name=name, state="done", reason="already there")
-        motion = self._motion = await PlannedMotion.agree(services, planned_recording)
-        whole = (
-            planned_recording.plan
-            if planned_recording.path is not None and not planned_recording.begun_s
-            else motion.agreement.plan
+        motion = self._motion = await PlannedMotion.agree(services, planned_step)
+        whole_plan = (
+            planned_step.plan if planned_step.path is not None and not planned_step.begun_s else motion.agreement.plan
         )
-        recorder = StepRecorder(services.fleet.view, whole.profiles)
+        recorder = StepRecorder(services.fleet.view, whole_plan.profiles)
         sampler = StepSampler(services, request)
         try:
             await sampler.begin(motion.duration_s, motion.agreement.lead_ns)
@@ -260,9 +258,11 @@ class MotionStep:
         self._rest = PathRest(motion.planned, chunk.stop_path_s, counts, feed.rate)
         code, reason = FEED_HOLD, f"paused by {feed.held_by}"
         if feed.held_by is None:
-            why = feed.failure or Refusal("late", "the next chunk was not released in time")
-            code, reason = BRAKED, f"braked on the path at {chunk.stop_path_s:.1f} s: {why}"
-            self._stops.append(PathStop(at_s=round(chunk.stop_path_s, 3), member=why.controller or "", reason=str(why)))
+            cause = feed.failure or Refusal("late", "the next chunk was not released in time")
+            code, reason = BRAKED, f"braked on the path at {chunk.stop_path_s:.1f} s: {cause}"
+            self._stops.append(
+                PathStop(at_s=round(chunk.stop_path_s, 3), member=cause.controller or "", reason=str(cause))
+            )
         report = make_step_report(
             self._request, motion.agreement, start.state, motion.watch.reports, ("stopped", reason)
         )

@@ -35,7 +35,7 @@ class TriggerStart:
         """The start options of the driver or of a waiter."""
         if member == self.driver:
             return StartOptions(lead_ns=lead_ns, drive=TriggerDrive(output=split_name(self.wire.from_)[1]))
-        least_ns, most_ns = (each * NS_PER_US for each in self.wire.delay_us)
+        least_ns, most_ns = (delay_us * NS_PER_US for delay_us in self.wire.delay_us)
         wait = TriggerWait(
             input=self.waiters[member], earliest_ns=self.edge[0] + least_ns, latest_ns=self.edge[1] + most_ns
         )

@@ -51,9 +51,9 @@ class TriggerRows:
                 edges = outputs.get(trigger.output, TriggerEdges())
                 rows = self._make_rows(owner, trigger, edges, places)
                 self._publish(f"{owner}.{trigger.output}", rows)
-                made = _sum_up(f"{owner}.{trigger.output}", rows, unknown=edges.unknown)
+                summary = _sum_up(f"{owner}.{trigger.output}", rows, unknown=edges.unknown)
                 reports.append(
-                    made if refused_details is None else made.model_copy(update={"problem": refused_details.text})
+                    summary if refused_details is None else summary.model_copy(update={"problem": refused_details.text})
                 )
         return _judge(report, reports)
 
@@ -79,17 +79,17 @@ class TriggerRows:
         residual_ns = self.agreement.tick_residual_ns
         rows: list[TriggerRow] = []
         for number, instant_ns in enumerate(trigger.instants_ns):
-            planned_ns, seen = t0_ns + instant_ns, None
+            planned_ns, interval = t0_ns + instant_ns, None
             if number < len(edges.earliest_ns):
-                seen = TimeInterval(earliest_ns=edges.earliest_ns[number], latest_ns=edges.latest_ns[number])
+                interval = TimeInterval(earliest_ns=edges.earliest_ns[number], latest_ns=edges.latest_ns[number])
             rows.append(
                 TriggerRow(
                     number=number + 1,
                     planned_ns=planned_ns,
                     earliest_ns=planned_ns + early_ns - residual_ns,
                     latest_ns=planned_ns + late_ns + residual_ns,
-                    seen=seen,
-                    positions={} if seen is None else places(seen),
+                    seen=interval,
+                    positions={} if interval is None else places(interval),
                 )
             )
         return rows
@@ -97,13 +97,13 @@ class TriggerRows:
     def _make_place_finder(self, report: StepReport) -> FindPlaces:
         """A function that tells where the axes were in an interval of fleet time."""
         finders: dict[str, Callable[[TimeInterval], AxisPlace]] = {}
-        for member, each in report.members.items() if report.state == "done" else ():
+        for member, member_report in report.members.items() if report.state == "done" else ():
             proposal = self.agreement.proposals[member]
-            for name, evidence in each.evidence.items():
+            for name, evidence in member_report.evidence.items():
                 axis = f"{member}.{name}"
                 error = proposal.path_error_counts.get(name, 0.0) + 1.0  # a count of rounding
                 finders[axis] = self._make_axis_finder(axis, evidence.start_for_verdict, error, proposal.clock_ppm)
-        return lambda seen: {axis: find(seen) for axis, find in finders.items()}
+        return lambda interval: {axis: find(interval) for axis, find in finders.items()}
 
     def _make_axis_finder(
         self, axis: str, start: TimeInterval, error_counts: float, ppm: float
@@ -115,7 +115,7 @@ class TriggerRows:
             early_s = max(0, seen.earliest_ns - start.latest_ns) / NS_PER_S * (1 - ppm * 1e-6)
             late_s = max(0, seen.latest_ns - start.earliest_ns) / NS_PER_S * (1 + ppm * 1e-6)
             low, high = find_range(early_s, late_s)
-            ends = sorted(each / float(config.counts_per_unit) for each in (low - error_counts, high + error_counts))
+            ends = sorted(count / float(config.counts_per_unit) for count in (low - error_counts, high + error_counts))
             return AxisPlace(least=ends[0], most=ends[1])
 
         return find_place
@@ -128,14 +128,16 @@ class TriggerRows:
 
 
 def _sum_up(output: str, rows: list[TriggerRow], *, unknown: bool) -> TriggerReport:
-    seen = [(row, row.seen) for row in rows if row.seen is not None]
-    rows_outside = [row for row, span in seen if span.latest_ns < row.earliest_ns or span.earliest_ns > row.latest_ns]
+    row_spans = [(row, row.seen) for row in rows if row.seen is not None]
+    rows_outside = [
+        row for row, span in row_spans if span.latest_ns < row.earliest_ns or span.earliest_ns > row.latest_ns
+    ]
     return TriggerReport(
         output=output,
         planned=len(rows),
-        seen=len(seen),
+        seen=len(row_spans),
         outside=len(rows_outside),
-        widest_ns=max((span.latest_ns - span.earliest_ns for _, span in seen), default=0),
+        widest_ns=max((span.latest_ns - span.earliest_ns for _, span in row_spans), default=0),
         rows=rows[:REPORTED_ROWS],
         problem="of one more edge it is not known whether it happened" if unknown else "",
     )

@@ -64,8 +64,8 @@ class StepWatch:
         """Set how long members of a path have moved, from T0, as they have stated with its last chunk."""
         for member, end_s in ends_s.items():
             report = self.reports[member]
-            lowered = dict.fromkeys(report.lowered_s, end_s)
-            self.reports[member] = report.model_copy(update={"lowered_s": lowered, "planned_s": lowered})
+            lowered_s = dict.fromkeys(report.lowered_s, end_s)
+            self.reports[member] = report.model_copy(update={"lowered_s": lowered_s, "planned_s": lowered_s})
 
     async def run(self) -> None:
         """Return as soon as all members have ended, or one has failed."""
@@ -88,11 +88,11 @@ class StepWatch:
 
     def _take_event(self, event: ControllerEvent) -> None:
         member = event.controller
-        ended = event.kind == "done" or (event.kind == "stopped" and self._state.paused_by is not None)
-        if event.kind == "started" or ended:
+        has_ended = event.kind == "done" or (event.kind == "stopped" and self._state.paused_by is not None)
+        if event.kind == "started" or has_ended:
             self._waiting_start.discard(member)
             self._add_evidence(member, event)
-        if ended:
+        if has_ended:
             self._waiting_end.discard(member)
             self.paused = self.paused or event.kind == "stopped"
         elif event.kind in ("failed", "stopped", "disarmed"):
@@ -100,7 +100,10 @@ class StepWatch:
 
     def _add_evidence(self, member: str, event: ControllerEvent) -> None:
         budget, t0_ns = self._agreement.budget, self._state.t0_fleet_ns
-        evidence = {axis: narrow_evidence(budget, t0_ns, member, each) for axis, each in event.evidence.items()}
+        evidence = {
+            axis: narrow_evidence(budget, t0_ns, member, axis_evidence)
+            for axis, axis_evidence in event.evidence.items()
+        }
         self.reports[member] = self.reports[member].model_copy(update={"evidence": evidence})
 
     def _find_overdue(self, ends_ns: int) -> Failure | None:
@@ -110,9 +113,9 @@ class StepWatch:
             absence = view.describe_absence(member, self._planned.instances.get(member))
             if absence is not None:
                 return "failed", f"{member}: {absence}"
-        lost = self._permit_watch.describe_loss()
-        if lost is not None:
-            return "failed", lost
+        loss = self._permit_watch.describe_loss()
+        if loss is not None:
+            return "failed", loss
         if self.feed is not None and self.feed.lost is not None:
             return "failed", f"the path is not continued, and not all members can brake along it: {self.feed.lost}"
         # Controllers on one line are polled in turn, or are armed for other jobs.
@@ -133,7 +136,7 @@ class StepWatch:
         if event is None:
             return None
         request = self._planned.request
-        ours = (event.job, event.step) == (request.job_id, request.index)
+        is_ours = (event.job, event.step) == (request.job_id, request.index)
         # Members that were armed again have reported that they were disarmed before.
         stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < self._state.arming_fleet_ns
-        return event if ours and event.controller in self._agreement.proposals and not stale else None
+        return event if is_ours and event.controller in self._agreement.proposals and not stale else None

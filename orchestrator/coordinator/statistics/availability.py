@@ -59,10 +59,10 @@ class AvailabilityClock:
         """Add the way and the time of axes that are jogged: from reading to reading."""
         axes, now_ns = self._view.fleet.controllers[state.controller].axes, self._clock.now_ns()
         for name in axes.keys() & state.axes.keys():
-            before, counts = jogged.pop(name, None), state.axes[name].raw_counts
+            last_jog, counts = jogged.pop(name, None), state.axes[name].raw_counts
             if state.mode == "jogging":
                 jogged[name] = (counts, now_ns)
-            if before is not None and before[0] != counts:
-                full, way = f"{state.controller}.{name}", abs(axes[name].to_unit(counts - before[0]))
+            if last_jog is not None and last_jog[0] != counts:
+                full, way = f"{state.controller}.{name}", abs(axes[name].to_unit(counts - last_jog[0]))
                 self._count("axis", full, f"distance {axes[name].unit}", way)
-                self._count("axis", full, "moving_s", (now_ns - before[1]) / NS_PER_S)
+                self._count("axis", full, "moving_s", (now_ns - last_jog[1]) / NS_PER_S)

@@ -67,10 +67,10 @@ class StatisticsCollector:
 
     def _take_motion(self, recording: StepRecording, report: StepReport | None) -> None:
         """Count a motion step that is over. report: None for one that was interrupted."""
-        done = report is not None and report.state == "done"
+        is_done = report is not None and report.state == "done"
         for name, axis in recording.axes.items():
-            self._count_move(name, axis, recording.t0_fleet_ns, done=done)
-        if report is not None and done:
+            self._count_move(name, axis, recording.t0_fleet_ns, done=is_done)
+        if report is not None and is_done:
             self._count_skews(report)
 
     def _take_job(self, report: JobReport) -> None:
@@ -86,19 +86,19 @@ class StatisticsCollector:
 
     def _count_move(self, name: str, axis: AxisRecording, t0_fleet_ns: int, *, done: bool) -> None:
         profile = axis.profile
-        moved, moving_s = profile.end_counts - profile.start_counts, profile.duration_s
+        moved_counts, moving_s = profile.end_counts - profile.start_counts, profile.duration_s
         if not done:
             # It was stopped: the last reading is the best that is known.
             last_ns, last_counts = axis.sampled[-1] if axis.sampled else (t0_fleet_ns, profile.start_counts)
-            moved = last_counts - profile.start_counts
+            moved_counts = last_counts - profile.start_counts
             moving_s = min(moving_s, max(0.0, (last_ns - t0_fleet_ns) / NS_PER_S))
-        direction = (moved > 0) - (moved < 0)
+        direction = (moved_counts > 0) - (moved_counts < 0)
         if direction:
             self._count("axis", name, "moves", 1)
             if self._directions.get(name, direction) != direction:
                 self._count("axis", name, "reversals", 1)
             self._directions[name] = direction
-            self._count("axis", name, f"distance {axis.unit}", abs(moved / axis.counts_per_unit))
+            self._count("axis", name, f"distance {axis.unit}", abs(moved_counts / axis.counts_per_unit))
         self._count("axis", name, "moving_s", moving_s)
         self._write_within(MOTION_NS)
 
@@ -128,10 +128,10 @@ class StatisticsCollector:
 
     def _add(self, key: FigureKey, value: float) -> None:
         figure = key[3]
-        before = self._counted.get(key)
-        if before is None and len(self._counted) >= MAX_FIGURES:
+        count = self._counted.get(key)
+        if count is None and len(self._counted) >= MAX_FIGURES:
             return
-        self._counted[key] = max(before or 0.0, value) if figure.startswith(WORST) else (before or 0.0) + value
+        self._counted[key] = max(count or 0.0, value) if figure.startswith(WORST) else (count or 0.0) + value
 
     # Journal
 
@@ -152,16 +152,16 @@ class StatisticsCollector:
                     continue  # and again a minute later
 
     async def _write(self) -> None:
-        counted, self._counted = self._counted, {}
+        counts, self._counted = self._counted, {}
         self._due_ns = self._access.clock.now_ns() + AVAILABILITY_NS
-        rows = [StatisticsRow(*key, value) for key, value in counted.items()]
+        rows = [StatisticsRow(*key, value) for key, value in counts.items()]
         if not rows:
             return
         try:
             await self._execute(self._table.add_rows, rows)
         except BaseException:
-            since, self._counted = self._counted, counted
-            for key, value in since.items():
+            later_counts, self._counted = self._counted, counts
+            for key, value in later_counts.items():
                 self._add(key, value)
             raise
 

@@ -32,9 +32,9 @@ class SkewHistogram:
 
     def find_quantile(self, part: float) -> int | None:
         """The skew that `part` (0 to 1) of all do not exceed, ns; None without any."""
-        below = 0
+        count_below = 0
         for number in sorted(self._bins):
-            below += self._bins[number]
-            if below >= ceil(part * self.count):
+            count_below += self._bins[number]
+            if count_below >= ceil(part * self.count):
                 return min(self.worst_ns, round(exp((number + 1) * _WIDTH)))
         return None

@@ -36,9 +36,11 @@ class _HomingRun:
         stopped_axes: dict[str, str] = {axis: axis for axis in self.failed}
         while True:
             more = {
-                axis: next(stopped_axes[other] for other in sorted(others_wait) if other in stopped_axes)
-                for axis, others_wait in self.waits.items()
-                if axis not in stopped_axes and others_wait & stopped_axes.keys()
+                axis: next(
+                    stopped_axes[predecessor] for predecessor in sorted(predecessors) if predecessor in stopped_axes
+                )
+                for axis, predecessors in self.waits.items()
+                if axis not in stopped_axes and predecessors & stopped_axes.keys()
             }
             if not more:
                 return {axis: cause for axis, cause in stopped_axes.items() if axis not in self.failed}
@@ -46,15 +48,15 @@ class _HomingRun:
 
     def find_ready(self) -> list[str]:
         """Axes that may begin now."""
-        begun_busies = {*self.homed, *self.failed, *(axis for axes in self.busy.values() for axis in axes)}
+        started_axes = {*self.homed, *self.failed, *(axis for axes in self.busy.values() for axis in axes)}
         ready = [
             axis
-            for axis, others_wait in self.waits.items()
-            if axis not in begun_busies and controller_of(axis) not in self.busy and others_wait <= set(self.homed)
+            for axis, predecessors in self.waits.items()
+            if axis not in started_axes and controller_of(axis) not in self.busy and predecessors <= set(self.homed)
         ]
-        alone_ready = [axis for axis in ready if axis in self.loners]
-        together_ready = [axis for axis in ready if axis not in self.loners]
-        return together_ready or ([] if self.busy else alone_ready[:1])
+        single_axes = [axis for axis in ready if axis in self.loners]
+        group_axes = [axis for axis in ready if axis not in self.loners]
+        return group_axes or ([] if self.busy else single_axes[:1])
 
 
 class HomingSequence:
@@ -71,17 +73,19 @@ class HomingSequence:
         order = homing_order(fleet, axes)
         waits = find_prerequisites(fleet, order)
         run = _HomingRun(holder, actor, waits, order.loners)
-        for axis in [other for others_wait in waits.values() for other in others_wait if other not in waits]:
+        for axis in [
+            predecessor for predecessors in waits.values() for predecessor in predecessors if predecessor not in waits
+        ]:
             self._require_referenced(axis, waits)
             run.homed.append(axis)
-        total, before = len(waits), len(run.homed)
-        missing = self._fleet.permits.find_missing(waits)
-        if missing is not None:
-            raise Refusal("permit", missing, "satisfy the permit, then resubmit the job")
+        total, count_before = len(waits), len(run.homed)
+        missing_permit = self._fleet.permits.find_missing(waits)
+        if missing_permit is not None:
+            raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")
         guard, woken = self._fleet.permits.watch_losses(waits), asyncio.Event()
         unlisten = self._fleet.permits.add_loss_listener(woken.set)
         tasks: dict[asyncio.Task[HomeReply], str] = {}
-        waiting_task = asyncio.get_running_loop().create_task(woken.wait())
+        wake_task = asyncio.get_running_loop().create_task(woken.wait())
         try:
             while True:
                 for controller, names in group_by_controller(run.find_ready()).items():
@@ -90,18 +94,18 @@ class HomingSequence:
                     tasks[asyncio.get_running_loop().create_task(ask)] = controller
                 if not tasks:
                     break
-                busy_now = sorted(axis for axes in run.busy.values() for axis in axes)
-                progress((len(run.homed) - before) / total, f"homing {', '.join(busy_now)}")
-                await asyncio.wait([*tasks, waiting_task], return_when=asyncio.FIRST_COMPLETED)
-                lost = guard.describe_loss()
-                if lost is not None:
-                    await self._fleet.stop_members(list(run.busy), "decelerate", actor, lost)
-                    raise Refusal("permit", lost, "satisfy the permit, then home again")
-                for task in [each for each in tasks if each.done()]:
+                busy_axes = sorted(axis for axes in run.busy.values() for axis in axes)
+                progress((len(run.homed) - count_before) / total, f"homing {', '.join(busy_axes)}")
+                await asyncio.wait([*tasks, wake_task], return_when=asyncio.FIRST_COMPLETED)
+                loss = guard.describe_loss()
+                if loss is not None:
+                    await self._fleet.stop_members(list(run.busy), "decelerate", actor, loss)
+                    raise Refusal("permit", loss, "satisfy the permit, then home again")
+                for task in [candidate for candidate in tasks if candidate.done()]:
                     self._take_reply(run, tasks.pop(task), task.result())
         finally:
             unlisten()
-            waiting_task.cancel()
+            wake_task.cancel()
             for task in tasks:
                 task.cancel()
         if run.failed:
@@ -111,10 +115,10 @@ class HomingSequence:
         controller, name = split_name(axis)
         state = self._fleet.view.last_state(controller)
         if state is None or not state.axes[name].referenced:
-            waiting = next(each for each, others_wait in waits.items() if axis in others_wait)
+            waiting_axis = next(follower for follower, predecessors in waits.items() if axis in predecessors)
             raise Refusal(
                 "not-referenced",
-                f"{waiting} must be homed after {axis} (homing.after), which is not referenced",
+                f"{waiting_axis} must be homed after {axis} (homing.after), which is not referenced",
                 f"home {axis} first, or both together",
                 controller,
             )
@@ -131,24 +135,26 @@ class HomingSequence:
         def ask() -> "asyncio.Task[HomeReply]":
             return loop.create_task(requests.request(controller, "home", request, HomeReply, timeout_s + ANSWER_S))
 
-        asked_task, asked_s = ask(), loop.time()
+        answer, begun_s = ask(), loop.time()
         try:
             while True:
-                await asyncio.wait([asked_task], timeout=POLL_S)
-                if asked_task.done():
-                    return asked_task.result()
+                await asyncio.wait([answer], timeout=POLL_S)
+                if answer.done():
+                    return answer.result()
                 # The answer may take as long as its axes may search: stop waiting once it is known that none will come.
-                gone = self._fleet.view.describe_absence(controller, instance)
-                if gone is not None:
-                    await self._fleet.stop_members([controller], "decelerate", run.actor, gone)
+                absence = self._fleet.view.describe_absence(controller, instance)
+                if absence is not None:
+                    await self._fleet.stop_members([controller], "decelerate", run.actor, absence)
                     remedy = "check its adapter host (`tutti status`), then home again"
-                    return HomeReply(refused=RefusalDetails(code="absent", text=gone, remedy=remedy, member=controller))
-                if loop.time() - asked_s > REPEAT_S and not self._is_homing(controller, names):
+                    return HomeReply(
+                        refused=RefusalDetails(code="absent", text=absence, remedy=remedy, member=controller)
+                    )
+                if loop.time() - begun_s > REPEAT_S and not self._is_homing(controller, names):
                     # The request or its answer was lost. It keeps its id, so it is executed once.
-                    asked_task.cancel()
-                    asked_task, asked_s = ask(), loop.time()
+                    answer.cancel()
+                    answer, begun_s = ask(), loop.time()
         finally:
-            asked_task.cancel()
+            answer.cancel()
 
     def _is_homing(self, controller: str, names: list[str]) -> bool:
         state = self._fleet.view.last_state(controller)
@@ -169,14 +175,14 @@ class HomingSequence:
                 run.failed[axis] = reply.failed.get(name, missing_details)
 
     def _make_failure(self, run: _HomingRun) -> Refusal:
-        first, why = next(iter(run.failed.items()))
+        first, failure = next(iter(run.failed.items()))
         # The refusal of a whole controller is reported once.
         texts = list(dict.fromkeys(f"{axis.partition('.')[0]}: {details.text}" for axis, details in run.failed.items()))
-        blocked = run.find_blocked()
-        if blocked:
-            causes = ", ".join(sorted(set(blocked.values())))
-            texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked))}")
-        return Refusal(why.code, "; ".join(texts), why.remedy, controller_of(first))
+        blocked_axes = run.find_blocked()
+        if blocked_axes:
+            causes = ", ".join(sorted(set(blocked_axes.values())))
+            texts.append(f"not homed because they come after {causes}: {', '.join(sorted(blocked_axes))}")
+        return Refusal(failure.code, "; ".join(texts), failure.remedy, controller_of(first))
 
 
 async def run_home(context: StepContext, step: Home) -> ReportFields:

@@ -22,8 +22,8 @@ async def run_output(context: StepContext, step: SetOutput) -> ReportFields:
     finally:
         # Also when the job ends meanwhile: a pulse that does not end may be a shutter that stays open.
         if step.pulse is not None:
-            back_request = OutputRequest(**context.request_fields, output=output, value=not step.value)
-            await context.request_all("output", {controller: back_request})
+            reset_request = OutputRequest(**context.request_fields, output=output, value=not step.value)
+            await context.request_all("output", {controller: reset_request})
     return {}
 
 

@@ -138,8 +138,8 @@ class Authentication:
             raise NotSignedIn(
                 "wrong-password", "user or password is wrong", "try again; `tutti user passwd` sets another one"
             )
-        for each in counters:
-            self._failures.pop(each, None)
+        for counter in counters:
+            self._failures.pop(counter, None)
         secret, now_ns = self._new_secret(), self._clock.now_ns()
         csrf = _derive_csrf(secret)
         self._sessions[csrf] = _Session(user, now_ns, now_ns, stored_user.changed_utc)
@@ -164,9 +164,9 @@ class Authentication:
         if found_token is None:
             text = "the token is not valid"
             raise NotSignedIn("bad-token", text, "send `Authorization: Bearer TOKEN`; `tutti user token` makes one")
-        user, token, stored = found_token
-        role = _lower(stored.role, self._table.users[user].role)
-        verbs = None if stored.verbs is None else frozenset(stored.verbs)
+        user, token, stored_token = found_token
+        role = _lower(stored_token.role, self._table.users[user].role)
+        verbs = None if stored_token.verbs is None else frozenset(stored_token.verbs)
         return Identity(user, role, address, "token", token=token, verbs=verbs)
 
     def _identify_session(self, address: str, secret: str) -> Identity:
@@ -186,16 +186,16 @@ class Authentication:
 
     def _require_pause(self, counted: tuple[str, ...]) -> None:
         now_ns = self._clock.now_ns()
-        until_ns = max(self._failures[each].wait_until_ns if each in self._failures else 0 for each in counted)
+        until_ns = max(self._failures[counter].wait_until_ns if counter in self._failures else 0 for counter in counted)
         if until_ns > now_ns:
             seconds = -(-(until_ns - now_ns) // NS_PER_S)
             raise TooManyTries("too-many-tries", f"too many sign-ins have failed; wait {seconds} s", "then try again")
 
     def _count_failure(self, counted: tuple[str, ...]) -> None:
         now_ns = self._clock.now_ns()
-        for each in counted:
-            failures = self._failures.setdefault(each, _Failures())
-            self._failures.move_to_end(each)
+        for counter in counted:
+            failures = self._failures.setdefault(counter, _Failures())
+            self._failures.move_to_end(counter)
             failures.count += 1
             over = failures.count - FREE_FAILURES
             if over >= 0:

@@ -83,8 +83,8 @@ class UserFile:
             return UserTable()
         except ValidationError as error:
             first = error.errors()[0]
-            place = ".".join(map(str, first["loc"]))
-            text = f"{self.path}: {place}: {first['msg']}" if place else f"{self.path}: {first['msg']}"
+            field = ".".join(map(str, first["loc"]))
+            text = f"{self.path}: {field}: {first['msg']}" if field else f"{self.path}: {first['msg']}"
             raise Refusal("bad-users", text, "restore the file, or delete it and add the users again") from None
         except (OSError, UnsafePath) as error:
             raise _explain_file_error(self.path, error) from None
@@ -130,26 +130,28 @@ class UserFile:
 
         Raises `Refusal`: codes `no-user`, `token-exists`.
         """
-        whole = f"{TOKEN_START}{name}_{secret}"
+        token_text = f"{TOKEN_START}{name}_{secret}"
         with self._change() as users:
             user = _require_user(users, name)
             if token in user.tokens:
                 remedy = f"choose another name, or remove it: `tutti user token {name} --remove {token}`"
                 raise Refusal("token-exists", f"user {name} has a token {token} already", remedy)
-            made = stored.model_copy(update={"digest": _digest_token(whole)})
-            users[name] = user.model_copy(update={"tokens": {**user.tokens, token: made}})
-        return whole
+            new_token = stored.model_copy(update={"digest": _digest_token(token_text)})
+            users[name] = user.model_copy(update={"tokens": {**user.tokens, token: new_token}})
+        return token_text
 
     def remove_token(self, name: str, token: str) -> None:
         """Remove a token. Raises `Refusal`: codes `no-user`, `no-token`."""
         with self._change() as users:
             user = _require_user(users, name)
             if token not in user.tokens:
-                there = ", ".join(user.tokens) or "none"
+                token_list = ", ".join(user.tokens) or "none"
                 raise Refusal(
-                    "no-token", f"user {name} has no token {token}; there are: {there}", "see `tutti user ls`"
+                    "no-token", f"user {name} has no token {token}; there are: {token_list}", "see `tutti user ls`"
                 )
-            tokens_left = {each: stored_token for each, stored_token in user.tokens.items() if each != token}
+            tokens_left = {
+                token_name: stored_token for token_name, stored_token in user.tokens.items() if token_name != token
+            }
             users[name] = user.model_copy(update={"tokens": tokens_left})
 
     @contextmanager
@@ -222,8 +224,8 @@ def _require_name(name: str) -> None:
 
 def _require_user(users: dict[str, StoredUser], name: str) -> StoredUser:
     if name not in users:
-        there = ", ".join(sorted(users)) or "none"
-        raise Refusal("no-user", f"there is no user {name}; there are: {there}", "see `tutti user ls`")
+        user_list = ", ".join(sorted(users)) or "none"
+        raise Refusal("no-user", f"there is no user {name}; there are: {user_list}", "see `tutti user ls`")
     return users[name]
 
 

@@ -21,14 +21,14 @@ class ClockHistory:
         """Store a mapping that was published at `now_ns` of this process."""
         if mapping.controller not in self._kept and len(self._kept) >= MAX_CONTROLLERS:
             return
-        kept = self._kept.setdefault(mapping.controller, deque(maxlen=KEPT))
-        if not kept or now_ns - kept[-1][0] >= EVERY_NS:
-            kept.append((now_ns, mapping))
+        mappings = self._kept.setdefault(mapping.controller, deque(maxlen=KEPT))
+        if not mappings or now_ns - mappings[-1][0] >= EVERY_NS:
+            mappings.append((now_ns, mapping))
 
     def show(self) -> dict[str, Any]:
         """By controller: times (s, of the gateway's clock), bounds (µs), rates (ppm), and the offset (µs) by which the
         controller's clock has gone astray since the first of them, at the rate that it had then."""
-        return {name: _show_mappings(list(kept)) for name, kept in self._kept.items()}
+        return {name: _show_mappings(list(mappings)) for name, mappings in self._kept.items()}
 
 
 def _show_mappings(kept: list[tuple[int, ClockMapping]]) -> dict[str, list[float]]:

@@ -165,8 +165,8 @@ class FleetState:
     def _take_event(self, sample: BusSample) -> None:
         event = ControllerEvent.read_message(sample.payload)
         self._event_number += 1
-        shown = {"n": self._event_number, "controller": event.controller, "kind": event.kind, "text": event.text}
-        self._events.append(drop_nulls(shown | {"utc": event.utc, "job": event.job, "step": event.step}))
+        entry = {"n": self._event_number, "controller": event.controller, "kind": event.kind, "text": event.text}
+        self._events.append(drop_nulls(entry | {"utc": event.utc, "job": event.job, "step": event.step}))
 
     def _take_link(self, sample: BusSample) -> None:
         totals = LinkTotals.read_message(sample.payload)
@@ -194,18 +194,18 @@ class FleetState:
         if lease.holder is None:
             self._leases.pop(name, None)
         elif len(self._leases) < MAX_LEASES or name in self._leases:
-            shown = {"holder": lease.holder, "actor": lease.actor, "what": lease.what, "until_utc": lease.until_utc}
-            self._leases[name] = drop_nulls(shown)
+            entry = {"holder": lease.holder, "actor": lease.actor, "what": lease.what, "until_utc": lease.until_utc}
+            self._leases[name] = drop_nulls(entry)
 
     # What is shown
 
     def compose(self) -> dict[str, Any]:
         """The state now, for the stream."""
         now_ns = self._clock.now_ns()
-        for job_id in [each for each, ended_ns in self._ended_ns.items() if now_ns - ended_ns > KEEP_ENDED_NS]:
+        for job_id in [ended_id for ended_id, ended_ns in self._ended_ns.items() if now_ns - ended_ns > KEEP_ENDED_NS]:
             del self._ended_ns[job_id]
             self._jobs.pop(job_id, None)
-        shown: dict[str, Any] = {
+        state: dict[str, Any] = {
             "fleet": self._keys.fleet,
             "utc": f"{self._clock.utc()[:19]}Z",
             "coordinator": self._show_leader(now_ns),
@@ -218,11 +218,11 @@ class FleetState:
         }
         if self._queue is not None:
             plain = self._queue.to_plain()
-            shown["permits"] = plain.pop("missing_permits")
-            shown["queue"] = drop_nulls(plain)
+            state["permits"] = plain.pop("missing_permits")
+            state["queue"] = drop_nulls(plain)
         if self._last_stop is not None:
-            shown["last_stop"] = self._last_stop
-        return shown
+            state["last_stop"] = self._last_stop
+        return state
 
     def _show_leader(self, now_ns: int) -> dict[str, Any]:
         if self._leader is None or now_ns - self._leader[0] > LEADER_NS:

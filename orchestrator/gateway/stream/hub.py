@@ -150,10 +150,10 @@ class StreamHub:
             if not self._readers or not (self._changed or is_due):
                 continue
             self._changed = False
-            shown = self.state.compose()
-            patch = make_patch(self._shown, shown)
+            state = self.state.compose()
+            patch = make_patch(self._shown, state)
             if patch or is_due:
-                self._advance(patch, shown)
+                self._advance(patch, state)
 
     def _advance(self, patch: dict[str, Any], shown: dict[str, Any] | None = None) -> None:
         self._shown = self.state.compose() if shown is None else shown
@@ -192,7 +192,7 @@ class StreamHub:
             request = ListJobs(**self._tutti.request_fields(), limit=MAX_LISTED, state=states)
             queue = await self._tutti.request_service("list", request, QueueState, ASK_S)
             entries += [job for job in queue.jobs if job.state not in FINISHED_STATES]
-        jobs = sorted({entry.id: entry for entry in entries}.values(), key=lambda each: each.place or 0)
+        jobs = sorted({entry.id: entry for entry in entries}.values(), key=lambda entry: entry.place or 0)
         return queue.model_copy(update={"jobs": jobs[:MAX_LISTED], "total": len(jobs)})
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:

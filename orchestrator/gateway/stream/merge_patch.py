@@ -25,22 +25,22 @@ def make_patch(before: Plain, after: Plain) -> dict[str, Any]:
 
 def apply_patch(before: Plain, patch: Plain) -> dict[str, Any]:
     """What a reader makes of a patch."""
-    after = dict(before)
+    state = dict(before)
     for key, value in patch.items():
         if value is None:
-            after.pop(key, None)
+            state.pop(key, None)
         elif isinstance(value, dict):
-            old = after.get(key)
-            after[key] = apply_patch(cast(Plain, old) if isinstance(old, dict) else {}, cast(Plain, value))
+            old = state.get(key)
+            state[key] = apply_patch(cast(Plain, old) if isinstance(old, dict) else {}, cast(Plain, value))
         else:
-            after[key] = value
-    return after
+            state[key] = value
+    return state
 
 
 def drop_nulls(value: Plain) -> dict[str, Any]:
     """A JSON object without its nulls, in objects inside as well: a merge patch cannot express them."""
     return {
-        key: drop_nulls(cast(Plain, each)) if isinstance(each, dict) else each
-        for key, each in value.items()
-        if each is not None
+        key: drop_nulls(cast(Plain, item)) if isinstance(item, dict) else item
+        for key, item in value.items()
+        if item is not None
     }

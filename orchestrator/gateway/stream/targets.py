@@ -58,13 +58,13 @@ def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_rest: FindRes
         except (UnitError, ValueError):
             continue
     for axis, value in step.by.items():
-        before = find_rest(axis)
+        rest_position = find_rest(axis)
         try:
             distance = float(parse_quantity(value, fleet.axis(axis).unit))
         except (UnitError, ValueError):
             continue
-        if before is not None:
-            targets[axis] = before + distance
+        if rest_position is not None:
+            targets[axis] = rest_position + distance
     return targets
 
 

@@ -34,15 +34,15 @@ class FileProblem:
     text: str
 
     def __str__(self) -> str:
-        where = f"{self.file}:{self.line}" if self.line else self.file
-        return f"{where}: {self.field}: {self.text}" if self.field else f"{where}: {self.text}"
+        location = f"{self.file}:{self.line}" if self.line else self.file
+        return f"{location}: {self.field}: {self.text}" if self.field else f"{location}: {self.text}"
 
 
 class FileError(TuttiError, ValueError):
     """A file that cannot be used. The text lists its problems in the order of lines, one per line."""
 
     def __init__(self, problems: Iterable[FileProblem]) -> None:
-        self.problems = tuple(dict.fromkeys(sorted(problems, key=lambda each: each.line)))
+        self.problems = tuple(dict.fromkeys(sorted(problems, key=lambda problem: problem.line)))
         shown_lines = [str(problem) for problem in self.problems[:MAX_PROBLEMS]]
         if len(self.problems) > MAX_PROBLEMS:
             shown_lines.append(f"… and {len(self.problems) - MAX_PROBLEMS} more")
@@ -113,10 +113,10 @@ def parse_document(text: str, model: type[M], name: str) -> M:
 def parse_file(file: LoadedFile, model: type[M]) -> M:
     """Make a model of what was read. Raises `FileError` with every mistake."""
     require_mapping(file, model)
-    found_file, problems = validate_value(file.root.value, model)
-    if found_file is None:
+    checked_file, problems = validate_value(file.root.value, model)
+    if checked_file is None:
         raise FileError(file.problem(problem.place, problem.text) for problem in problems)
-    return found_file
+    return checked_file
 
 
 def require_mapping(file: LoadedFile, model: type[Model]) -> None:
@@ -128,10 +128,10 @@ def require_mapping(file: LoadedFile, model: type[Model]) -> None:
 
 def validate_value(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
     """Make a model of the plain value of a whole file; or None, and every mistake."""
-    found_value, problems = validate_part(value, model)
+    checked_value, problems = validate_part(value, model)
     if "schema" not in value:  # in Python a job needs none: there its version is that of the program
         return None, [Problem(("schema",), "is missing"), *problems]
-    return found_value, problems
+    return checked_value, problems
 
 
 def validate_part(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:

@@ -50,8 +50,8 @@ class Job(Model):
     steps: list[JobStep] = Field(min_length=1, max_length=10_000)
 
     def __init__(self, name: str = _MISSING, steps: Sequence[Step] = _MISSING, **fields: Any) -> None:
-        given = {"name": name, "steps": steps}
-        super().__init__(**{key: value for key, value in given.items() if value is not _MISSING}, **fields)
+        values = {"name": name, "steps": steps}
+        super().__init__(**{key: value for key, value in values.items() if value is not _MISSING}, **fields)
 
     # Validation fills the fields itself, as for a model without a constructor of its own.
     __init__.__pydantic_base_init__ = True  # pyright: ignore[reportFunctionMemberAccess]

@@ -27,9 +27,9 @@ def make_alarm_id(kind: str, subject: str, code: str = "", source: str = "") -> 
     `disconnected` and `gantry` make `disconnected-gantry`; the sign in `gantry.x` and in `gantry+stage` becomes `_`.
     Where that could be the id of two causes, and for alarms of other processes, a checksum follows.
     """
-    whole = "-".join(part for part in (kind, code, subject) if part)
-    plain = _OTHER_SIGNS.sub("-", _JOINT.sub("_", whole))
-    unsure = _OTHER_SIGNS.search(_JOINT.sub("_", whole)) or len({".", "+", "_"} & set(whole)) > 1
+    text = "-".join(part for part in (kind, code, subject) if part)
+    plain = _OTHER_SIGNS.sub("-", _JOINT.sub("_", text))
+    unsure = _OTHER_SIGNS.search(_JOINT.sub("_", text)) or len({".", "+", "_"} & set(text)) > 1
     if len(plain) <= 64 and not unsure and not source and not (code and "-" in subject):
         return plain
     return f"{plain[:55]}-{crc32(repr((kind, subject, code, source)).encode()):08x}"

@@ -71,13 +71,13 @@ def list_changes(before: JobPlan, after: JobPlan) -> list[str]:
     """What differs between two plans, part by part, in words."""
     changes: list[str] = []
     for name in dict.fromkeys((*before.parts, *after.parts)):
-        was, now = before.parts.get(name), after.parts.get(name)
-        if was is None:
-            changes.append(f"{name} is new: {now}")
-        elif now is None:
-            changes.append(f"{name} was {was}, and is gone")
-        elif was != now:
-            changes.append(f"{name} was {was}, is {now}")
+        old_part, new_part = before.parts.get(name), after.parts.get(name)
+        if old_part is None:
+            changes.append(f"{name} is new: {new_part}")
+        elif new_part is None:
+            changes.append(f"{name} was {old_part}, and is gone")
+        elif old_part != new_part:
+            changes.append(f"{name} was {old_part}, is {new_part}")
     return changes
 
 

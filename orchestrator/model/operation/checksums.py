@@ -22,9 +22,9 @@ def add_checksum(contents: bytes) -> bytes:
 def take_checksum(data: bytes) -> bytes:
     """Return what `add_checksum` was given. Data without a checksum is from an older version, or written by a person,
     and is returned as it is. Raises `WrongChecksum`."""
-    contents, mark, given = data.rpartition(_MARK)
+    contents, mark, checksum = data.rpartition(_MARK)
     if not mark:
         return data
-    if given != b"%08x\n" % crc32(contents):
+    if checksum != b"%08x\n" % crc32(contents):
         raise WrongChecksum("its checksum is wrong")
     return contents

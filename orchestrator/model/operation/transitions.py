@@ -53,9 +53,9 @@ def raise_alarm(before: AlarmRecord | None, cause: AlarmCause, utc: str) -> Alar
     )
     if before is None:
         return fresh
-    kept = {name: getattr(before, name) for name in _ASIDE}
+    fields = {name: getattr(before, name) for name in _ASIDE}
     state = TRANSITIONS[before.state, "raise"]
-    return fresh.model_copy(update={**kept, "state": state, "count": before.count + 1})
+    return fresh.model_copy(update={**fields, "state": state, "count": before.count + 1})
 
 
 def return_alarm(before: AlarmRecord, utc: str) -> AlarmRecord:

@@ -37,8 +37,8 @@ class PositionResolver:
     def resolve_remaining(self, steps: Sequence[Step], repeat: int = 1, first: int = 0) -> StepOrder:
         """The order of `steps`, run `repeat` times, with quantities for the names in what is left from step number
         `first` on: positions that only steps before it name are not needed. Raises `Refusal`."""
-        left = {each.number for each in StepOrder(steps, repeat).list_remaining(first)}
-        resolved_steps = [self.resolve_step(step) if number in left else step for number, step in enumerate(steps)]
+        numbers = {step.number for step in StepOrder(steps, repeat).list_remaining(first)}
+        resolved_steps = [self.resolve_step(step) if number in numbers else step for number, step in enumerate(steps)]
         return StepOrder(resolved_steps, repeat)
 
     def find_target(self, axis: str, target: Quantity) -> Quantity:
@@ -75,8 +75,8 @@ class PositionResolver:
     def make_unknown(self, name: str) -> Refusal:
         """The refusal of a name that no position has, with the near ones."""
         known_entries = list(self._entries)
-        known_names = list_names(known_entries, "position") if known_entries else "it has no positions"
-        text = f"the fleet has no position {name[:80]}; {suggest_name(name, known_entries)}{known_names}"
+        name_list = list_names(known_entries, "position") if known_entries else "it has no positions"
+        text = f"the fleet has no position {name[:80]}; {suggest_name(name, known_entries)}{name_list}"
         return Refusal("unknown-name", text, REMEDY)
 
     def _take_value(self, entry: PositionEntry, axis: str) -> Quantity:
@@ -92,7 +92,7 @@ class PositionResolver:
 
 def names_positions(step: Step) -> bool:
     """Whether a target of the step, or of one inside it, is the name of a position."""
-    return any(is_position_name(target) for each in iterate_steps([step]) for _, target in each.iterate_targets())
+    return any(is_position_name(target) for part in iterate_steps([step]) for _, target in part.iterate_targets())
 
 
 def explain_value(fleet: Fleet, axis: str, value: Quantity) -> str | None:

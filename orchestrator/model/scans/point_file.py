@@ -72,7 +72,7 @@ class PointFile:
             for name in names
             if name not in self._units
         ]
-        problems += [f"{name} is named twice" for name in sorted({each for each in names if names.count(each) > 1})]
+        problems += [f"{name} is named twice" for name in sorted({name for name in names if names.count(name) > 1})]
         if len(names) > MAX_SCAN_AXES:
             problems = [f"names {len(names)} axes; the maximum is {MAX_SCAN_AXES}"]
         if problems:
@@ -90,7 +90,7 @@ class PointFile:
             try:
                 if self._odd or len(row) != width:
                     raise ValueError
-                values = [float(each) for each in row]
+                values = [float(cell) for cell in row]
             except ValueError:
                 values = self._read_slowly(reader.line_num, row)
             rows.append(values)
@@ -113,8 +113,10 @@ class PointFile:
         for row, column in np.argwhere(~(np.abs(block) <= MAX_QUANTITY)).tolist():
             text, number = texts[row][column].strip()[:MAX_TEXT], lines[row]
             if number not in {problem.line for problem in self._problems}:
-                what = "must be finite" if not np.isfinite(block[row, column]) else f"must be within ±{MAX_QUANTITY:g}"
-                self._note_problem(number, column, f"found {text!r}; the number {what}")
+                demand = (
+                    "must be finite" if not np.isfinite(block[row, column]) else f"must be within ±{MAX_QUANTITY:g}"
+                )
+                self._note_problem(number, column, f"found {text!r}; the number {demand}")
         return block
 
     def _read_slowly(self, line: int, row: Sequence[str]) -> list[float]:
@@ -127,8 +129,10 @@ class PointFile:
             try:
                 values.append(float(parse_quantity(text, axis.unit)))
             except (UnitError, OverflowError) as error:
-                why = str(error) if text.strip() else f"is empty; write a number, or one with a unit: 12.5 {axis.unit}"
-                self._note_problem(line, column, why)
+                explanation = (
+                    str(error) if text.strip() else f"is empty; write a number, or one with a unit: 12.5 {axis.unit}"
+                )
+                self._note_problem(line, column, explanation)
                 values.append(0.0)
         return values
 

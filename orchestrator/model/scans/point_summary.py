@@ -32,7 +32,7 @@ class ColumnSummary:
             return
         finite = np.isfinite(rows)
         if not finite.all():
-            row, column = (int(each) for each in np.argwhere(~finite)[0])
+            row, column = (int(index) for index in np.argwhere(~finite)[0])
             axis = self._axes[column].axis
             text = f"point {self.count + row + 1}: the position of {axis} is {rows[row, column]}, which is not finite"
             raise Refusal("not-finite", text, "correct the point")
@@ -42,7 +42,8 @@ class ColumnSummary:
         # The first of equal ones: numbers of points grow.
         self._least = [min(pair) for pair in zip(self._least or least, least, strict=True)]
         self._most = [
-            max(pair, key=lambda each: (each[0], -each[1])) for pair in zip(self._most or most, most, strict=True)
+            max(pair, key=lambda candidate: (candidate[0], -candidate[1]))
+            for pair in zip(self._most or most, most, strict=True)
         ]
         joined_rows = rows if self._last is None else np.vstack((self._last, rows))
         if len(joined_rows) > 1:

@@ -18,17 +18,17 @@ class SpecPoints:
         """Raises `Refusal`: codes `no-scanspec` without the extra, `bad-scanspec`."""
         path_type, spec_type = _import_scanspec()
         try:
-            parsed = spec_type.deserialize(dict(spec))
-            self._path: Any = path_type(parsed.calculate(bounds=False))
-            timed = parsed.duration() is not None
+            scan_spec = spec_type.deserialize(dict(spec))
+            self._path: Any = path_type(scan_spec.calculate(bounds=False))
+            has_duration = scan_spec.duration() is not None
         except Exception as error:  # whatever another project raises for a spec that it cannot read
             raise Refusal("bad-scanspec", f"scanspec cannot read the spec: {error}", "correct the spec") from None
-        names = [str(axis) for axis in parsed.axes()]
+        names = [str(axis) for axis in scan_spec.axes()]
         unknown = [name for name in names if name not in units]
         if unknown:
             text = f"the fleet has no axis {', '.join(unknown)}; its axes are: {', '.join(units)}"
             raise Refusal("unknown-name", text, "name the axes of the spec as in the fleet file")
-        if timed:
+        if has_duration:
             text = "the spec has durations, which a scan of steps does not follow"
             raise Refusal("bad-scanspec", text, "remove them, and put a dwell into `at_each`")
         if len(self._path) > MAX_POINTS:

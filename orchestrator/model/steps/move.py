@@ -53,9 +53,9 @@ class Move(MotionOptions, MoveTargets):
             raise ValueError(f"{self.to[ALL_AXES]} for all axes (`*`) must be the name of a position")
         if not self.to and not self.by:
             raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
-        twice = sorted(self.to.keys() & self.by.keys())
-        if twice:
-            raise ValueError(f"{', '.join(twice)} is in both `to` and `by`; an axis has one target")
+        repetitions = sorted(self.to.keys() & self.by.keys())
+        if repetitions:
+            raise ValueError(f"{', '.join(repetitions)} is in both `to` and `by`; an axis has one target")
         check_step_triggers(self.triggers, [*self.to, *self.by])
         return self
 
@@ -96,14 +96,14 @@ class Move(MotionOptions, MoveTargets):
         yield from self.to.items()
 
     def resolve_targets(self, resolver: TargetResolver) -> Self:
-        whole = self.to.get(ALL_AXES)
-        targets: dict[str, Quantity] = {} if whole is None else dict(resolver.find_whole(str(whole)))
+        common_target = self.to.get(ALL_AXES)
+        targets: dict[str, Quantity] = {} if common_target is None else dict(resolver.find_whole(str(common_target)))
         for axis, target in self.to.items():
             if axis != ALL_AXES:
                 targets[axis] = resolver.find_target(axis, target)
         targets_twice = sorted(targets.keys() & self.by.keys())
         if targets_twice:
-            text = f"{', '.join(targets_twice)} is in `by` and in position {whole}; an axis has one target"
+            text = f"{', '.join(targets_twice)} is in `by` and in position {common_target}; an axis has one target"
             raise Refusal("bad-step", text, NAME_AXES)
         return self.model_copy(update={"to": targets})
 

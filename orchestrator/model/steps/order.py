@@ -91,28 +91,31 @@ class StepOrder:
         """Where step number `index` stands. Raises `IndexError`."""
         if not 0 <= index < len(self):
             raise IndexError(f"no step {index}; the steps are 0 to {len(self) - 1}")
-        block, within, passes = self._block, index % self._block.size, tuple[tuple[int, int], ...]()
+        block, offset, passes = self._block, index % self._block.size, tuple[tuple[int, int], ...]()
         while True:
-            number, within = block.find(within)
+            number, offset = block.find(offset)
             step = block.steps[number]
             if isinstance(step, Repeat):
                 block = block.inner[number]
-                done, within = divmod(within, block.size)
-                passes = (*passes, (done + 1, step.times))
+                pass_count, offset = divmod(offset, block.size)
+                passes = (*passes, (pass_count + 1, step.times))
             elif isinstance(step, Scan):
-                point, part = divmod(within, step.points_steps)
-                return StepPlace(index, step, index - within, point, part, passes)
+                point, part = divmod(offset, step.points_steps)
+                return StepPlace(index, step, index - offset, point, part, passes)
             else:
                 return StepPlace(index, step, index, passes=passes)
 
     def list_remaining(self, first: int = 0) -> list[RemainingStep]:
         """What is left from step number `first` on: a scan is whole, a repeat has the passes that are left, after the
         rest of the present one. None beyond the last step."""
-        done, within = divmod(first, self._block.size)
-        left = [] if done >= self._repeat else list(self._block.list_rest(within))
-        left += list(self._block.list_rest(0)) * (self._repeat - done - 1)
-        indices = accumulate((size for _, _, size in left), initial=first)
-        return [RemainingStep(index, number, step) for index, (number, step, _) in zip(indices, left, strict=False)]
+        passes, offset = divmod(first, self._block.size)
+        remaining_steps = [] if passes >= self._repeat else list(self._block.list_rest(offset))
+        remaining_steps += list(self._block.list_rest(0)) * (self._repeat - passes - 1)
+        indices = accumulate((size for _, _, size in remaining_steps), initial=first)
+        return [
+            RemainingStep(index, number, step)
+            for index, (number, step, _) in zip(indices, remaining_steps, strict=False)
+        ]
 
     def iterate_written(self) -> Iterator[tuple[int, Step]]:
         """The written steps of the job, each with the number of its first step in the first run."""
@@ -137,17 +140,17 @@ class _Block:
     def list_rest(self, within: int) -> Iterator[tuple[int, Step, int]]:
         """What is left from step `within` on: the number of the written step in this block, what is left of it, and of
         how many steps that is."""
-        number, inside = self.find(within)
+        number, offset = self.find(within)
         step = self.steps[number]
-        if inside and isinstance(step, Repeat):
+        if offset and isinstance(step, Repeat):
             block = self.inner[number]
-            done, inside = divmod(inside, block.size)
-            if inside:
-                yield from ((number, each, size) for _, each, size in block.list_rest(inside))
-            times_left = step.times - done - bool(inside)
+            passes, offset = divmod(offset, block.size)
+            if offset:
+                yield from ((number, leaf, size) for _, leaf, size in block.list_rest(offset))
+            times_left = step.times - passes - bool(offset)
             if times_left:
                 yield number, step.model_copy(update={"times": times_left}), times_left * block.size
         else:
-            yield number, step, step.step_count - inside
-        for later, each in list(enumerate(self.steps))[number + 1 :]:
-            yield later, each, each.step_count
+            yield number, step, step.step_count - offset
+        for later_number, later_step in list(enumerate(self.steps))[number + 1 :]:
+            yield later_number, later_step, later_step.step_count

@@ -19,8 +19,8 @@ def _describe_path_axes(schema: dict[str, Any]) -> None:
     """In a file, the axes of a path that is in a file of its own may be a map from the names there."""
     axes = schema["properties"]["axes"]
     text = {"description": axes.pop("description"), "title": axes.pop("title", "Axes")}
-    named = {"type": "object", "additionalProperties": {"type": "string"}}
-    schema["properties"]["axes"] = {"anyOf": [axes, named], **text}
+    names_schema = {"type": "object", "additionalProperties": {"type": "string"}}
+    schema["properties"]["axes"] = {"anyOf": [axes, names_schema], **text}
     schema["required"] = ["do", *(name for name in schema["required"] if name not in ("start", "pieces"))]
 
 

@@ -90,10 +90,10 @@ class ScanAxis(Model):
 
 def _count_steps(first: float | str, last: float | str, step: float | str) -> int:
     """How many steps lead from `first` to `last`. Raises `ValueError` unless it is a whole number above 0."""
-    if len({isinstance(each, str) for each in (first, last, step)}) > 1:
+    if len({isinstance(value, str) for value in (first, last, step)}) > 1:
         raise ValueError("give `from`, `to` and `step` either all as numbers or all with a unit")
     try:
-        begin, end, size = (_in_step_unit(each, step) for each in (first, last, step))
+        begin, end, size = (_in_step_unit(value, step) for value in (first, last, step))
     except UnitError as error:
         raise ValueError(str(error)) from None
     if size == 0 or (end - begin) / size <= 0:
@@ -224,15 +224,15 @@ class GridPoints:
     def iterate_ways(self) -> Iterator[tuple[int, list[list[tuple[int, int]]]]]:
         """The kinds of ways between neighbouring points: how often each occurs, and by axis the pairs of positions
         between which it can lead; none for an axis that stands."""
-        before = 1
+        rounds = 1
         for moving_level, axis in enumerate(self.axes.values()):
-            often = before * (self.counts[moving_level] - 1)
-            before *= self.counts[moving_level]
+            often = rounds * (self.counts[moving_level] - 1)
+            rounds *= self.counts[moving_level]
             if not often:
                 continue
             pairs: list[list[tuple[int, int]]] = [[] for _ in self.axes]
-            listed = axis.values is not None
-            pairs[moving_level] = [(k, k + 1) for k in range(self.counts[moving_level] - 1 if listed else 1)]
+            has_values = axis.values is not None
+            pairs[moving_level] = [(k, k + 1) for k in range(self.counts[moving_level] - 1 if has_values else 1)]
             for inner, other_axis in list(enumerate(self.axes.values()))[moving_level + 1 :]:
                 if not other_axis.snake and self.counts[inner] > 1:
                     pairs[inner] = [(self.counts[inner] - 1, 0)]

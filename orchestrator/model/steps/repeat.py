@@ -28,9 +28,9 @@ class Repeat(Step):
     def _bounded(self) -> "Repeat":
         if self.depth > MAX_REPEAT_DEPTH:
             raise ValueError(f"repeats are nested more than {MAX_REPEAT_DEPTH} deep; write the innermost ones out")
-        inside = sum(1 for _ in self.iterate_written())
-        if inside > MAX_REPEATED:
-            raise ValueError(f"has {inside} steps inside; the maximum is {MAX_REPEATED}")
+        count = sum(1 for _ in self.iterate_written())
+        if count > MAX_REPEATED:
+            raise ValueError(f"has {count} steps inside; the maximum is {MAX_REPEATED}")
         return self
 
     @property
@@ -60,8 +60,8 @@ class Repeat(Step):
 
     def replace_steps(self, replacements: Mapping[int, Step]) -> Step:
         steps = [step.replace_steps(replacements) for step in self.steps]
-        same = all(new is old for new, old in zip(steps, self.steps, strict=True))
-        return self if same else self.model_copy(update={"steps": steps})
+        is_same = all(new is old for new, old in zip(steps, self.steps, strict=True))
+        return self if is_same else self.model_copy(update={"steps": steps})
 
     def resolve_targets(self, resolver: TargetResolver) -> Self:
         return self.model_copy(update={"steps": [resolver.resolve_step(step) for step in self.steps]})

@@ -82,9 +82,9 @@ class Scan(MotionOptions, ScanPoints):
     def _one_source(self) -> "Scan":
         if sum(bool(axis) for axis in (self.axes, self.points, self.scanspec)) != 1:
             raise ValueError("a scan needs one of `axes`, `points` and `scanspec`")
-        for number, twice in find_moved_twice(self.axis_names, self.at_each):
+        for number, repetitions in find_moved_twice(self.axis_names, self.at_each):
             raise ValueError(
-                f"at_each[{number}] moves {', '.join(twice)}, which the scan positions; move other axes there"
+                f"at_each[{number}] moves {', '.join(repetitions)}, which the scan positions; move other axes there"
             )
         if self.point_count > MAX_POINTS:
             raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
@@ -143,7 +143,7 @@ class Scan(MotionOptions, ScanPoints):
 
     def iterate_targets(self) -> Iterator[tuple[str, Target]]:
         for name, axis in self.axes.items():
-            ends = [each for each in (axis.from_, axis.to) if each is not None]
+            ends = [end for end in (axis.from_, axis.to) if end is not None]
             yield from ((name, value) for value in axis.values or ends)
         if self.points is not None:
             for row in self.points.rows or []:
@@ -152,8 +152,8 @@ class Scan(MotionOptions, ScanPoints):
     def resolve_targets(self, resolver: TargetResolver) -> Self:
         at_each = [resolver.resolve_step(step) for step in self.at_each]
         # A position may have axes that the file does not name.
-        for number, twice in find_moved_twice(self.axis_names, at_each):
-            text = f"at_each[{number}] moves {', '.join(twice)} by a position, and the scan positions it"
+        for number, repetitions in find_moved_twice(self.axis_names, at_each):
+            text = f"at_each[{number}] moves {', '.join(repetitions)} by a position, and the scan positions it"
             raise Refusal("bad-step", text, NAME_AXES)
         return self.replace_targets(resolver.find_target).model_copy(update={"at_each": at_each})
 
@@ -161,7 +161,7 @@ class Scan(MotionOptions, ScanPoints):
         """The scan with other positions. find_target: makes one, of an axis and what is written for it."""
 
         def find_listed(name: str, targets: Sequence[Target] | None) -> list[Quantity] | None:
-            return None if targets is None else [find_target(name, each) for each in targets]
+            return None if targets is None else [find_target(name, target) for target in targets]
 
         axes: dict[str, ScanAxis] = {}
         for name, axis in self.axes.items():
@@ -171,7 +171,7 @@ class Scan(MotionOptions, ScanPoints):
         table = self.points
         if table is not None and table.rows is not None:
             names = table.axis_names
-            rows = [[find_target(*each) for each in zip(names, row, strict=True)] for row in table.rows]
+            rows = [[find_target(*pair) for pair in zip(names, row, strict=True)] for row in table.rows]
             table = table.model_copy(update={"rows": rows})
         return self.model_copy(update={"axes": axes, "points": table})
 

@@ -18,7 +18,7 @@ def describe_field(key: str, value: dict[str, object] | list[str] | str | float 
     if isinstance(value, dict):
         if list(value) == [ALL_AXES]:
             return f"{key} {value[ALL_AXES]}"
-        return f"{key} " + " ".join(f"{name}={_format_value(each)}" for name, each in value.items())
+        return f"{key} " + " ".join(f"{name}={_format_value(item)}" for name, item in value.items())
     if isinstance(value, list):
         return f"{key} " + " ".join(value)
     if isinstance(value, str) and value.endswith(" ns"):

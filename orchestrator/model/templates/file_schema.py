@@ -14,8 +14,8 @@ def make_job_file_schema() -> dict[str, Any]:
     """The schema of `tutti schema job`."""
     schema, declarations = Job.model_json_schema(), ParameterDeclarations.model_json_schema()
     schema_below = schema["$defs"]
-    for each in (schema, *schema_below.values()):
-        _accept_references(each)
+    for part in (schema, *schema_below.values()):
+        _accept_references(part)
     schema_below |= declarations["$defs"]
     schema["properties"]["parameters"] = declarations["properties"]["parameters"]
     return schema
@@ -34,18 +34,18 @@ def _widen(field: dict[str, Any]) -> dict[str, Any]:
     changed_field = dict(field)
     if "items" in field:
         changed_field["items"] = _widen(field["items"])
-    for below in ("additionalProperties", "patternProperties"):
-        inner = field.get(below)
-        if below == "patternProperties" and inner is not None:
-            changed_field[below] = {pattern: _widen(each) for pattern, each in inner.items()}
+    for key in ("additionalProperties", "patternProperties"):
+        inner = field.get(key)
+        if key == "patternProperties" and inner is not None:
+            changed_field[key] = {pattern: _widen(option) for pattern, option in inner.items()}
         elif isinstance(inner, dict):
-            changed_field[below] = _widen(cast(dict[str, Any], inner))
+            changed_field[key] = _widen(cast(dict[str, Any], inner))
     options = field.get("anyOf")
     if options is not None:
-        widened = [_widen(option) if option.get("type") not in _SCALARS else option for option in options]
+        new_options = [_widen(option) if option.get("type") not in _SCALARS else option for option in options]
         scalar = any(option.get("type") in _SCALARS or "enum" in option for option in options)
         any_text = any(_takes_any_text(option) for option in options)
-        changed_field["anyOf"] = [*widened, REFERENCE] if scalar and not any_text else widened
+        changed_field["anyOf"] = [*new_options, REFERENCE] if scalar and not any_text else new_options
         return changed_field
     if field.get("type") not in _SCALARS or _takes_any_text(field):
         return changed_field

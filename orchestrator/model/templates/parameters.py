@@ -226,8 +226,8 @@ class TextParameter(ParameterBase):
 
     def read_value(self, given: object) -> ParameterValue:
         if not isinstance(given, str):
-            quoted = isinstance(given, int | float) and not isinstance(given, bool)
-            hint = f'; write it in quotes: "{given}"' if quoted else ""
+            needs_quotes = isinstance(given, int | float) and not isinstance(given, bool)
+            hint = f'; write it in quotes: "{given}"' if needs_quotes else ""
             raise ValueError(f"found {show_value(given)}; must be text{hint}")
         if not given or len(given) > MAX_VALUE_LENGTH:
             raise ValueError(f"has {len(given)} characters; must have 1 to {MAX_VALUE_LENGTH}")

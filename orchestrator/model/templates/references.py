@@ -28,9 +28,9 @@ class Reference(NamedTuple):
 
 def find_references(text: str) -> Iterator[Reference]:
     """All references in a text, well formed or not."""
-    for found in _PART.finditer(text):
-        if found[0] != "$${":
-            yield Reference(found[1], bool(found[2]))
+    for match in _PART.finditer(text):
+        if match[0] != "$${":
+            yield Reference(match[1], bool(match[2]))
 
 
 def find_whole(text: str) -> tuple[str, bool] | None:
@@ -41,4 +41,4 @@ def find_whole(text: str) -> tuple[str, bool] | None:
 
 def replace_references(text: str, text_of: Callable[[str], str]) -> str:
     """The text with the value of each parameter, and `${` for `$${`."""
-    return _PART.sub(lambda found: MARK if found[0] == "$${" else text_of(found[1]), text)
+    return _PART.sub(lambda match: MARK if match[0] == "$${" else text_of(match[1]), text)

@@ -95,8 +95,10 @@ class Template:
         values: by name; also as keywords. Raises `FileError` with every mistake: unknown and missing names, values of
         a wrong type or unit or beyond a bound, and fields of the job that are wrong with these values.
         """
-        given = {**(values or {}), **more}
-        return self.fill_settings({name: ParameterSetting(value, "parameters") for name, value in given.items()}).job
+        all_values = {**(values or {}), **more}
+        return self.fill_settings(
+            {name: ParameterSetting(value, "parameters") for name, value in all_values.items()}
+        ).job
 
     def fill_settings(self, settings: Mapping[str, ParameterSetting]) -> FilledJob:
         """The job with these settings, by name. Raises `FileError` with every mistake."""
@@ -111,8 +113,8 @@ class Template:
     ) -> Iterator[tuple[str, dict[str, ParameterSetting]]]:
         """Further values that its bounds and choices allow: one parameter at a time, in words, with the settings."""
         for name, parameter in self.parameters.items():
-            for what, value in parameter.list_extremes():
-                words = f"{name}={parameter.read_value(value).text}" + (f" ({what})" if what else "")
+            for extreme, value in parameter.list_extremes():
+                words = f"{name}={parameter.read_value(value).text}" + (f" ({extreme})" if extreme else "")
                 yield words, {**settings, name: ParameterSetting(value, "parameters")}
 
     def list_unused(self) -> list[FileProblem]:
@@ -133,12 +135,12 @@ class Template:
         if USED in self._entries:
             text = "is written when a template is filled; remove it, or remove `parameters`"
             self._problems.append(self._file.problem((USED,), text))
-        declared = node.value if isinstance(node.children, dict) else {"": node.value}
-        if not isinstance(node.children, dict) or len(declared) > MAX_PARAMETERS:
+        declarations = node.value if isinstance(node.children, dict) else {"": node.value}
+        if not isinstance(node.children, dict) or len(declarations) > MAX_PARAMETERS:
             self._add_declaration_problems(node.value)
             return
         # One by one, so that a mistake in one does not hide the others.
-        for name, value in declared.items():
+        for name, value in declarations.items():
             problems = self._add_declaration_problems({name: value})
             self.parameters |= {} if problems is None else problems.parameters
 
@@ -173,8 +175,8 @@ class Template:
         """The defaults, or else a value that is allowed, where one is stated."""
         values: dict[str, ParameterValue] = {}
         for name, parameter in self.parameters.items():
-            allowed = [value for _, value in parameter.list_extremes()]
-            default = parameter.default if parameter.default is not None else next(iter(allowed), None)
+            extremes = [value for _, value in parameter.list_extremes()]
+            default = parameter.default if parameter.default is not None else next(iter(extremes), None)
             if default is not None:
                 values[name] = parameter.read_value(default)
         return values
@@ -186,9 +188,9 @@ class Template:
         return list(node.children) if node is not None and isinstance(node.children, dict) else []
 
     def _explain_unknown(self, name: str) -> str:
-        known = self._declared
-        known_names = list_names(known, "parameter") if known else "it declares none (`parameters:`)"
-        return f"the job file has no parameter {name[:80]}; {suggest_name(name, known)}{known_names}"
+        known_names = self._declared
+        name_list = list_names(known_names, "parameter") if known_names else "it declares none (`parameters:`)"
+        return f"the job file has no parameter {name[:80]}; {suggest_name(name, known_names)}{name_list}"
 
     # Values
 
@@ -199,9 +201,9 @@ class Template:
         if self.parameters:
             plain[USED] = {name: value.text for name, value in values.items()}
         problems = list(self._problems)
-        for place, unknown, text in filler.problems:
+        for path, unknown, text in filler.problems:
             if unknown is None or unknown not in self._declared:
-                problems.append(self._file.problem(place, text or self._explain_unknown(unknown or "")))
+                problems.append(self._file.problem(path, text or self._explain_unknown(unknown or "")))
         job, found_problems = validate_value(plain, Job)
         for problem in found_problems:
             # What stands for a value that is wrong itself says nothing.
@@ -212,10 +214,10 @@ class Template:
         # Relative names of files are of those beside the job file.
         folder = Path(self._file.name).parent
         try:
-            read = read_path_steps(locate_point_files(job, folder), folder)
+            new_job = read_path_steps(locate_point_files(job, folder), folder)
         except FileError as error:
             return list(error.problems), None
-        return [], FilledJob(self._file, read, filler.origins)
+        return [], FilledJob(self._file, new_job, filler.origins)
 
     def _list_values(self) -> Iterator[YamlNode]:
         """All scalars that are no declarations."""
@@ -256,21 +258,21 @@ class _ValueFiller:
     def _fill_text(self, node: YamlNode, place: tuple[str | int, ...]) -> Any:
         text = cast(str, node.value)
         references = list(find_references(text))
-        wrong = [each for each in references if not each.is_well_formed]
+        wrong = [reference for reference in references if not reference.is_well_formed]
         for reference in wrong:
             words = f"{reference} is no reference; write ${{name}} with a-z, 0-9 and _, or $${{ for the text ${{ itself"
             self.problems.append((place, None, words))
-        names = list(dict.fromkeys(each.name for each in references if each.is_well_formed))
+        names = list(dict.fromkeys(reference.name for reference in references if reference.is_well_formed))
         self.problems += [(place, name, "") for name in names if name not in self._parameters]
         if wrong or any(name not in self._values for name in names):
             self.failed.add(id(node))
             return text
         if names:
             self.origins[id(node)] = ", ".join(f"${{{name}}} is {self._values[name].text}" for name in names)
-        whole = find_whole(text)
-        if whole is None:
+        whole_reference = find_whole(text)
+        if whole_reference is None:
             return replace_references(text, lambda name: self._values[name].text)
-        name, negative = whole
+        name, negative = whole_reference
         try:
             value = self._values[name]
             return (self._parameters[name].negate_value(value) if negative else value).plain

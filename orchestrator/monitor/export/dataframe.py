@@ -22,10 +22,10 @@ def make_dataframe(table: DataTable, library: str | None = None) -> Any:
     """
     if library is not None and library not in LIBRARIES:
         raise NoDataFrames(f"{library!r} is no library for data frames here; choose {' or '.join(LIBRARIES)}")
-    libraries = [each for each in ([library] if library else LIBRARIES) if find_spec(each) is not None]
+    libraries = [name for name in ([library] if library else LIBRARIES) if find_spec(name) is not None]
     if not libraries:
-        what = library or " or ".join(LIBRARIES)
-        raise NoDataFrames(f"{what} is not installed; install it: pip install {library or LIBRARIES[0]}")
+        library_names = library or " or ".join(LIBRARIES)
+        raise NoDataFrames(f"{library_names} is not installed; install it: pip install {library or LIBRARIES[0]}")
     columns = {name: list(values) for name, values in table.columns.items()}
     if libraries[0] == "polars":
         import polars

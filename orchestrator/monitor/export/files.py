@@ -27,13 +27,13 @@ def write_tables(tables: Sequence[DataTable], path: Path, table_format: TableFor
         return [_write_hdf5(tables, path)]
     write = _write_parquet if table_format == "parquet" else _write_csv
     suffix = SUFFIXES[table_format]
-    files = [path, *(path.with_name(f"{path.stem}.{each.name}{suffix}") for each in tables[1:])]
+    files = [path, *(path.with_name(f"{path.stem}.{table.name}{suffix}") for table in tables[1:])]
     for table, file in zip(tables, files, strict=True):
-        _replace_whole(file, lambda place, table=table: write(table, place))
+        _replace_whole(file, lambda path, table=table: write(table, path))
     if table_format == "csv":
         about = path.with_suffix(".json")
-        text = json.dumps({each.name: _describe(each) for each in tables}, indent=2)
-        _replace_whole(about, lambda place: place.write_text(f"{text}\n", encoding="utf-8"))
+        text = json.dumps({table.name: _describe(table) for table in tables}, indent=2)
+        _replace_whole(about, lambda path: path.write_text(f"{text}\n", encoding="utf-8"))
         files.append(about)
     return files
 
@@ -85,7 +85,7 @@ def _csv_text(value: Any) -> Any:
 
 
 def _write_hdf5(tables: Sequence[DataTable], path: Path) -> Path:
-    _replace_whole(path, lambda place: _fill_hdf5(tables, place))
+    _replace_whole(path, lambda file_path: _fill_hdf5(tables, file_path))
     return path
 
 

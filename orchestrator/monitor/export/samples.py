@@ -53,7 +53,7 @@ def make_samples_table(run: RecordedRun) -> DataTable:
         for reading in readings
     ]
     rows.sort(key=lambda row: (row[0], row[2]))
-    columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_SAMPLE_COLUMNS)}
+    columns: dict[str, Column] = {name: [row[number] for row in rows] for number, name in enumerate(_SAMPLE_COLUMNS)}
     return DataTable("samples", columns, {"fleet_ns": "ns", "utc_ns": "ns"}, _describe(run))
 
 
@@ -78,7 +78,7 @@ def make_device_table(run: RecordedRun) -> DataTable:
                     )
                 )
     rows.sort(key=lambda row: (row[0], row[5]))
-    columns: dict[str, Column] = {name: [row[place] for row in rows] for place, name in enumerate(_DEVICE_COLUMNS)}
+    columns: dict[str, Column] = {name: [row[number] for row in rows] for number, name in enumerate(_DEVICE_COLUMNS)}
     return DataTable("device", columns, dict.fromkeys(_DEVICE_COLUMNS[:4], "ns"), _describe(run))
 
 
@@ -90,12 +90,12 @@ def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable
     its planned position, exactly (motor position; NaN outside of its steps). period_ns: None: the median time between
     readings of the axis that is read most often. Raises `ExportTooLarge`.
     """
-    readings = {name: each for name, each in sorted(run.readings.items()) if each}
+    readings = {name: axis_readings for name, axis_readings in sorted(run.readings.items()) if axis_readings}
     if not readings:
         return DataTable("grid", {"fleet_ns": (), "utc_ns": (), "step": ()}, {}, _describe(run))
     period_ns = period_ns or _find_period_ns(readings)
-    begin_ns = min(each[0].fleet_ns for each in readings.values())
-    end_ns = max(each[-1].fleet_ns for each in readings.values())
+    begin_ns = min(axis_readings[0].fleet_ns for axis_readings in readings.values())
+    end_ns = max(axis_readings[-1].fleet_ns for axis_readings in readings.values())
     count = (end_ns - begin_ns) // period_ns + 1
     if count * len(readings) > MAX_ROWS:
         raise ExportTooLarge(
@@ -107,16 +107,16 @@ def make_grid_table(run: RecordedRun, period_ns: int | None = None) -> DataTable
     units = {"fleet_ns": "ns", "utc_ns": "ns"}
     for name, reading in readings.items():
         unit = reading[-1].unit
-        found = {
-            f"{name}.position": _interpolate(grid, reading, [one.position for one in reading]),
-            f"{name}.commanded": _interpolate(grid, reading, [one.commanded for one in reading]),
-            f"{name}.velocity": _interpolate(grid, reading, [one.velocity for one in reading]),
+        grid_columns = {
+            f"{name}.position": _interpolate(grid, reading, [sample.position for sample in reading]),
+            f"{name}.commanded": _interpolate(grid, reading, [sample.commanded for sample in reading]),
+            f"{name}.velocity": _interpolate(grid, reading, [sample.velocity for sample in reading]),
         }
-        planned = _sample_plans(run.plans, name, grid)
-        if planned is not None:
-            found[f"{name}.planned"] = planned
-        columns |= found
-        units |= {column: f"{unit}/s" if column.endswith(".velocity") else unit for column in found}
+        plan = _sample_plans(run.plans, name, grid)
+        if plan is not None:
+            grid_columns[f"{name}.planned"] = plan
+        columns |= grid_columns
+        units |= {column: f"{unit}/s" if column.endswith(".velocity") else unit for column in grid_columns}
     return DataTable("grid", columns, units, _describe(run))
 
 
@@ -135,11 +135,11 @@ def _find_period_ns(readings: Mapping[str, Sequence[RecordedReading]]) -> int:
 def _interpolate(grid: Array, readings: Sequence[RecordedReading], values: Sequence[float]) -> Array:
     at_ns = np.array([reading.fleet_ns for reading in readings], dtype=np.int64)
     # Relative to the first instant: doubles have no room for ns of weeks.
-    known = np.array(values, dtype=np.float64)
-    on_grid: Array = np.interp(grid - at_ns[0], at_ns - at_ns[0], known, left=np.nan, right=np.nan)
-    after = np.clip(np.searchsorted(at_ns, grid), 1, max(1, len(at_ns) - 1))
+    known_values = np.array(values, dtype=np.float64)
+    on_grid: Array = np.interp(grid - at_ns[0], at_ns - at_ns[0], known_values, left=np.nan, right=np.nan)
+    rows = np.clip(np.searchsorted(at_ns, grid), 1, max(1, len(at_ns) - 1))
     if len(at_ns) > 1:
-        on_grid[(at_ns[after] - at_ns[after - 1] > MAX_GAP_NS) & (grid != at_ns[after])] = np.nan
+        on_grid[(at_ns[rows] - at_ns[rows - 1] > MAX_GAP_NS) & (grid != at_ns[rows])] = np.nan
     return on_grid
 
 
@@ -153,11 +153,11 @@ def _mark_steps(plans: Sequence[StepRecording], grid: Array) -> Array:
 
 def _sample_plans(plans: Sequence[StepRecording], name: str, grid: Array) -> Array | None:
     """The planned motor position of an axis on the grid; None: it has no plan."""
-    mine = [recording for recording in plans if name in recording.axes]
-    if not mine:
+    axis_plans = [recording for recording in plans if name in recording.axes]
+    if not axis_plans:
         return None
-    planned: Array = np.full(len(grid), np.nan)
-    for plan in mine:
+    positions: Array = np.full(len(grid), np.nan)
+    for plan in axis_plans:
         axis = plan.axes[name]
         first, last = np.searchsorted(
             grid, [plan.t0_fleet_ns, plan.t0_fleet_ns + round(axis.profile.duration_s * NS_PER_S) + 1]
@@ -165,8 +165,8 @@ def _sample_plans(plans: Sequence[StepRecording], name: str, grid: Array) -> Arr
         at = axis.profile.make_evaluator()
         for row in range(first, last):
             counts = axis.profile.start_counts + at((grid[row] - plan.t0_fleet_ns) / NS_PER_S).position
-            planned[row] = counts / axis.counts_per_unit
-    return planned
+            positions[row] = counts / axis.counts_per_unit
+    return positions
 
 
 def _describe(run: RecordedRun) -> dict[str, str]:

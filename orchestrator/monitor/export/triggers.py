@@ -25,7 +25,7 @@ def make_triggers_table(run: RecordedRun) -> DataTable:
     axes: dict[str, None] = {}
     for message in run.triggers:
         for row in message.rows:
-            found: dict[str, Any] = {
+            columns: dict[str, Any] = {
                 "step": message.step,
                 "output": message.output,
                 "number": row.number,
@@ -34,9 +34,9 @@ def make_triggers_table(run: RecordedRun) -> DataTable:
                 "promised_t_hi_ns": row.latest_ns,
             }
             if row.seen is not None:
-                found |= {"seen_t_lo_ns": row.seen.earliest_ns, "seen_t_hi_ns": row.seen.latest_ns}
-            for axis, place in row.positions.items():
+                columns |= {"seen_t_lo_ns": row.seen.earliest_ns, "seen_t_hi_ns": row.seen.latest_ns}
+            for axis, interval in row.positions.items():
                 axes |= {f"{axis}.lo": None, f"{axis}.hi": None}
-                found |= {f"{axis}.lo": place.least, f"{axis}.hi": place.most}
-            rows.append(found)
+                columns |= {f"{axis}.lo": interval.least, f"{axis}.hi": interval.most}
+            rows.append(columns)
     return make_table("triggers", rows, (*COLUMNS, *axes), UNITS)

@@ -87,16 +87,16 @@ class LogTail:
             return False
 
     def _split(self, data: bytes) -> Iterator[LogLine]:
-        *whole, self._begun = (self._begun + data).split(b"\n")
-        for line in whole:
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        for line in lines:
             if line.strip(b"\0 \r"):
                 yield self._parse(self.name, line.decode("utf-8", "replace"))
 
     def _note(self, lines: Iterator[LogLine]) -> list[LogLine]:
-        found_lines = list(lines)
-        both_lines = (line for line in reversed(found_lines) if line.utc_ns is not None and line.fleet_ns is not None)
-        self.anchor = next(both_lines, self.anchor)
-        return found_lines
+        all_lines = list(lines)
+        timed_lines = (line for line in reversed(all_lines) if line.utc_ns is not None and line.fleet_ns is not None)
+        self.anchor = next(timed_lines, self.anchor)
+        return all_lines
 
 
 class LogFolder:
@@ -129,8 +129,10 @@ class LogFolder:
 
     def _read(self, before: dict[str, list[LogLine]], anchors: dict[str, LogLine | None]) -> list[PlacedLine]:
         known_anchors = {name: [anchor] for name, anchor in anchors.items() if anchor is not None}
-        read = {tail.name: before.get(tail.name, []) + tail.read_added() for tail in self._tails.values()}
-        written = {tail.name: tail.written_ns for tail in self._tails.values()}
-        placed_lines = place_lines({name: known_anchors.get(name, []) + lines for name, lines in read.items()}, written)
-        old = {id(line) for each in known_anchors.values() for line in each}
-        return [each for each in placed_lines if id(each.line) not in old]
+        new_lines = {tail.name: before.get(tail.name, []) + tail.read_added() for tail in self._tails.values()}
+        write_times = {tail.name: tail.written_ns for tail in self._tails.values()}
+        placed_lines = place_lines(
+            {name: known_anchors.get(name, []) + lines for name, lines in new_lines.items()}, write_times
+        )
+        old = {id(line) for anchors in known_anchors.values() for line in anchors}
+        return [line for line in placed_lines if id(line.line) not in old]

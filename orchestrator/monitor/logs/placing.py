@@ -51,13 +51,13 @@ def place_lines(files: Mapping[str, Sequence[LogLine]], fallback_ns: Mapping[str
     it was written last, UTC.
     """
     parts = {name: _split_scales(lines) for name, lines in files.items()}
-    _join_scales([part for each in parts.values() for part in each])
+    _join_scales([part for scale_parts in parts.values() for part in scale_parts])
     placed_lines = [
         PlacedLine(at_ns, line)
         for name, lines in files.items()
         for at_ns, line in zip(_place_file(lines, parts[name], fallback_ns.get(name, 0)), lines, strict=True)
     ]
-    placed_lines.sort(key=lambda each: each.at_ns)
+    placed_lines.sort(key=lambda line: line.at_ns)
     return placed_lines
 
 
@@ -138,8 +138,8 @@ def _place_between(utc_ns: int | None, before: _Anchor | None, after: _Anchor | 
     """The instant of a line without fleet time, not outside its neighbours; None without any time."""
     if utc_ns is None:
         return None
-    wanted = [utc_ns + anchor.shift_ns for anchor in (before, after) if anchor is not None] or [utc_ns]
-    low_ns = before.at_ns if before is not None else min(wanted)
-    high_ns = after.at_ns if after is not None else max(wanted)
-    fitting = [at_ns for at_ns in wanted if low_ns <= at_ns <= high_ns]
-    return fitting[0] if fitting else max(low_ns, min(wanted[0], high_ns))
+    wishes_ns = [utc_ns + anchor.shift_ns for anchor in (before, after) if anchor is not None] or [utc_ns]
+    low_ns = before.at_ns if before is not None else min(wishes_ns)
+    high_ns = after.at_ns if after is not None else max(wishes_ns)
+    fitting = [at_ns for at_ns in wishes_ns if low_ns <= at_ns <= high_ns]
+    return fitting[0] if fitting else max(low_ns, min(wishes_ns[0], high_ns))

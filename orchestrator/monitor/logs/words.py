@@ -30,13 +30,13 @@ class LineLayout:
         line = placed.line
         cells = zip(_make_cells(line), self._widths, strict=True)
         head = "".join(f"{cell.ljust(width)}  " for cell, width in cells if width)
-        shown = Text(f"{format_time(format_utc_ns(placed.at_ns), precise=True)}  {head}")
+        words = Text(f"{format_time(format_utc_ns(placed.at_ns), precise=True)}  {head}")
         if not line.fields:
-            return shown.append(escape_control(line.raw), style="dim")
+            return words.append(escape_control(line.raw), style="dim")
         style = "yellow" if line.level == "warning" else ""
-        shown.append(escape_control(str(line.fields.get("text", ""))), style=style)
-        further = "  ".join(f"{name}={_shorten(value)}" for name, value in _list_further(line))
-        return shown.append(f"  {further}", style="dim") if further else shown
+        words.append(escape_control(str(line.fields.get("text", ""))), style=style)
+        field_text = "  ".join(f"{name}={_shorten(value)}" for name, value in _list_further(line))
+        return words.append(f"  {field_text}", style="dim") if field_text else words
 
 
 def _make_cells(line: LogLine) -> tuple[str, str, str]:
@@ -58,7 +58,10 @@ def escape_control(text: str) -> str:
     """Text without what a terminal would execute: a controller's answer may contain anything."""
     if text.isprintable():
         return text
-    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text)
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+        for character in text
+    )
 
 
 def _list_further(line: LogLine) -> list[tuple[str, Any]]:

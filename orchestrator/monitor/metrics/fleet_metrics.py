@@ -100,9 +100,11 @@ class FleetMetrics(Collector):
         yield _collect_links(links)
         yield _collect_alarms(alarms)
         yield from _collect_fleet(now_ns, queue, leader)
-        written, dropped, invalid = self._counts()
-        yield CounterMetricFamily("tutti_recorder_messages", "Messages that were recorded.", value=written)
-        yield CounterMetricFamily("tutti_recorder_dropped_messages", "Messages that were left out.", value=dropped)
+        written_count, dropped_count, invalid = self._counts()
+        yield CounterMetricFamily("tutti_recorder_messages", "Messages that were recorded.", value=written_count)
+        yield CounterMetricFamily(
+            "tutti_recorder_dropped_messages", "Messages that were left out.", value=dropped_count
+        )
         yield CounterMetricFamily("tutti_recorder_invalid_messages", "Messages that were not valid.", value=invalid)
 
     def _count_job(self, report: JobReport) -> None:

@@ -20,13 +20,13 @@ def serve_metrics(registry: CollectorRegistry, port: int | None) -> str:
     port: None: the first free one from 9464 on. Raises `NoPort`.
     """
     ports = [port] if port is not None else list(range(FIRST_PORT, FIRST_PORT + PORTS))
-    for each in ports:
+    for candidate in ports:
         try:
-            start_http_server(each, ADDRESS, registry)
+            start_http_server(candidate, ADDRESS, registry)
         except OSError as error:
             if error.errno not in (errno.EADDRINUSE, errno.EACCES):
                 raise
             continue
-        return f"http://{ADDRESS}:{each}/metrics"
-    tried = f"port {port}" if port is not None else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1}"
-    raise NoPort(f"metrics are not served: {tried} of {ADDRESS} are in use; choose another with --metrics-port")
+        return f"http://{ADDRESS}:{candidate}/metrics"
+    port_text = f"port {port}" if port is not None else f"ports {FIRST_PORT} to {FIRST_PORT + PORTS - 1}"
+    raise NoPort(f"metrics are not served: {port_text} of {ADDRESS} are in use; choose another with --metrics-port")

@@ -57,7 +57,7 @@ class RecordingFolder:
         self.is_full = False
         """The recordings of running jobs alone use up the quota."""
         self.on_alarm: Alarm = lambda kind, text, active: None
-        self.on_lost: Callable[[Counter[str]], None] = lambda lost: None
+        self.on_lost: Callable[[Counter[str]], None] = lambda counts: None
         """Receives the number of messages by key that a recording which is given up has taken with it, at most."""
         self._path, self._fleet, self._clock, self._limits = path, fleet, clock, limits
         self._open_file = open_file
@@ -122,11 +122,11 @@ class RecordingFolder:
 
     def must_rotate(self) -> bool:
         """Whether the recording of the fleet is to go on in another file."""
-        rest_recording = self.open.get(FLEET)
-        if rest_recording is None:
+        fleet_recording = self.open.get(FLEET)
+        if fleet_recording is None:
             return False
-        limits, age_ns = self._limits, self._clock.now_ns() - rest_recording.begun_ns
-        return rest_recording.file.size >= limits.rotate_bytes or age_ns >= limits.rotate_ns
+        limits, age_ns = self._limits, self._clock.now_ns() - fleet_recording.begun_ns
+        return fleet_recording.file.size >= limits.rotate_bytes or age_ns >= limits.rotate_ns
 
     def keep_quota(self) -> None:
         """Delete the oldest recordings beyond the quota."""
@@ -163,16 +163,16 @@ def delete_oldest(folder: Path, quota: int, open_files: Collection[Path]) -> int
     `open_files` stay, and so does the newest of the others: a run that alone is larger than the quota can still be
     looked at. A file that is being read stays readable for its reader. Raises `OSError`.
     """
-    found: list[tuple[float, str, int, Path]] = []
+    files: list[tuple[float, str, int, Path]] = []
     for path in folder.glob(f"*{SUFFIX}*"):
         try:
             status = path.stat()
         except FileNotFoundError:
             continue
-        found.append((status.st_mtime, path.name, status.st_size, path))
-    used = sum(size for _, _, size, _ in found)
-    ended = sorted(each for each in found if each[3] not in open_files)
-    for _, _, size, path in ended[:-1]:
+        files.append((status.st_mtime, path.name, status.st_size, path))
+    used = sum(size for _, _, size, _ in files)
+    ended_files = sorted(file for file in files if file[3] not in open_files)
+    for _, _, size, path in ended_files[:-1]:
         if used <= quota:
             break
         path.unlink(missing_ok=True)
@@ -181,12 +181,12 @@ def delete_oldest(folder: Path, quota: int, open_files: Collection[Path]) -> int
 
 
 def _explain_remedy(error: OSError) -> str:
-    meanwhile = "the fleet runs on, and nothing is recorded meanwhile"
+    text = "the fleet runs on, and nothing is recorded meanwhile"
     if isinstance(error, UnsafePath):
         return "choose another folder"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"free space there; {meanwhile}"
-    return f"make it writable, or choose another folder; {meanwhile}"
+        return f"free space there; {text}"
+    return f"make it writable, or choose another folder; {text}"
 
 
 def _shorten_name(text: str) -> str:

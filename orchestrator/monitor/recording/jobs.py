@@ -123,7 +123,7 @@ class JobTracker:
         job = self.running.get(job_id)
         if job is None:
             job = self.running[job_id] = TrackedJob(job_id, name)
-            job.controllers |= {each for each, holder in self._holders.items() if holder == job_id}
+            job.controllers |= {controller for controller, holder in self._holders.items() if holder == job_id}
             for states in self._states.values():
                 state = ControllerState.read_message(states[-1][1])
                 if job_id in state.leases.values():

@@ -121,7 +121,7 @@ def summarize_recording(path: Path) -> RecordingSummary:
 def list_recordings(folder: Path) -> list[RecordingSummary]:
     """The recordings of a folder, oldest first; what is none is left out. Raises `OSError`."""
     recordings: list[RecordingSummary] = []
-    for path in sorted(folder.glob(f"*{SUFFIX}"), key=lambda each: each.name.partition("-")[2]):
+    for path in sorted(folder.glob(f"*{SUFFIX}"), key=lambda file: file.name.partition("-")[2]):
         try:
             recordings.append(summarize_recording(path))
         except (RecordingUnreadable, FileNotFoundError):

@@ -73,10 +73,10 @@ class FleetRecorder:
 
     async def _write_queued(self) -> None:
         with self._lock:
-            batch, dropped = self._queued, self._dropped
+            batch, dropped_count = self._queued, self._dropped
             self._queued, self._dropped = [], Counter()
-        if dropped:
-            await self._execute(self._writer.count_drops, TOO_SLOW, dropped)
+        if dropped_count:
+            await self._execute(self._writer.count_drops, TOO_SLOW, dropped_count)
         if batch:
             await self._execute(self._writer.write_messages, batch)
         # Only now: what a slow disk has not taken yet counts as well.

@@ -13,11 +13,11 @@ from orchestrator.monitor.recording.repair import RepairFailed, repair_recording
 def list_unfinished(path: Path) -> list[Path]:
     """The recordings of a folder without an index, oldest first."""
     paths: list[Path] = []
-    for each in sorted(path.glob(f"*{SUFFIX}")):
+    for file_path in sorted(path.glob(f"*{SUFFIX}")):
         try:
-            with each.open("rb") as file:
-                if not is_complete(file, each.stat().st_size):
-                    paths.append(each)
+            with file_path.open("rb") as file:
+                if not is_complete(file, file_path.stat().st_size):
+                    paths.append(file_path)
         except OSError:
             continue
     return paths

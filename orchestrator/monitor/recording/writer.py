@@ -127,8 +127,8 @@ class RecordingWriter:
         """Whether a heartbeat differs from the last one in more than its number and time."""
         last, self._last_leader = self._last_leader, heartbeat
         self._scale.take_heartbeat(heartbeat)
-        same = {"seq", "utc"}
-        return last is None or last.model_dump(exclude=same) != heartbeat.model_dump(exclude=same)
+        exclusions = {"seq", "utc"}
+        return last is None or last.model_dump(exclude=exclusions) != heartbeat.model_dump(exclude=exclusions)
 
     def _write_or_count(self, jobs: Sequence[str], entry: _Entry) -> None:
         """Write a message to the recordings of jobs, or to that of the fleet; count it if it is left out."""
@@ -143,18 +143,18 @@ class RecordingWriter:
         received_message = entry.received
         host_ns = None if entry.fleet_ns is None else self._scale.host_ns(entry.fleet_ns)
         own_ns = received_message.received_ns if host_ns is None else host_ns
-        written = False
+        has_mapping = False
         for name in recordings:
             recording = self._find_recording(name)
             if recording is None:
                 continue
-            scale, written = recording.scale, True
+            scale, has_mapping = recording.scale, True
             times = max(0, scale.utc_ns(received_message.received_ns)), max(0, scale.utc_ns(own_ns))
 
             # What an error loses is counted with the rest of the file.
             self._folder.write_message(name, entry.channel, received_message.payload, times, valid=entry.valid)
-        self.written += written
-        return "" if written else REFUSED
+        self.written += has_mapping
+        return "" if has_mapping else REFUSED
 
     # Recordings
 
@@ -228,8 +228,8 @@ class RecordingWriter:
 
     def _note_wall_clock(self) -> None:
         """After the wall clock was set the fleet goes on in another file; recordings of jobs keep their scale."""
-        rest_recording = self._folder.open.get(FLEET)
-        step_ns = 0 if rest_recording is None else rest_recording.scale.find_step_ns()
+        fleet_recording = self._folder.open.get(FLEET)
+        step_ns = 0 if fleet_recording is None else fleet_recording.scale.find_step_ns()
         if step_ns:
             note = WallClockStepped(by_ns=step_ns)
             self._write_to(list(self._folder.open), self._make_entry("clock-stepped", note, self._clock.now_ns()))

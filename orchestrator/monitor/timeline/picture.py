@@ -73,20 +73,20 @@ def _list_rows(step: StepTimeline) -> list[Row]:
 
 
 def _draw_main(axes: Axes, rows: Sequence[Row]) -> None:
-    named = set[str]()
+    names = set[str]()
     for row, (_, stages, went) in enumerate(rows):
         for stage in stages:
-            _draw_bar(axes, row, (stage.begin_ns, stage.end_ns), stage.name, named)
+            _draw_bar(axes, row, (stage.begin_ns, stage.end_ns), stage.name, names)
         if went is None:
             continue
         start = went.modelled or went.start
         if went.end is not None:
-            _draw_bar(axes, row, (start.earliest_ns, went.end.latest_ns), "run", named)
-            _draw_interval(axes, row, went.end, 1 / NS_PER_MS, named)
-            settled = settled_ns(went)
-            if settled is not None:
-                _draw_bar(axes, row, (went.end.latest_ns, settled), "settle", named)
-        _draw_interval(axes, row, start, 1 / NS_PER_MS, named)
+            _draw_bar(axes, row, (start.earliest_ns, went.end.latest_ns), "run", names)
+            _draw_interval(axes, row, went.end, 1 / NS_PER_MS, names)
+            end_ns = settled_ns(went)
+            if end_ns is not None:
+                _draw_bar(axes, row, (went.end.latest_ns, end_ns), "settle", names)
+        _draw_interval(axes, row, start, 1 / NS_PER_MS, names)
     axes.axvline(0, color=COLOUR_T0, linewidth=1, label=T0)
     axes.use_sticky_edges = False
     axes.set_yticks(range(len(rows)), [name for name, _, _ in rows])

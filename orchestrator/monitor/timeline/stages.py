@@ -77,7 +77,9 @@ def make_timeline(report: JobReport) -> JobTimeline:
     """The timeline of all motion steps that were armed."""
     armed_steps = [step for step in report.steps if step.members and step.t0_fleet_ns is not None]
     since_ns = [0, *(step.t0_fleet_ns or 0 for step in armed_steps)]
-    steps = [_make_step(step, report.transitions, since) for step, since in zip(armed_steps, since_ns, strict=False)]
+    steps = [
+        _make_step(step, report.transitions, since_ns) for step, since_ns in zip(armed_steps, since_ns, strict=False)
+    ]
     return JobTimeline(job_id=report.job_id, name=report.name, steps=steps)
 
 
@@ -108,14 +110,14 @@ def _own_transitions(step: StepReport, transitions: Sequence[JobTransition], sin
     """When the job took the states of this start, fleet time; none for a step that was released while it was running.
 
     Of several starts of one step, after feed holds, these are the last."""
-    t0_ns, found = step.t0_fleet_ns or 0, dict[JobState, int]()
+    t0_ns, instants = step.t0_fleet_ns or 0, dict[JobState, int]()
     for transition in transitions:
         if transition.fleet_ns is None or not since_ns <= transition.fleet_ns <= t0_ns:
             continue
         if transition.state == "planning":
-            found = {}
-        found.setdefault(transition.state, transition.fleet_ns)
-    return found if "planning" in found else {}
+            instants = {}
+        instants.setdefault(transition.state, transition.fleet_ns)
+    return instants if "planning" in instants else {}
 
 
 def _make_coordinator(step: StepReport, went: dict[JobState, int], remarks: list[str]) -> list[TimelineStage]:

@@ -22,10 +22,10 @@ def forecast_home(state: ForecastState, at: ForecastContext, step: Home) -> Span
     except Refusal as error:
         state.add_problem(at, (), Refusal(error.code, error.text, error.remedy))
         return Span()
-    for axis, others_wait in waits.items():
-        for other_wait in sorted(others_wait - waits.keys()):
-            text = f"{axis} must be homed after {other_wait} (homing.after), which is not referenced"
-            state.require_referenced(at, other_wait, (), text)
+    for axis, predecessors in waits.items():
+        for predecessor in sorted(predecessors - waits.keys()):
+            text = f"{axis} must be homed after {predecessor} (homing.after), which is not referenced"
+            state.require_referenced(at, predecessor, (), text)
     for axis in waits:
         state.require_enabled(at, axis, ())
         state_before = state.find_state(at, axis)

@@ -18,9 +18,9 @@ def forecast_output(state: ForecastState, at: ForecastContext, step: SetOutput) 
         state.add_problem(at, ("output",), Refusal("output-in-use", text, remedy))
     elif exists and state.outputs.get(step.output) == step.value:
         state.notes[f"{step.output} is {'active' if step.value else 'inactive'} already"] = None
-    wired = [end for wire in state.fleet.wiring if wire.from_ == step.output for end in wire.to]
-    if step.value and wired:
-        state.notes[f"no controller waits for {', '.join(wired)}, which the output is wired to"] = None
+    wired_inputs = [end for wire in state.fleet.wiring if wire.from_ == step.output for end in wire.to]
+    if step.value and wired_inputs:
+        state.notes[f"no controller waits for {', '.join(wired_inputs)}, which the output is wired to"] = None
     state.outputs[step.output] = step.value if step.pulse is None else not step.value
     pulse_s = (step.pulse or 0) / 1e9
     return Span(pulse_s, pulse_s)

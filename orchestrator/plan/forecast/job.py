@@ -26,8 +26,8 @@ class JobForecaster(ForecastState):
         while True:
             try:
                 next(work)
-            except StopIteration as done:
-                return done.value
+            except StopIteration as stop:
+                return stop.value
 
     def take_in_parts(self, index: int, step: Step) -> Generator[None, None, StepForecast]:
         """`take`, with a break before each step inside a repeat or a scan, for the other work of a process."""

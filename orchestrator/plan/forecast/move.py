@@ -15,20 +15,22 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
     check_record(state, at, step)
     unknown = state.note_unknown_positions(step)
     if unknown:
-        named = [axis for axis in unknown if axis != ALL_AXES and state.find_axis(at, axis, ("to", axis)) is not None]
-        state.lose_positions(at, list(state.axes) if ALL_AXES in unknown else named)
+        named_axes = [
+            axis for axis in unknown if axis != ALL_AXES and state.find_axis(at, axis, ("to", axis)) is not None
+        ]
+        state.lose_positions(at, list(state.axes) if ALL_AXES in unknown else named_axes)
         known_move = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
         return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
     ways = MoveWays()
     for name, value in (step.to | step.by).items():
-        place = ("by" if name in step.by else "to", name)
-        axis = state.find_axis(at, name, place)
+        key = ("by" if name in step.by else "to", name)
+        axis = state.find_axis(at, name, key)
         if axis is None:
             continue
-        field = TargetField(*place, axis)
+        field = TargetField(*key, axis)
         amount = state.parse_amount(at, value, field)
         if amount is not None:
-            state.require_ready(at, name, place)
+            state.require_ready(at, name, key)
             take_target(state, at, ways, field, amount)
     span = plan_ways(state, at, step, ways)
     if ways.plan is not None and len(ways.exact) == len(step.to) + len(step.by):

@@ -50,8 +50,8 @@ def _find_starts(
         state_before = state.find_state(at, name)
         motor_here = state_before.motor
         if not state_before.known or state_before.offset_kind != "motor":
-            where = value if step.frame is None else f"{float(point):.6g} {axis.unit}"
-            state.notes[f"{name} stands at {where} when the path begins"] = None
+            position_text = value if step.frame is None else f"{float(point):.6g} {axis.unit}"
+            state.notes[f"{name} stands at {position_text} when the path begins"] = None
             motor_here = point - state_before.offset
         order = state.orders.get(controller_of(name), 3)
         starts.append(PathStart(name, axis, motor_here, axis.to_counts(motor_here), state_before.offset, order))

@@ -51,42 +51,42 @@ def forecast_in_parts(state: ForecastState, at: ForecastContext, step: Step) -> 
 
 def _run_passes(state: ForecastState, at: ForecastContext, inner: InnerSteps) -> Forecasting:
     """Run steps forward as often as they run: the first passes, the others by what these differ in, and the last."""
-    times, passes, whole = inner.times, list[_Pass](), Span()
+    times, passes, total = inner.times, list[_Pass](), Span()
 
     def describe_pass(number: int) -> str:
         return f", {inner.word} {number} of {times}{at.when}"
 
     for number in range(1, min(times, RUN_PASSES) + 1):
-        when = describe_pass(number) if number > 1 else at.when
-        passes.append((yield from _run_pass(state, at, inner, when)))
-        whole = whole.followed_by(passes[-1].span)
+        pass_text = describe_pass(number) if number > 1 else at.when
+        passes.append((yield from _run_pass(state, at, inner, pass_text)))
+        total = total.followed_by(passes[-1].span)
         if passes[-1].problems:
-            return whole  # it would be there in every pass
+            return total  # it would be there in every pass
     if times <= RUN_PASSES:
-        return whole
+        return total
     third, problems = passes[-1].span, len(state.problems)
     _skip_passes(state, at, passes, times - 1, describe_pass)
     if len(state.problems) > problems:
-        return whole
+        return total
     targets = find_later_targets(passes[1].checks, passes[2].checks)
     if not any(target.drift or target.offset_drift for target in targets):
-        return whole.followed_by(third, times - RUN_PASSES)
+        return total.followed_by(third, times - RUN_PASSES)
     last = (yield from _run_pass(state, at, inner, describe_pass(times))).span
     span_between = third
     if last != third:
         # A way that changes from pass to pass is longest at one end; it may be nothing in between.
         most = None if third.most is None or last.most is None else max(third.most, last.most)
         span_between = Span(0.0, most)
-    return whole.followed_by(span_between, times - RUN_PASSES - 1).followed_by(last)
+    return total.followed_by(span_between, times - RUN_PASSES - 1).followed_by(last)
 
 
 def _run_pass(state: ForecastState, at: ForecastContext, inner: InnerSteps, when: str) -> Generator[None, None, _Pass]:
     """Run steps forward once."""
-    context_within, problems, span = at.in_pass(when), len(state.problems), Span()
+    context, problems, span = at.in_pass(when), len(state.problems), Span()
     for number, step in enumerate(inner.steps):
-        span = span.followed_by((yield from forecast_in_parts(state, context_within.at_inner(inner.key, number), step)))
-    at.checks.extend(context_within.checks)
-    return _Pass(context_within.checks, dict(state.axes), span, len(state.problems) - problems)
+        span = span.followed_by((yield from forecast_in_parts(state, context.at_inner(inner.key, number), step)))
+    at.checks.extend(context.checks)
+    return _Pass(context.checks, dict(state.axes), span, len(state.problems) - problems)
 
 
 def _skip_passes(
@@ -98,21 +98,21 @@ def _skip_passes(
         axis, reached_forecast = state.fleet.axis(name), forecasts_after[name]
         problems = len(state.problems)
         for number, check in _find_leaving_targets(axis, targets, times).values():
-            context_there, field = _find_field(at, axis, check, describe_pass(number))
-            check_target(state, context_there, field, check.target, check.offset)
+            context, field = _find_field(at, axis, check, describe_pass(number))
+            check_target(state, context, field, check.target, check.offset)
         # A position that was lost in each pass is no common beginning.
-        lost = reached_forecast.since > at.index
-        targets_apart = [target for target in targets if not target.check.known and not lost]
+        is_lost = reached_forecast.since > at.index
+        targets_apart = [target for target in targets if not target.check.known and not is_lost]
         number = (
             find_first_pass(times, partial(_leaves_room, axis, reached_forecast, targets_apart))
             if targets_apart
             else None
         )
         if number is not None:
-            context_there, field = _find_field(at, axis, targets_apart[-1].check, describe_pass(number))
+            context, field = _find_field(at, axis, targets_apart[-1].check, describe_pass(number))
             lowest, highest = find_range(reached_forecast, targets_apart, number)
             farther_forecast = reached_forecast.model_copy(update={"lowest": lowest, "highest": highest})
-            check_room(state, context_there, field, farther_forecast)
+            check_room(state, context, field, farther_forecast)
         state.axes[name] = find_last_state(forecasts_before[name], reached_forecast, targets_apart, times)
         if len(state.problems) > problems:
             state.axes[name] = reached_forecast.model_copy(update=unknown_position(at))

@@ -67,14 +67,14 @@ def _take_corners(
     corners: Sequence[tuple[Fraction, str]],
 ) -> None:
     """Move one axis of a scan to its extremes. first: gets the way to the first point. corners: with their words."""
-    ways, visited = first, set[Fraction]()
-    for number, (position, when) in enumerate(corners):
+    ways, visited_positions = first, set[Fraction]()
+    for number, (position, corner_text) in enumerate(corners):
         last = number == len(corners) - 1
-        if position in visited and not last:
+        if position in visited_positions and not last:
             continue
-        problems = () if position not in visited else tuple(state.problems)
-        visited.add(position)
-        take_target(state, at.at_time(when + at.when), ways, field, position)
+        problems = () if position not in visited_positions else tuple(state.problems)
+        visited_positions.add(position)
+        take_target(state, at.at_time(corner_text + at.when), ways, field, position)
         if problems:
             state.problems = list(problems)  # the corner was reported before
         ways = MoveWays()
@@ -86,6 +86,6 @@ def _plan_kind(state: ForecastState, at: ForecastContext, step: Scan, axes: Mapp
     for name, axis in axes.items():
         for ends, moves in ((kind.nearest, ways.nearest), (kind.farthest, ways.farthest)):
             if name in ends:
-                start, target = (axis.to_counts(each) for each in ends[name])
+                start, target = (axis.to_counts(end) for end in ends[name])
                 moves.append(make_axis_move(name, axis, start, target, state.order_of(name, axis)))
     return plan_ways(state, at, step, ways)

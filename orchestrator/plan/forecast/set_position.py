@@ -11,11 +11,11 @@ from orchestrator.plan.forecast.state import ForecastState
 def forecast_set_position(state: ForecastState, at: ForecastContext, step: SetPosition) -> Span:
     """Set user positions on paper."""
     for name, value in step.axes.items():
-        place = ("axes", name)
-        axis = state.find_axis(at, name, place)
+        field = ("axes", name)
+        axis = state.find_axis(at, name, field)
         if axis is None:
             continue
-        amount = Fraction(0) if value is None else state.parse_amount(at, value, TargetField(*place, axis))
+        amount = Fraction(0) if value is None else state.parse_amount(at, value, TargetField(*field, axis))
         if amount is None:
             continue
         state_before = state.find_state(at, name)

@@ -47,8 +47,8 @@ class ForecastState:
         known_axis = self.axes.get(name)
         if known_axis is None:
             # Axes that the job enables by itself need no step for it.
-            enabled = None if self.fleet.axis(name).enable == "manual" else True
-            known_axis = self.axes[name] = AxisForecast(enabled=enabled, since=at.index)
+            is_enabled = None if self.fleet.axis(name).enable == "manual" else True
+            known_axis = self.axes[name] = AxisForecast(enabled=is_enabled, since=at.index)
         return known_axis
 
     def require_ready(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> None:
@@ -58,26 +58,26 @@ class ForecastState:
 
     def require_enabled(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> None:
         """The axis must be enabled; unless its controller alone knows, it is a problem or it is not."""
-        enabled = self.find_state(at, name).enabled
-        if enabled is None:
+        is_enabled = self.find_state(at, name).enabled
+        if is_enabled is None:
             self.conditions[f"{name} is enabled before the job"] = None
-        elif not enabled:
+        elif not is_enabled:
             remedy = "add a step `do: enable` before it"
             self.add_problem(
                 at, place, Refusal("not-enabled", f"axis {name} is not enabled", remedy, controller_of(name))
             )
-        if not enabled:
+        if not is_enabled:
             self.axes[name] = self.axes[name].model_copy(update={"enabled": True})
 
     def require_referenced(self, at: ForecastContext, name: str, place: tuple[str | int, ...], text: str) -> None:
         """The axis must be referenced, as `require_enabled`. text: of the problem."""
-        referenced = self.find_state(at, name).referenced
-        if referenced is None:
+        is_referenced = self.find_state(at, name).referenced
+        if is_referenced is None:
             self.conditions[f"{name} is referenced before the job"] = None
-        elif not referenced:
+        elif not is_referenced:
             remedy = "add a step `do: home` before it"
             self.add_problem(at, place, Refusal("not-referenced", text, remedy, controller_of(name)))
-        if not referenced:
+        if not is_referenced:
             self.axes[name] = self.axes[name].model_copy(update={"referenced": True})
 
     def find_axis(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> Axis | None:
@@ -89,14 +89,14 @@ class ForecastState:
 
     def expand_names(self, at: ForecastContext, names: Iterable[str], place: tuple[str | int, ...]) -> list[str]:
         """The axes of all names that exist; the others are problems."""
-        found: list[str] = []
+        axes: list[str] = []
         for number, name in enumerate(names):
             text = self.fleet.names.explain_unknown(name, "axes")
             if text is None:
-                found += self.fleet.expand_name(name)
+                axes += self.fleet.expand_name(name)
             else:
                 self.add_problem(at, (*place, number), _unknown_name(text))
-        return list(dict.fromkeys(found))
+        return list(dict.fromkeys(axes))
 
     def parse_amount(self, at: ForecastContext, value: int | float | str, field: TargetField) -> Fraction | None:
         """A target in the unit of its axis; None, and a problem, if it is in another one."""
@@ -150,8 +150,8 @@ class ForecastState:
             if is_position_name(target):
                 axes[axis] = None
                 hint = suggest_name(str(target), self.fleet.names.positions).strip()
-                known = f"position {target} is saved in the running fleet"
-                self.conditions[f"{known} ({hint})" if hint else known] = None
+                condition = f"position {target} is saved in the running fleet"
+                self.conditions[f"{condition} ({hint})" if hint else condition] = None
         return list(axes)
 
 

@@ -95,10 +95,10 @@ def check_room(state: ForecastState, at: ForecastContext, field: TargetField, af
     if limits is None or not exceeds_room(axis, (after.lowest, after.highest)):
         return True
     span = abs(axis.to_unit(axis.to_counts(after.highest - after.lowest)))
-    apart = abs(axis.to_unit(limits[1] - limits[0]))
+    width = abs(axis.to_unit(limits[1] - limits[0]))
     text = (
         f"axis {field.name}: the moves from step {after.since} on cover {span:g} {axis.unit}; its soft limits are "
-        f"{apart:g} {axis.unit} apart"
+        f"{width:g} {axis.unit} apart"
     )
     remedy = "move less far, or change the soft limits"
     state.add_problem(at, field.place, Refusal("soft-limit", text, remedy, field.controller))

@@ -63,8 +63,8 @@ def _measure_block(coefficients: Array) -> LengthTable:
     lengths = np.zeros((n, CELLS + 1))
     np.cumsum(fine.reshape(n, CELLS, 5) @ WEIGHTS / CELLS, axis=1, out=lengths[:, 1:])
     coarse = (np.linalg.norm(_COARSE @ coefficients, axis=2).reshape(n, CELLS // 2, 5) @ WEIGHTS).sum(axis=1)
-    whole = lengths[:, -1]
-    error = np.abs(coarse / (CELLS // 2) - whole) / np.maximum(whole, 1e-300)
+    totals = lengths[:, -1]
+    error = np.abs(coarse / (CELLS // 2) - totals) / np.maximum(totals, 1e-300)
     speeds = np.linalg.norm(_AT_KNOTS @ coefficients, axis=2)
     return LengthTable(lengths, speeds, error, np.minimum(fine.min(axis=1), speeds.min(axis=1)))
 
@@ -100,9 +100,9 @@ def find_parameters(coefficients: Array, table: LengthTable, row: Index, length:
     for _ in range(rounds):
         from_knot = cell / CELLS
         width = u - from_knot
-        inside = (from_knot[:, None] + width[:, None] * POINTS).ravel()
-        many_repeat = np.repeat(row, len(POINTS))
-        speed = np.linalg.norm(evaluate_slopes(coefficients, many_repeat, inside), axis=1).reshape(-1, len(POINTS))
+        parameters = (from_knot[:, None] + width[:, None] * POINTS).ravel()
+        rows = np.repeat(row, len(POINTS))
+        speed = np.linalg.norm(evaluate_slopes(coefficients, rows, parameters), axis=1).reshape(-1, len(POINTS))
         missing_length = length - begin - width * (speed @ WEIGHTS)
         u += missing_length / np.linalg.norm(evaluate_slopes(coefficients, row, u), axis=1)
     return np.clip(u, 0.0, 1.0)
@@ -120,7 +120,7 @@ def find_lengths(coefficients: Array, table: LengthTable, row: Index, u: Array) 
     cell = np.clip((u * CELLS).astype(np.int64), 0, CELLS - 1)
     from_knot = cell / CELLS
     width = u - from_knot
-    inside = (from_knot[:, None] + width[:, None] * POINTS).ravel()
-    slopes = evaluate_slopes(coefficients, np.repeat(row, len(POINTS)), inside)
+    parameters = (from_knot[:, None] + width[:, None] * POINTS).ravel()
+    slopes = evaluate_slopes(coefficients, np.repeat(row, len(POINTS)), parameters)
     speed = np.linalg.norm(slopes, axis=1).reshape(-1, len(POINTS))
     return table.lengths[row, cell] + width * (speed @ WEIGHTS)

@@ -84,14 +84,14 @@ def find_parts(at: Derivatives, motion: tuple[Array, Array], limits: PathLimits,
 
 def _measure_junctions(track: Track, motion: PathMotion, limits: PathLimits, stretch: Array) -> None:
     """Raise `stretch` by what both sides of the junctions need at which the motion goes on: jerk jumps there."""
-    before = np.flatnonzero(~track.stop[:-1])
-    t = motion.find_instants(track.start[before + 1])
+    spans = np.flatnonzero(~track.stop[:-1])
+    t = motion.find_instants(track.start[spans + 1])
     segment = motion.find_segments(t)
     _, v, a, j = motion.evaluate(t)
-    for span, local in ((before, track.length[before]), (before + 1, np.zeros(len(before)))):
+    for span, local in ((spans, track.length[spans]), (spans + 1, np.zeros(len(spans)))):
         parts = find_parts(track.evaluate_spans(span, local, QUICK), (v, a), limits, track.speed[span])
-        needed = np.maximum(parts.find_needed(), find_needed_for_jerk(parts.find_jerk(j)))
-        np.maximum.at(stretch, segment, needed)
+        needed_stretch = np.maximum(parts.find_needed(), find_needed_for_jerk(parts.find_jerk(j)))
+        np.maximum.at(stretch, segment, needed_stretch)
 
 
 def _measure_block(
@@ -102,10 +102,10 @@ def _measure_block(
     j = motion.j[part]
     n = len(j)
     # Each end is the start of the next segment, with the jerk of this one; except at a rest, where a section ends.
-    rest = np.flatnonzero(np.diff(motion.section[part], append=-1))
+    section_ends = np.flatnonzero(np.diff(motion.section[part], append=-1))
     number = np.arange(n)
-    instants = np.concatenate([begin, *(begin + at * (end - begin) for at in INSIDE), end[rest]])
-    segment = np.concatenate([number, number, number, rest]) + (part.start or 0)
+    instants = np.concatenate([begin, *(begin + at * (end - begin) for at in INSIDE), end[section_ends]])
+    segment = np.concatenate([number, number, number, section_ends]) + (part.start or 0)
     x = instants - motion.t[segment]
     a0, v0, j0 = motion.a[segment], motion.v[segment], motion.j[segment]
     s = motion.s[segment] + x * (v0 + x * (a0 / 2 + x * j0 / 6))
@@ -113,14 +113,14 @@ def _measure_block(
     span = track.find_spans_of(s, motion.section[segment])
     parts = find_parts(track.evaluate_spans(span, s - track.start[span], QUICK), (v, a), limits, track.speed[span])
     ends = number + 1
-    ends[rest] = 3 * n + np.arange(len(rest))
-    needed = parts.find_needed()
+    ends[section_ends] = 3 * n + np.arange(len(section_ends))
+    needed_stretch = parts.find_needed()
     jerk = parts.find_jerk(j0)[:, : 3 * n]
     jerk_at_ends = np.abs(parts.bent.take(ends, axis=1) + parts.straight.take(ends, axis=1) * j)
-    by_motion = np.maximum(needed[: 3 * n].reshape(3, n).max(axis=0), needed[ends])
+    by_motion = np.maximum(needed_stretch[: 3 * n].reshape(3, n).max(axis=0), needed_stretch[ends])
     by_jerk = np.maximum(find_needed_for_jerk(jerk).reshape(3, n).max(axis=0), find_needed_for_jerk(jerk_at_ends))
-    inside = slice(2 * n, 3 * n)
-    flat = np.concatenate([parts.velocity[:, inside], parts.acceleration[:, inside], jerk[:, inside]])
+    interior = slice(2 * n, 3 * n)
+    flat = np.concatenate([parts.velocity[:, interior], parts.acceleration[:, interior], jerk[:, interior]])
     most = flat.argmax(axis=0)
     width = len(parts.velocity)
     axis = most % width

@@ -37,8 +37,8 @@ class CoarseMotion:
         """The position at each instant; at rest before the start and after the end."""
         t = np.clip(t, self.t[0], self.t[-1])
         cell = self.find_cells(t)
-        after = t - self.t[cell]
-        return self.s[cell] + after * (self.v[cell] + after * self.a[cell] / 2)
+        dt = t - self.t[cell]
+        return self.s[cell] + dt * (self.v[cell] + dt * self.a[cell] / 2)
 
     def speeds_at(self, t: Array) -> Array:
         """The speed at each instant."""
@@ -75,9 +75,9 @@ def integrate_squares(s: Array, squares: Array, pause_s: Array) -> CoarseMotion:
     """The motion through nodes at squared speeds; `pause_s`: how long it rests in each cell without length."""
     v = np.sqrt(squares)
     h = np.diff(s)
-    both = v[:-1] + v[1:]
+    speed_sums = v[:-1] + v[1:]
     with np.errstate(divide="ignore", invalid="ignore"):
-        dt = np.where(h > 0.0, 2 * h / both, 0.0)
+        dt = np.where(h > 0.0, 2 * h / speed_sums, 0.0)
         a = np.where(dt > 0.0, np.diff(v) / dt, 0.0)
     dt += pause_s
     return CoarseMotion(np.concatenate([[0.0], np.cumsum(dt)]), s, v, a)
@@ -87,9 +87,9 @@ def widen_valleys(ladder: Ladder, squares: Array) -> Ladder:
     """The ladder with caps that make each valley of `squares` last its smoothing time: so far on both sides that the
     motion, at the valley's speed, needs half of it."""
     change = np.diff(squares)
-    moving = np.flatnonzero(np.abs(change) > STEADY * squares.max(initial=0.0))
-    valley = (change[moving[:-1]] < 0) & (change[moving[1:]] > 0)
-    first, last = moving[:-1][valley] + 1, moving[1:][valley]
+    slopes = np.flatnonzero(np.abs(change) > STEADY * squares.max(initial=0.0))
+    valley = (change[slopes[:-1]] < 0) & (change[slopes[1:]] > 0)
+    first, last = slopes[:-1][valley] + 1, slopes[1:][valley]
     level = squares[first]
     want = np.sqrt(level) * ladder.smoothing_s[first] * (1 + MARGIN) - (ladder.s[last] - ladder.s[first])
     short = np.flatnonzero((want > MARGIN / 2 * np.sqrt(level) * ladder.smoothing_s[first]) & (level > 0.0))
@@ -111,19 +111,19 @@ def _lower_caps(ladder: Ladder, low: Array, high: Array, level: Array) -> Ladder
     cell = np.clip(np.searchsorted(ladder.s, at, side="right") - 1, 0, len(ladder.s) - 2)
     h = ladder.s[cell + 1] - ladder.s[cell]
     part = (at - ladder.s[cell]) / np.maximum(h, 1e-300)
-    between = np.maximum(ladder.cell_caps[cell], (1 - part) * ladder.caps[cell] + part * ladder.caps[cell + 1])
+    caps_between = np.maximum(ladder.cell_caps[cell], (1 - part) * ladder.caps[cell] + part * ladder.caps[cell + 1])
     s = np.concatenate([ladder.s, at])
     source = np.concatenate([np.arange(len(ladder.s)), cell])
     order = np.lexsort((s, source))
     s, source = s[order], source[order]
-    caps = np.concatenate([ladder.caps, between])[order]
+    caps = np.concatenate([ladder.caps, caps_between])[order]
     cells = source[:-1]
     cell_caps = ladder.cell_caps[cells].copy()
     # Few nodes lie inside one valley: as many rounds as the largest number of them.
     begin, end = np.searchsorted(s, low, side="left"), np.searchsorted(s, high, side="right")
     for k in range(int((end - begin).max())):
-        inside = begin + k < end
-        np.minimum.at(caps, begin[inside] + k, level[inside])
+        mask = begin + k < end
+        np.minimum.at(caps, begin[mask] + k, level[mask])
         inner = begin + k < end - 1
         np.minimum.at(cell_caps, begin[inner] + k, level[inner])
     return Ladder(
@@ -188,24 +188,24 @@ def _find_plateaus(motion: CoarseMotion, begin: Array, end: Array, width: Array)
     motion = CoarseMotion(motion.t[nodes], motion.s[nodes], motion.v[nodes], motion.a[cells])
     window = width
     longest = width
-    left = _find_left(motion, (end - window, begin), window)
+    begins = _find_left(motion, (end - window, begin), window)
     for k in range(BISECTIONS):
         # A plateau is slower than the peak, and takes longer.
-        level = np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
+        level = np.minimum(motion.speeds_at(begins), motion.speeds_at(begins + window))
         # A window that is wider than the whole rise and fall has no level, which would be a stop for ever.
         if k >= PLATEAU_ROUNDS and (level > 0.0).all():
             break
-        covered_positions = motion.positions_at(left + window) - motion.positions_at(left)
+        distances = motion.positions_at(begins + window) - motion.positions_at(begins)
         longest = np.where(level > 0.0, longest, window / 2)
         narrower = np.clip(
-            window * width * level / np.maximum(covered_positions, 1e-300), np.minimum(end - begin, longest), longest
+            window * width * level / np.maximum(distances, 1e-300), np.minimum(end - begin, longest), longest
         )
         narrower = np.where(level > 0.0, narrower, longest)
-        moved = np.abs(window - narrower)
-        bracket = np.maximum(left - moved, end - narrower), np.minimum(left + moved, begin)
-        left, window = _find_left(motion, bracket, narrower), narrower
-    level = np.minimum(motion.speeds_at(left), motion.speeds_at(left + window))
-    return motion.positions_at(left), motion.positions_at(left + window), level**2
+        shifts = np.abs(window - narrower)
+        bracket = np.maximum(begins - shifts, end - narrower), np.minimum(begins + shifts, begin)
+        begins, window = _find_left(motion, bracket, narrower), narrower
+    level = np.minimum(motion.speeds_at(begins), motion.speeds_at(begins + window))
+    return motion.positions_at(begins), motion.positions_at(begins + window), level**2
 
 
 def _find_peaks(motion: CoarseMotion, smoothing_s: Array) -> tuple[Array, Array, Array]:

@@ -65,19 +65,19 @@ def fit_corners(outline: Outline, *, even: bool) -> Corners:
 
 def make_track(outline: Outline, frame: Frame | None, corners: Corners, stops: Flags | None = None) -> Track:
     """The track of an outline, with all its blends. stops: for each span, whether to stop at its end instead."""
-    chosen = np.ones(len(corners.at), dtype=bool) if stops is None else ~stops[corners.at]
-    at, trims = corners.at[chosen], corners.trims[chosen]
+    mask = np.ones(len(corners.at), dtype=bool) if stops is None else ~stops[corners.at]
+    at, trims = corners.at[mask], corners.trims[mask]
     stop = np.append(~corners.smooth, True)
     stop[at] = False
     cut = np.zeros((2, len(outline.kind)))
     cut[1, at], cut[0, at + 1] = trims, trims
-    return _join_spans(outline, frame, stop, cut, (at, corners.curves[chosen]) if len(at) else None)
+    return _join_spans(outline, frame, stop, cut, (at, corners.curves[mask]) if len(at) else None)
 
 
 def _look_at_joints(outline: Outline) -> Joints:
-    before = np.arange(len(outline.kind) - 1)
-    ends = evaluate_ends(outline, before, outline.length[before])
-    starts = evaluate_ends(outline, before + 1, np.zeros(len(before)))
+    spans = np.arange(len(outline.kind) - 1)
+    ends = evaluate_ends(outline, spans, outline.length[spans])
+    starts = evaluate_ends(outline, spans + 1, np.zeros(len(spans)))
     # From the chord of the unit tangents, because the arc cosine is inexact near 1.
     chord = np.linalg.norm(starts.first - ends.first, axis=1)
     turn = 2 * np.arcsin(np.minimum(chord / 2, 1.0))
@@ -104,24 +104,26 @@ def _fit_blends(outline: Outline, joints: Joints, at: Index, tolerance: Array) -
     with np.errstate(divide="ignore"):
         trims = np.minimum(most, np.where(reach > 0, tolerance / reach, np.inf))
     curves = _make_blends(outline, at, trims)
-    curved = np.flatnonzero(~joints.straight[at])
-    rest = curved
+    curved_joints = np.flatnonzero(~joints.straight[at])
+    open_joints = curved_joints
     for _ in range(ROUNDS):
-        off = _find_distances(outline, at[rest], trims[rest], curves[rest]) / tolerance[rest]
+        off = (
+            _find_distances(outline, at[open_joints], trims[open_joints], curves[open_joints]) / tolerance[open_joints]
+        )
         # The distance grows with a power of the trim between 1 (a turn) and 2 (a step of curvature).
         better = np.where(off > 1.0, 0.98 / off, np.maximum(1.0, np.sqrt(0.95 / np.maximum(off, 1e-6))))
-        grown = np.minimum(trims[rest] * better, most[rest])
-        changed = ((off > 1.0) | (off < 0.8)) & (grown != trims[rest])
-        rest, grown = rest[changed], grown[changed]
-        if not len(rest):
+        new_trims = np.minimum(trims[open_joints] * better, most[open_joints])
+        mask = ((off > 1.0) | (off < 0.8)) & (new_trims != trims[open_joints])
+        open_joints, new_trims = open_joints[mask], new_trims[mask]
+        if not len(open_joints):
             break
-        trims[rest] = grown
-        curves[rest] = _make_blends(outline, at[rest], grown)
+        trims[open_joints] = new_trims
+        curves[open_joints] = _make_blends(outline, at[open_joints], new_trims)
     table = measure_curves(curves)
     sound = (table.slowest > SLOWEST * table.lengths[:, -1]) & (table.error < COARSE_ERROR)
-    if len(curved):
-        off = _find_distances(outline, at[curved], trims[curved], curves[curved])
-        sound[curved] &= off <= tolerance[curved] * (1 + 1e-9)
+    if len(curved_joints):
+        off = _find_distances(outline, at[curved_joints], trims[curved_joints], curves[curved_joints])
+        sound[curved_joints] &= off <= tolerance[curved_joints] * (1 + 1e-9)
     return trims, curves, sound
 
 
@@ -157,13 +159,13 @@ _FROM_BERNSTEIN: Array = np.array(
 
 def _find_distances(outline: Outline, at: Index, trims: Array, curves: Array) -> Array:
     """The greatest distance of blends from the outline, point by point at equal fractions of u and of length."""
-    many_repeat = np.repeat(np.arange(len(at)), COMPARED)
+    rows = np.repeat(np.arange(len(at)), COMPARED)
     fraction = np.tile(_AT, len(at))
-    on_blend = evaluate_polys(curves, many_repeat, fraction).q
+    on_blend = evaluate_polys(curves, rows, fraction).q
     late = fraction > 0.5
-    along = (2 * fraction - 1) * trims[many_repeat]
-    span = at[many_repeat] + late
-    local = np.where(late, along, outline.length[at[many_repeat]] + along)
+    along = (2 * fraction - 1) * trims[rows]
+    span = at[rows] + late
+    local = np.where(late, along, outline.length[at[rows]] + along)
     on_outline = evaluate_ends(outline, span, local, QUICK).q
     return np.linalg.norm(on_blend - on_outline, axis=1).reshape(len(at), COMPARED).max(axis=1)
 
@@ -177,12 +179,12 @@ def _join_spans(
     low, length = cut[0], outline.length - cut[0] - cut[1]
     if blends is not None:
         at, curves = blends
-        known, lengths = shapes.polys.coefficients, measure_curves(curves)
+        coefficients, lengths = shapes.polys.coefficients, measure_curves(curves)
         table = type(lengths)(*(np.concatenate(p) for p in zip(shapes.polys.table, lengths, strict=True)))
-        shapes = Shapes(shapes.lines, shapes.arcs, Polys(np.concatenate([known, curves]), table))
+        shapes = Shapes(shapes.lines, shapes.arcs, Polys(np.concatenate([coefficients, curves]), table))
         order = np.append(order, at + 0.5)
         kind = np.append(kind, np.full(len(at), POLY))
-        row = np.append(row, len(known) + np.arange(len(at)))
+        row = np.append(row, len(coefficients) + np.arange(len(at)))
         piece = np.append(piece, piece[at])
         speed = np.append(speed, np.minimum(speed[at], speed[at + 1]))
         low = np.append(low, np.zeros(len(at)))

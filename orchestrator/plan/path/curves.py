@@ -79,8 +79,8 @@ class Shapes:
             return parts[0][1]
         out = Derivatives(*(np.empty((len(s), self.lines.start.shape[1])) for _ in range(4)))
         for at, part in parts:
-            for whole, values in zip(out, part, strict=True):
-                whole[at] = values
+            for target, values in zip(out, part, strict=True):
+                target[at] = values
         return out
 
     def _evaluate_lines(self, row: Index, s: Array) -> Derivatives:
@@ -118,11 +118,11 @@ def evaluate_polys(coefficients: Array, row: Index, u: Array) -> Derivatives:
             c0 += c1 * w
     x1, x2, x3 = c1, 2.0 * c2, 6.0 * c3
     square = np.einsum("ij,ij->i", x1, x1)
-    mixed = np.einsum("ij,ij->i", x1, x2)
-    rest = np.einsum("ij,ij->i", x2, x2) + np.einsum("ij,ij->i", x1, x3)
+    cross_term = np.einsum("ij,ij->i", x1, x2)
+    second_term = np.einsum("ij,ij->i", x2, x2) + np.einsum("ij,ij->i", x1, x3)
     rate = 1.0 / np.sqrt(square)
-    rate_2 = -mixed / square**2
-    rate_3 = rate * (4 * mixed**2 / square**3 - rest / square**2)
+    rate_2 = -cross_term / square**2
+    rate_3 = rate * (4 * cross_term**2 / square**3 - second_term / square**2)
     third = x3 * (rate**3)[:, None] + x2 * (3 * rate * rate_2)[:, None] + x1 * rate_3[:, None]
     second = x2 * (rate**2)[:, None] + x1 * rate_2[:, None]
     return Derivatives(c0, x1 * rate[:, None], second, third)

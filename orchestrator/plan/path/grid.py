@@ -41,7 +41,7 @@ class Grid:
         parts: list[Array] = []
         for k in range(0, len(self.s), BLOCK):
             part = slice(k, k + BLOCK)
-            at = Slopes(*(each[:, part] for each in self.at))
+            at = Slopes(*(values[:, part] for values in self.at))
             parts.append(find_accelerations(limits, at, speed[part], smoothing_s[part]))
         # Jerk follows from it within a fixed time.
         return np.concatenate(parts) / self.slower**3
@@ -86,14 +86,14 @@ def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Gr
         for k in range(0, len(span), BLOCK)
     ]
     caps = np.minimum(np.concatenate([find_speed_caps(limits, part) for part in parts]), track.speed[span])
-    at = Slopes(*(np.concatenate(each, axis=1) for each in zip(*parts, strict=True)))
+    at = Slopes(*(np.concatenate(columns, axis=1) for columns in zip(*parts, strict=True)))
     first = local == 0.0
     last = local == track.length[span]
     after_stop = np.concatenate([[True], track.stop[:-1]])
-    rest = (first & after_stop[span]) | (last & track.stop[span])
+    at_rest = (first & after_stop[span]) | (last & track.stop[span])
     section = np.cumsum(after_stop)[span] - 1
     line, even = track.kind[span] == LINE, np.ones(len(span))
-    return Grid(track.start[span] + local, span, line, rest, section, caps, even, at)
+    return Grid(track.start[span] + local, span, line, at_rest, section, caps, even, at)
 
 
 def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:

@@ -45,9 +45,9 @@ def plan_law(track: Track, limits: PathLimits, slower: Array | None = None) -> P
     if not short.any():
         return motion
     for part in SHORTER:
-        tried = np.where(short, smoothing_s * part, smoothing_s)
-        better = _measure_sections(plan_with_smoothing(track, limits, base, tried), tried)
-        best, times = np.where(better < times, tried, best), np.minimum(times, better)
+        trial_s = np.where(short, smoothing_s * part, smoothing_s)
+        better = _measure_sections(plan_with_smoothing(track, limits, base, trial_s), trial_s)
+        best, times = np.where(better < times, trial_s, best), np.minimum(times, better)
     return motion if (best == smoothing_s).all() else plan_with_smoothing(track, limits, base, best)
 
 
@@ -84,7 +84,7 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     grid = _add_nodes(base, track, limits, smoothing_s[base.section])
     width = smoothing_s[grid.section]
     h = np.diff(grid.s)
-    within = np.diff(grid.section) == 0
+    same_section = np.diff(grid.section) == 0
     squares = np.where(grid.rest, 0.0, grid.speed**2)
 
     def sweep(speeds: Array, reach_s: Array | None) -> tuple[Array, Array]:
@@ -101,7 +101,9 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
     fast, _ = sweep(np.sqrt(slow), None)
     with np.errstate(divide="ignore"):
         dt = np.where(h > 0, 2 * h / np.maximum(np.sqrt(fast[:-1]) + np.sqrt(fast[1:]), 1e-12), 0.0)
-    times = np.concatenate([[0.0], np.cumsum(np.where(within, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))])
+    times = np.concatenate(
+        [[0.0], np.cumsum(np.where(same_section, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))]
+    )
     _, cells = sweep(np.sqrt(fast), times)
     ladder = Ladder(grid.s, squares, cells, _find_cell_caps(grid) ** 2, width, grid.section)
     ladder = cap_pieces(ladder, *_find_capped(track, smoothing_s))
@@ -117,14 +119,14 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
 def _find_capped(track: Track, smoothing_s: Array) -> tuple[Array, Array, Array]:
     """(begin, end, squared speed) of spans with a highest speed, wider by half of the smoothing time at that speed: so
     that the smoothed motion has it on the whole span."""
-    capped = np.flatnonzero(np.isfinite(track.speed))
+    capped_spans = np.flatnonzero(np.isfinite(track.speed))
     stops = np.flatnonzero(track.stop)
-    section = np.searchsorted(stops, capped)
+    section = np.searchsorted(stops, capped_spans)
     ends, begins = track.start[stops + 1], np.concatenate([[0.0], track.start[stops[:-1] + 1]])
-    wide = track.speed[capped] * smoothing_s[section] / 2
-    low = np.maximum(track.start[capped] - wide, begins[section])
-    high = np.minimum(track.start[capped + 1] + wide, ends[section])
-    return low, high, track.speed[capped] ** 2
+    wide = track.speed[capped_spans] * smoothing_s[section] / 2
+    low = np.maximum(track.start[capped_spans] - wide, begins[section])
+    high = np.minimum(track.start[capped_spans + 1] + wide, ends[section])
+    return low, high, track.speed[capped_spans] ** 2
 
 
 def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Grid:
@@ -137,15 +139,15 @@ def _add_nodes(grid: Grid, track: Track, limits: PathLimits, width: Array) -> Gr
     joint = np.minimum(speed[begins[1:]], speed[ends[:-1]])
     with np.errstate(invalid="ignore"):
         steep = grid.find_accelerations(limits, np.zeros(len(speed)), width)
-    for ahead in (True, False):
-        v = np.concatenate([[0.0], joint])[spans] if ahead else np.concatenate([joint, [0.0]])[spans]
-        node = begins[spans] if ahead else ends[spans]
+    for is_forward in (True, False):
+        v = np.concatenate([[0.0], joint])[spans] if is_forward else np.concatenate([joint, [0.0]])[spans]
+        node = begins[spans] if is_forward else ends[spans]
         inner = ~grid.rest[node] & (v < np.inf)
         t, a = width[node], np.where(np.isfinite(steep[node]), steep[node], 0.0)
         reach = v * t + a * t**2 / 2
         use = inner & (reach < 0.49 * track.length[spans]) & (reach > 0)
-        parts.append((spans[use], (reach if ahead else track.length[spans] - reach)[use]))
-    span, local = (np.concatenate(each) for each in zip(*parts, strict=True))
+        parts.append((spans[use], (reach if is_forward else track.length[spans] - reach)[use]))
+    span, local = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return refine_grid(grid, track, limits, span.astype(np.int64), local) if len(span) else grid
 
 

@@ -66,11 +66,11 @@ def find_accelerations(limits: PathLimits, at: Slopes, speed: Array, smoothing_s
     """
     first, second, third = at
     with np.errstate(divide="ignore", invalid="ignore"):
-        left = np.maximum(limits.acceleration[:, None] - second * speed**2, 0.0) / first
+        acceleration_left = np.maximum(limits.acceleration[:, None] - second * speed**2, 0.0) / first
         rate = 1.0 / smoothing_s
         jerk_left = np.maximum(limits.jerk[:, None] - third * speed**3, 0.0) / (second * (3 * speed) + first * rate)
     # 0/0 and inf/inf are axes that stand, or have no limit: the least of the others counts.
-    least = np.fmin(np.fmin.reduce(left, axis=0), np.fmin.reduce(jerk_left, axis=0))
+    least = np.fmin(np.fmin.reduce(acceleration_left, axis=0), np.fmin.reduce(jerk_left, axis=0))
     # Without smoothing jerk is not limited.
     along = np.where(
         smoothing_s > 0.0,

@@ -165,11 +165,11 @@ class OutlineBuilder:
         """Add a spline from here through all points (n, coordinates)."""
         points = np.vstack([self.position, through])
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        doubled = np.flatnonzero(steps <= SHORTEST * self._scale(points))
-        if len(doubled):
-            k = int(doubled[0]) + 1
-            before = f"point {k - 1}" if k > 1 else "the start"
-            text = f"piece {end.piece + 1} (spline): point {k} is the same as {before}"
+        doubled_points = np.flatnonzero(steps <= SHORTEST * self._scale(points))
+        if len(doubled_points):
+            k = int(doubled_points[0]) + 1
+            point_text = f"point {k - 1}" if k > 1 else "the start"
+            text = f"piece {end.piece + 1} (spline): point {k} is the same as {point_text}"
             raise PathRefusal("doubled-point", text, "remove it", end.piece + 1)
         self.add_polys(end, fit_spline(points, steps), "spline")
         self.position = points[-1]

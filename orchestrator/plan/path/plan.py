@@ -42,10 +42,10 @@ class Stretch:
     @property
     def words(self) -> str:
         """Which limit binds, in words."""
-        place = f"the corner behind piece {self.piece}" if self.corner else f"piece {self.piece}"
+        location = f"the corner behind piece {self.piece}" if self.corner else f"piece {self.piece}"
         if self.order == 0:
-            return f"{place}: its table"
-        return f"{place}: {_ORDERS[self.order]} of {self.axis or 'the path'}, used to {self.used:.0%}"
+            return f"{location}: its table"
+        return f"{location}: {_ORDERS[self.order]} of {self.axis or 'the path'}, used to {self.used:.0%}"
 
 
 class MotionRows(NamedTuple):
@@ -82,21 +82,21 @@ class PathPlan:
     def evaluate(self, t: Array) -> MotionRows:
         """The motion of all axes at instants; at rest before the start and after the end."""
         t = np.asarray(t, dtype=np.float64)
-        which = self._find_parts(self.starts_s, t)
+        part_numbers = self._find_parts(self.starts_s, t)
         rows = [np.zeros((len(t), len(self.axes))) for _ in range(4)]
         for k, planned_part in enumerate(self.parts):
-            at = np.flatnonzero(which == k)
-            for whole, part in zip(rows, planned_part.evaluate(t[at] - self.starts_s[k]), strict=True):
-                whole[at] = part
+            at = np.flatnonzero(part_numbers == k)
+            for target, part in zip(rows, planned_part.evaluate(t[at] - self.starts_s[k]), strict=True):
+                target[at] = part
         return MotionRows(*rows)
 
     def path(self, s: Array) -> Array:
         """Positions of the axes at lengths of the path: (points, axes)."""
         s = np.asarray(s, dtype=np.float64)
-        which = self._find_parts(self.starts, s)
+        part_numbers = self._find_parts(self.starts, s)
         positions = np.zeros((len(s), len(self.axes)))
         for k, planned_part in enumerate(self.parts):
-            at = np.flatnonzero(which == k)
+            at = np.flatnonzero(part_numbers == k)
             positions[at] = planned_part.find_positions(s[at] - self.starts[k])
         return positions
 
@@ -167,8 +167,8 @@ def find_frame(path: PathSpec, frames: Mapping[str, FrameSpec]) -> FrameSpec:
     name = path.frame or ""
     frame = frames.get(name)
     if frame is None:
-        known = ", ".join(sorted(frames)) or "none"
-        text = f"the path's frame {name!r} is not in the fleet file; it has: {known}"
+        frame_list = ", ".join(sorted(frames)) or "none"
+        text = f"the path's frame {name!r} is not in the fleet file; it has: {frame_list}"
         raise PathRefusal("unknown-frame", text, "correct the name, or add the frame")
     if frame.axes != path.axes:
         text = f"the path has axes {', '.join(path.axes)}, and its frame {', '.join(frame.axes)}"

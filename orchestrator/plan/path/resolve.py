@@ -142,27 +142,27 @@ class _Collector:
             ) from None
 
     def _add_piece(self, end: PieceEnd, piece: Piece) -> None:
-        place = f"piece {end.piece + 1} ({piece.piece})"
+        location = f"piece {end.piece + 1} ({piece.piece})"
         if isinstance(piece, SplinePiece):
-            points = [self._coordinates.parse_point(point, place) for point in piece.through]
+            points = [self._coordinates.parse_point(point, location) for point in piece.through]
             self._builder.add_spline(end, np.array(points))
             return
         assert not isinstance(piece, TablePiece)
-        to = self._coordinates.parse_point(piece.to, place)
+        to = self._coordinates.parse_point(piece.to, location)
         if isinstance(piece, LinePiece):
             self._builder.add_line(end, to)
         elif isinstance(piece, ArcPiece) and piece.through is not None:
-            self._builder.add_arc_through(end, self._coordinates.parse_point(piece.through, place), to)
+            self._builder.add_arc_through(end, self._coordinates.parse_point(piece.through, location), to)
         else:
-            self._add_arc(end, piece, to, place)
+            self._add_arc(end, piece, to, location)
 
     def _add_arc(self, end: PieceEnd, piece: ArcPiece | HelixPiece, to: Array, place: str) -> None:
         plane = self._coordinates.find_plane(piece.plane, end.piece)
         assert piece.centre is not None
         across = _Coordinates([self._coordinates.names[k] for k in plane], [self._coordinates.units[k] for k in plane])
         centre = across.parse_point(piece.centre, place)
-        others = np.delete(to - self._builder.position, plane)
-        if isinstance(piece, ArcPiece) and others.any():
+        offsets = np.delete(to - self._builder.position, plane)
+        if isinstance(piece, ArcPiece) and offsets.any():
             text = f"{place}: leaves its plane {' and '.join(across.names)}"
             raise PathRefusal("no-plane", text, "write `piece: helix`, or choose its `plane`", end.piece + 1)
         turns = piece.turns if isinstance(piece, HelixPiece) else 0
@@ -170,8 +170,8 @@ class _Collector:
         self._builder.add_arc(end, circle, to)
 
     def _add_table(self, number: int, piece: TablePiece) -> None:
-        place = f"piece {number + 1} (table)"
-        rows = np.array([self._coordinates.parse_point(point, place) for point in piece.positions])
+        location = f"piece {number + 1} (table)"
+        rows = np.array([self._coordinates.parse_point(point, location) for point in piece.positions])
         position_before = self._builder.position
         self._end_outline(rows[-1])
         self._parts.append(TimedTable(number, np.array(piece.t, dtype=np.float64), rows, position_before))

@@ -44,19 +44,24 @@ class PathMotion:
         x = np.clip(t, 0.0, self.duration_s) - self.t[k]
         s = self.s[k] + x * (self.v[k] + x * (self.a[k] / 2 + x * self.j[k] / 6))
         v = self.v[k] + x * (self.a[k] + x * self.j[k] / 2)
-        moving = (t >= 0.0) & (t < self.duration_s)
+        is_moving = (t >= 0.0) & (t < self.duration_s)
         s = np.where(t >= self.duration_s, self.length, np.clip(s, 0.0, self.length))
-        return s, np.where(moving, v, 0.0), np.where(moving, self.a[k] + x * self.j[k], 0.0), self.j[k] * moving
+        return (
+            s,
+            np.where(is_moving, v, 0.0),
+            np.where(is_moving, self.a[k] + x * self.j[k], 0.0),
+            self.j[k] * is_moving,
+        )
 
     def find_instants(self, s: Array) -> Array:
         """The instant at which the motion reaches each position, to a millionth of its segment."""
         k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 1)
-        v, a, j, missing = self.v[k], self.a[k] / 2, self.j[k] / 6, s - self.s[k]
+        v, a, j, distance = self.v[k], self.a[k] / 2, self.j[k] / 6, s - self.s[k]
         low, high = np.zeros(len(s)), self.ends_s[k] - self.t[k]
         for _ in range(BISECTIONS):
             x = (low + high) / 2
-            beyond = x * (v + x * (a + x * j)) > missing
-            low, high = np.where(beyond, low, x), np.where(beyond, x, high)
+            is_beyond = x * (v + x * (a + x * j)) > distance
+            low, high = np.where(is_beyond, low, x), np.where(is_beyond, x, high)
         return self.t[k] + (low + high) / 2
 
     def stretch_sections(self, factors: Array) -> "PathMotion":
@@ -113,11 +118,11 @@ class _Window:
     """The coarse motion of sections, from `first` to `last`, at instants; outside of them it is at rest."""
 
     def __init__(self, coarse: CoarseMotion, first: Array, last: Array, t: Array) -> None:
-        inside = (t > first) & (t < last)
+        is_inside = (t > first) & (t < last)
         t = np.clip(t, first, last)
         cell = coarse.find_cells(t)
-        after = t - coarse.t[cell]
+        dt = t - coarse.t[cell]
         a, v = coarse.a[cell], coarse.v[cell]
-        self.positions = coarse.s[cell] + after * (v + after * a / 2)
-        self.speeds = np.where(inside, v + after * a, 0.0)
-        self.accelerations = np.where(inside, a, 0.0)
+        self.positions = coarse.s[cell] + dt * (v + dt * a / 2)
+        self.speeds = np.where(is_inside, v + dt * a, 0.0)
+        self.accelerations = np.where(is_inside, a, 0.0)

@@ -32,9 +32,9 @@ def check_track(track: Track, axes: list[PathAxis]) -> None:
             ends = np.maximum(sign * q[:-1, k], sign * q[1:, k])
             reach = np.where(track.kind[span[:-1]] == LINE, ends, reach)
             for cell in np.flatnonzero(reach > allowed_sign):
-                place, value = _find_extreme(track, span[cell], (local[cell], local[cell] + h[cell]), (k, sign))
+                length, value = _find_extreme(track, span[cell], (local[cell], local[cell] + h[cell]), (k, sign))
                 if sign * value > allowed_sign:
-                    _refuse(int(track.piece[span[cell]]), axis, (place, value), limit)
+                    _refuse(int(track.piece[span[cell]]), axis, (length, value), limit)
 
 
 def _find_extreme(track: Track, span: int, ends: tuple[float, float], wanted: tuple[int, float]) -> tuple[float, float]:
@@ -63,8 +63,8 @@ def check_table(run: TableRun, axes: list[PathAxis]) -> None:
             worst = int(np.argmax(sign * positions))
             value = float(positions[worst])
             if sign * value > sign * limit + ROUNDING * (axis.soft_limits[1] - axis.soft_limits[0]):
-                before = int(np.searchsorted(run.knots, float(instants[worst]))) - 1
-                gap = min(max(before, 0), len(run.row) - 1)
+                knot = int(np.searchsorted(run.knots, float(instants[worst]))) - 1
+                gap = min(max(knot, 0), len(run.row) - 1)
                 side = "below" if sign < 0 else "above"
                 text = (
                     f"piece {run.piece + 1} (table): {axis.axis} reaches {value:.9g} {axis.unit} between rows "
@@ -80,15 +80,15 @@ def _find_turns(run: TableRun, axis: int) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         root = np.sqrt(c2**2 - 3 * c1 * c3)
         roots = [(-c2 + root) / (3 * c3), (-c2 - root) / (3 * c3), -c1 / (2 * c2)]
-    inside = [run.knots[:-1][(x > 0) & (x < h)] + x[(x > 0) & (x < h)] for x in roots]
-    return np.concatenate([run.knots, *inside])
+    inner_knots = [run.knots[:-1][(x > 0) & (x < h)] + x[(x > 0) & (x < h)] for x in roots]
+    return np.concatenate([run.knots, *inner_knots])
 
 
 def _refuse(piece: int, axis: PathAxis, found: tuple[float, float], limit: float) -> None:
-    place, value = found
+    length, value = found
     side = "above" if value > limit else "below"
     text = (
-        f"piece {piece + 1}: {axis.axis} reaches {value:.9g} {axis.unit} at {place:.6g} along the path, {side} its "
+        f"piece {piece + 1}: {axis.axis} reaches {value:.9g} {axis.unit} at {length:.6g} along the path, {side} its "
         f"soft limit {limit:.9g}"
     )
     raise PathRefusal("soft-limit", text, "keep the path inside, or move it", piece + 1)

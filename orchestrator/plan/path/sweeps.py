@@ -16,8 +16,8 @@ def sweep_squares(caps: Array, acceleration: Array, h: Array) -> Array:
     rise = np.concatenate([[0.0], np.cumsum(2 * acceleration * h)])
     forward = rise + np.minimum.accumulate(caps - rise)
     # Backwards from the end: the rise still to come.
-    ahead = rise[-1] - rise
-    backward = ahead + np.minimum.accumulate((forward - ahead)[::-1])[::-1]
+    rise_ahead = rise[-1] - rise
+    backward = rise_ahead + np.minimum.accumulate((forward - rise_ahead)[::-1])[::-1]
     # Sums over a long path lose the last digits: they must not lift a speed above its cap, nor move a rest.
     return np.clip(backward, 0.0, caps)
 

@@ -58,9 +58,9 @@ class TableRun:
         gap = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.cubics) - 1)
         x = np.clip(t, 0.0, self.duration_s)[:, None] - self.knots[gap][:, None]
         c0, c1, c2, c3 = (self.cubics[gap, k] for k in range(4))
-        moving = ((t >= 0.0) & (t < self.duration_s))[:, None]
+        is_moving = ((t >= 0.0) & (t < self.duration_s))[:, None]
         q = c0 + x * (c1 + x * (c2 + x * c3))
-        return q, moving * (c1 + x * (2 * c2 + x * 3 * c3)), moving * (2 * c2 + 6 * x * c3), moving * (6 * c3)
+        return q, is_moving * (c1 + x * (2 * c2 + x * 3 * c3)), is_moving * (2 * c2 + 6 * x * c3), is_moving * (6 * c3)
 
     def find_positions(self, s: Array) -> Array:
         """The positions of the axes after lengths `s` of the way."""
@@ -70,8 +70,8 @@ class TableRun:
         low, high = np.zeros(len(s)), np.ones(len(s))
         for _ in range(BISECTIONS):  # not Newton: speeds are zero at rests
             middle = (low + high) / 2
-            beyond = find_lengths(self.curves, self.lengths, gap, middle) > way_inside
-            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+            is_beyond = find_lengths(self.curves, self.lengths, gap, middle) > way_inside
+            low, high = np.where(is_beyond, low, middle), np.where(is_beyond, middle, high)
         steps = np.diff(self.knots)
         return self.evaluate(self.knots[gap] + low * steps[gap])[0]
 
@@ -97,8 +97,8 @@ def _check_start(table: TimedTable) -> None:
     n = table.piece + 1
     scale = max(1e-3, float(np.abs(table.rows).max()))
     if np.abs(table.rows[0] - table.before).max() > SAME_PLACE * scale:
-        first, before = (", ".join(f"{x:.9g}" for x in point) for point in (table.rows[0], table.before))
-        text = f"piece {n} (table): jumps, its first row is at ({first}), and the path is at ({before})"
+        first, path_end = (", ".join(f"{x:.9g}" for x in point) for point in (table.rows[0], table.before))
+        text = f"piece {n} (table): jumps, its first row is at ({first}), and the path is at ({path_end})"
         raise PathRefusal("table-jump", text, "begin it there, or put a line before it", n)
     if not (np.diff(table.t) > 0.0).all():
         k = int(np.flatnonzero(np.diff(table.t) <= 0.0)[0]) + 2
@@ -161,19 +161,19 @@ def _find_stretch(table: TimedTable, h: Array, cubics: Array, judged: tuple[Path
     velocity = np.maximum(np.maximum(np.abs(c1), np.abs(end)), np.abs(top))
     acceleration = np.maximum(np.abs(2 * c2), np.abs(2 * c2 + 6 * c3 * step))
     jerk = np.abs(6 * c3)
-    velocities = (velocity, acceleration, jerk)
-    allowed_velocities = (limits.velocity, limits.acceleration, limits.jerk)
-    needed = np.stack(
-        [(f / a) ** (1 / (k + 1)) for k, (f, a) in enumerate(zip(velocities, allowed_velocities, strict=True))]
+    values = (velocity, acceleration, jerk)
+    limit_values = (limits.velocity, limits.acceleration, limits.jerk)
+    needed_stretch = np.stack(
+        [(f / a) ** (1 / (k + 1)) for k, (f, a) in enumerate(zip(values, limit_values, strict=True))]
     )
-    worst = float(needed.max())
+    worst = float(needed_stretch.max())
     if worst <= MOST_STRETCH:
         return max(1.0, worst)
-    order, gap, axis = np.unravel_index(int(needed.argmax()), needed.shape)
+    order, gap, axis = np.unravel_index(int(needed_stretch.argmax()), needed_stretch.shape)
     word = ("velocity", "acceleration", "jerk")[order]
     n = table.piece + 1
     text = (
         f"piece {n} (table): between rows {row[gap]} and {row[gap] + 1} {names[axis]} needs a {word} of "
-        f"{velocities[order][gap, axis]:.6g}, and its limit is {allowed_velocities[order][axis]:.6g}"
+        f"{values[order][gap, axis]:.6g}, and its limit is {limit_values[order][axis]:.6g}"
     )
     raise PathRefusal("table-limit", text, f"give the table {worst:.3g} times its time, or remove the jump there", n)

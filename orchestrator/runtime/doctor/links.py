@@ -10,10 +10,10 @@ from orchestrator.runtime.doctor.findings import Finding
 
 def check_links(fleet: Fleet, hosts: Iterable[str], root: Path = Path("/")) -> list[Finding]:
     """The serial ports and CAN interfaces of the controllers of these adapter hosts. root: of the file system."""
-    chosen, findings = set(hosts), dict[str, Finding]()
+    host_names, findings = set(hosts), dict[str, Finding]()
     for name, config in fleet.controllers.items():
         link = config.link
-        if config.host not in chosen:
+        if config.host not in host_names:
             continue
         if isinstance(link, SerialLink):
             findings.setdefault(link.device, _check_serial(name, link.device, root))

@@ -34,16 +34,16 @@ def check_python() -> Finding:
 
 def check_versions() -> Finding:
     """The versions of Tutti and of what it is built on."""
-    found: list[str] = []
+    versions: list[str] = []
     for name in ("tutti", *PARTS):
         try:
-            found.append(f"{name} {version(name)}")
+            versions.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             if name == "tutti":
                 return Finding(
                     "versions", "failed", "the package tutti is not installed", "install it: pip install tutti"
                 )
-    return Finding("versions", "ok", ", ".join(found))
+    return Finding("versions", "ok", ", ".join(versions))
 
 
 def check_realtime() -> Finding:
@@ -90,23 +90,23 @@ def check_usb_latency(root: Path = Path("/")) -> list[Finding]:
 
 def check_disk(folder: Path) -> Finding:
     """How long a write to the disk of the state folder takes, and how much is free there."""
-    place = next(path for path in (folder, *folder.parents) if path.exists())
+    parent = next(path for path in (folder, *folder.parents) if path.exists())
     took: list[float] = []
     try:
-        with NamedTemporaryFile(dir=place) as file:
+        with NamedTemporaryFile(dir=parent) as file:
             for _ in range(SYNCS):
                 began_ns = raw_ns()
                 file.write(b"x" * 4096)
                 file.flush()
                 os.fsync(file.fileno())
                 took.append((raw_ns() - began_ns) / NS_PER_S)
-        stats = os.statvfs(place)
+        stats = os.statvfs(parent)
     except OSError as error:
         return Finding(
-            "disk", "failed", f"{place} cannot be written: {error.strerror}", "choose another folder: --state"
+            "disk", "failed", f"{parent} cannot be written: {error.strerror}", "choose another folder: --state"
         )
     middle_s, free = median(took), stats.f_bavail * stats.f_frsize
-    text = f"{middle_s * 1e3:.1f} ms a write in {place}, {free // 1_000_000} MB free"
+    text = f"{middle_s * 1e3:.1f} ms a write in {parent}, {free // 1_000_000} MB free"
     if free < LEAST_FREE_BYTES:
         return Finding("disk", "failed", text, "free space there: no job begins on a full disk")
     if middle_s > SLOW_SYNC_S:
@@ -120,16 +120,16 @@ def check_disk(folder: Path) -> Finding:
 def check_ports(ports: Sequence[tuple[str, int]]) -> list[Finding]:
     """Whether ports of 127.0.0.1 are free, each with what would use it."""
     findings: list[Finding] = []
-    for what, port in ports:
+    for service, port in ports:
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("127.0.0.1", port))
             except OSError as error:
-                text = f"port {port} ({what}) is in use: {error.strerror}"
+                text = f"port {port} ({service}) is in use: {error.strerror}"
                 findings.append(
                     Finding("ports", "warning", text, "fine if a fleet runs here; else choose another: --port")
                 )
             else:
-                findings.append(Finding("ports", "ok", f"port {port} ({what}) is free"))
+                findings.append(Finding("ports", "ok", f"port {port} ({service}) is free"))
     return findings

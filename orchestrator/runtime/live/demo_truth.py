@@ -29,7 +29,7 @@ def check_verdicts(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns:
         if step.start_skew is None or step.t0_fleet_ns is None or step.state != "done":
             continue
         true: list[int] = []
-        outside: list[str] = []
+        deviations: list[str] = []
         for name, member in step.members.items():
             for axis, evidence in member.evidence.items():
                 motor = fleet.controllers[name].axes[axis].motors[0]
@@ -41,15 +41,15 @@ def check_verdicts(fleet: Fleet, report: JobReport, truth: Path, origin_host_ns:
                 )
                 true.append(start_ns)
                 early_ns, late_ns = (
-                    earliest_n + origin_host_ns
-                    for earliest_n in (evidence.start_for_verdict.earliest_ns, evidence.start_for_verdict.latest_ns)
+                    instant_ns + origin_host_ns
+                    for instant_ns in (evidence.start_for_verdict.earliest_ns, evidence.start_for_verdict.latest_ns)
                 )
                 if not early_ns <= start_ns <= late_ns:
                     off_ns = start_ns - (early_ns if start_ns < early_ns else late_ns)
-                    outside.append(f"{name}.{axis} by {off_ns / 1e6:+.2f} ms")
+                    deviations.append(f"{name}.{axis} by {off_ns / 1e6:+.2f} ms")
         skew_ns = max(true) - min(true) if true else 0
-        within = step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
-        verdicts.append(VerdictCheck(step.index, skew_ns, within, outside))
+        is_within = step.start_skew.at_least_ns <= skew_ns <= step.start_skew.at_most_ns
+        verdicts.append(VerdictCheck(step.index, skew_ns, is_within, deviations))
     return verdicts
 
 

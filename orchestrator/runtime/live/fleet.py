@@ -103,8 +103,8 @@ class ChildProcess:
 
     def last_error_line(self) -> str:
         """The last line that it wrote to standard error; "" if it wrote none."""
-        said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return said[-1] if said else ""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1] if lines else ""
 
 
 @dataclass(slots=True)
@@ -236,8 +236,8 @@ class LiveFleet:
             self._router_watch.cancel()
             await asyncio.wait([self._router_watch])
         # Both coordinators at once: the standby must not take over from the other.
-        both_children = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
-        await asyncio.gather(*(self._end_child(child) for child in both_children))
+        coordinators = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
+        await asyncio.gather(*(self._end_child(child) for child in coordinators))
         order = [GATEWAY, "coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
         for child in sorted(self.children.values(), key=lambda process: order.index(process.name.partition("/")[0])):
             await self._end_child(child)
@@ -257,11 +257,11 @@ class LiveFleet:
                 command += [*([NEXT] if names is not lines[0] else []), *self._make_simulator_arguments(names)]
             child = await self._start_child(f"sim/{'+'.join(chain(*lines))}", command, len(lines))
             for names, ready in zip(lines, child.ready_output, strict=True):
-                place = json.loads(ready)
+                device = json.loads(ready)
                 for name in names:
                     config = self.fleet.controllers[name]
                     link = config.link.model_copy(
-                        update={field: place[field] for field in _ENDPOINT_FIELDS[config.link.kind]}
+                        update={field: device[field] for field in _ENDPOINT_FIELDS[config.link.kind]}
                     )
                     simulate = config.simulate.model_copy(update={"link": link})
                     controllers[name] = config.model_copy(update={"simulate": simulate})
@@ -297,8 +297,10 @@ class LiveFleet:
         endpoint = self._choose_endpoint()
         module = "orchestrator.bus.zenoh.router"
         try:
-            kept_fleets = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
-            await self._start_child("router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *kept_fleets])
+            latch_arguments = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
+            await self._start_child(
+                "router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *latch_arguments]
+            )
         except UpFailed:
             if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise
@@ -397,8 +399,8 @@ class LiveFleet:
                 str(bridge_baud(config)),
             ]
         arguments = ["--model", config.adapter, "--name", name, *listen]
-        for each in names:
-            arguments += ["--unit", json.dumps(self._make_simulated_controller(each))]
+        for unit in names:
+            arguments += ["--unit", json.dumps(self._make_simulated_controller(unit))]
         return arguments
 
     def _choose_port(self) -> int:
@@ -489,8 +491,8 @@ class LiveFleet:
         except TimeoutError:
             raise UpFailed(f"{child.name} is not ready after {READY_TIMEOUT_S:g} s; see {child.log}") from None
         if not all(lines):
-            how = _describe_exit(await child.process.wait())
-            raise UpFailed(f"{child.name} ended ({how}): {child.last_error_line() or f'see {child.log}'}")
+            exit_text = _describe_exit(await child.process.wait())
+            raise UpFailed(f"{child.name} ended ({exit_text}): {child.last_error_line() or f'see {child.log}'}")
         child.ready_output = [line.decode().strip() for line in lines]
 
     async def _supervise_child(self, child: ChildProcess) -> None:

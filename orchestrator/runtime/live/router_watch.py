@@ -118,7 +118,7 @@ async def watch_live_router(
     endpoint: str, fleet: str, restart: Callable[[], Awaitable[None]] | None, say: Callable[[str], None]
 ) -> None:
     """Watch the router of a fleet that runs, until cancelled. Raises `RouterUnreachable` if it does not answer now."""
-    keys, rest = FleetKeys(fleet), FleetRest()
+    keys, fleet_rest = FleetKeys(fleet), FleetRest()
     bus = await open_bus(endpoint)
 
     async def probe() -> str:
@@ -128,7 +128,7 @@ async def watch_live_router(
         bus.put(keys.alarm_request(ROLE, ID), request.to_json(), Priority.EVENT)
 
     try:
-        await bus.subscribe(keys.state(), rest.receive_state)
-        await RouterWatch(endpoint, LiveClock(), probe, rest.is_moving, raise_alarm, restart, say).run()
+        await bus.subscribe(keys.state(), fleet_rest.receive_state)
+        await RouterWatch(endpoint, LiveClock(), probe, fleet_rest.is_moving, raise_alarm, restart, say).run()
     finally:
         await bus.close()

@@ -101,13 +101,17 @@ class RouterService:
         while True:
             if self._security.identity is not None:
                 os.environ[VARIABLE] = str(self._security.identity)  # of the router's own sessions
-            place = self._place
-            with open_router(place.listen, self._security.settings, place.links, insecure=place.insecure):
+            router_place = self._place
+            with open_router(
+                router_place.listen, self._security.settings, router_place.links, insecure=router_place.insecure
+            ):
                 on_ready()
                 keeping = asyncio.create_task(self._keep_latch())
                 keeping.add_done_callback(report_latch_end)
                 own, security = self._own_endpoint, self._security
-                warning = asyncio.create_task(report_open_router(own, place.listen, security.fleet, security.name))
+                warning = asyncio.create_task(
+                    report_open_router(own, router_place.listen, security.fleet, security.name)
+                )
                 try:
                     self._security = await self._wait_for_change()
                 finally:

@@ -75,7 +75,7 @@ def make_unit_name(part: str, place: ServicePlace) -> str:
 def make_unit(part: str, place: ServicePlace) -> str:
     """The unit of a part. Raises `ValueError` for a part that is none of `PARTS`."""
     command = shlex.join(_make_command(part, place))
-    after = (
+    targets = (
         "network-online.target"
         if part == "router"
         else f"network-online.target tutti-{place.fleet.fleet}-router.service"
@@ -86,14 +86,14 @@ def make_unit(part: str, place: ServicePlace) -> str:
     lines = [
         "[Unit]",
         f"Description=Tutti {part}{' ' + place.host if part == 'host' else ''} of fleet {place.fleet.fleet}",
-        f"After={after}",
+        f"After={targets}",
         "Wants=network-online.target",
         "",
         "[Service]",
         "Type=notify",
         "NotifyAccess=all",
         f"ExecStart={command}",
-        *(f"Environment={each}" for each in environment),
+        *(f"Environment={setting}" for setting in environment),
         f"User={place.user}",
         f"StateDirectory=tutti/{_state_name(part, place)}",
         "StateDirectoryMode=0700",
@@ -140,7 +140,7 @@ def _make_command(part: str, place: ServicePlace) -> list[str]:
             keys = [] if place.keys is None else ["--keys", str(place.keys)]
             return [tutti, "router", str(place.file), "--listen", place.listen or place.connect, *keys]
         case "coordinator":
-            hosts = [word for each in place.local for word in ("--host", each)] or ["--no-hosts"]
+            hosts = [word for host in place.local for word in ("--host", host)] or ["--no-hosts"]
             command = [tutti, "up", str(place.file), "--connect", place.connect]
             return [*command, *hosts, "--no-web", "--no-record"]
         case "host":

@@ -68,7 +68,7 @@ def write_backup(folder: Path, target: Path, tutti: str, utc: str) -> BackupMani
             copy = copies / path.relative_to(folder)
             copy.parent.mkdir(exist_ok=True)
             shutil.copyfile(path, copy)
-        names = [each for each in _order_files(copies) if each != MANIFEST]
+        names = [file_name for file_name in _order_files(copies) if file_name != MANIFEST]
         members = {name: _describe(copies / name) for name in names}
         manifest = BackupManifest(tutti=tutti, utc=utc, epoch=epoch, members=members)
         (copies / MANIFEST).write_bytes(manifest.to_json())
@@ -76,8 +76,8 @@ def write_backup(folder: Path, target: Path, tutti: str, utc: str) -> BackupMani
             write_new_file(target) as file,
             tarfile.open(fileobj=file, mode="w", format=tarfile.PAX_FORMAT) as tar,
         ):
-            for each in (MANIFEST, *names):
-                tar.add(copies / each, each, filter=_hide_owner)
+            for file_name in (MANIFEST, *names):
+                tar.add(copies / file_name, file_name, filter=_hide_owner)
         sync_folder(target.parent)
     return manifest
 

@@ -93,13 +93,13 @@ def find_running_fleet(folder: Path) -> RunningFleet | None:
     """The fleet that runs with this state folder; None without one."""
     try:
         entry = json.loads((folder / LOCK).read_text(encoding="utf-8"))
-        place = entry["fleet"], entry["connect"], folder, entry.get("adapter_host", "")
-        fleet = RunningFleet(entry["pid"], entry["started"], *place)
-        here = entry["host"] == socket.gethostname()
+        fields = entry["fleet"], entry["connect"], folder, entry.get("adapter_host", "")
+        fleet = RunningFleet(entry["pid"], entry["started"], *fields)
+        is_local = entry["host"] == socket.gethostname()
     except (OSError, ValueError, KeyError, TypeError):
         return None
     # What a killed process has left there names no living one.
-    return fleet if here and find_start_ticks(fleet.pid) == fleet.started else None
+    return fleet if is_local and find_start_ticks(fleet.pid) == fleet.started else None
 
 
 def find_running_fleets(adapter_host: str = "") -> list[RunningFleet]:
@@ -107,7 +107,7 @@ def find_running_fleets(adapter_host: str = "") -> list[RunningFleet]:
     adapter host runs by `tutti host`."""
     folders = sorted(path.parent for path in default_state("any").parent.glob(f"*/{LOCK}"))
     running_folders = [fleet for folder in folders if (fleet := find_running_fleet(folder)) is not None]
-    return [each for each in running_folders if each.adapter_host == adapter_host]
+    return [running_fleet for running_fleet in running_folders if running_fleet.adapter_host == adapter_host]
 
 
 def default_state(fleet: str) -> Path:

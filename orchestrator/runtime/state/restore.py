@@ -95,8 +95,8 @@ def _find_epoch(fresh: Path, folder: Path, seen: Iterable[int]) -> int:
     if (folder / JOURNAL).exists():
         with suppress(JournalError):  # one that cannot be read is what is replaced
             epochs.append(read_stored_epoch(folder / JOURNAL))
-    for each in (folder, fresh):
-        epochs += [FileStore(path).load().epoch for path in (each / ADAPTERS).glob("*.json")]
+    for state_folder in (folder, fresh):
+        epochs += [FileStore(path).load().epoch for path in (state_folder / ADAPTERS).glob("*.json")]
     return max(epoch for epoch in (0, *epochs) if epoch < MAX_EPOCH) + 1
 
 
@@ -135,7 +135,7 @@ def _move_files(fresh: Path, folder: Path) -> list[str]:
     """Move what was unpacked to its place, the journal last; return the files that stay as they were."""
     left_out: list[str] = []
     names = sorted(str(path.relative_to(fresh)) for path in fresh.rglob("*") if path.is_file())
-    for name in sorted(names, key=lambda each: each == JOURNAL):
+    for name in sorted(names, key=lambda file_name: file_name == JOURNAL):
         target = folder / name
         if target.exists():
             left_out.append(name)

@@ -211,7 +211,7 @@ class VirtualFleet:
 
     def _connect_wire(self, connection: WireConnection) -> None:
         """Make an input follow an output after a delay; the delay of each wire is fixed, and lies within its bounds."""
-        least_ns, most_ns = (each * NS_PER_US for each in connection.delay_us)
+        least_ns, most_ns = (delay_us * NS_PER_US for delay_us in connection.delay_us)
         delay_ns = self._draw.randint(least_ns, most_ns)
         source, number = self.controllers[connection.source], connection.driven_by.number
 
@@ -292,8 +292,8 @@ class VirtualFleet:
             return
         host.process.kill()
         await sleep_ns(self.clock, NS_PER_MS)
-        mine = {name: config for name, config in self.fleet.controllers.items() if config.host == host.name}
-        await asyncio.gather(*(self._stop_link(names[0], stop) for names, stop in stops_by_line(mine)))
+        configs = {name: config for name, config in self.fleet.controllers.items() if config.host == host.name}
+        await asyncio.gather(*(self._stop_link(names[0], stop) for names, stop in stops_by_line(configs)))
         await sleep_ns(self.clock, RESTART_NS)
         self.start_host(host.name)
 
@@ -373,10 +373,10 @@ class VirtualFleet:
 
     def find_process(self, name: str) -> VirtualProcess:
         """Return the process `host/NAME`, `coordinator/NAME` or `sim/NAME` that runs now."""
-        kind, _, rest = name.partition("/")
+        kind, _, host = name.partition("/")
         if kind == "host":
-            return self.hosts[rest].process
-        return self.coordinators[rest][0] if kind == "coordinator" else self.simulators[rest]
+            return self.hosts[host].process
+        return self.coordinators[host][0] if kind == "coordinator" else self.simulators[host]
 
     def freeze(self, name: str) -> None:
         """Like SIGSTOP."""

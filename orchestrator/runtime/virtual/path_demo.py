@@ -73,21 +73,21 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
 
     client = virtual.make_client("demo")
     await client.bus.subscribe(client.keys.job_samples(), take)
-    seen: list[tuple[int, list[float]]] = []
-    watching = asyncio.get_running_loop().create_task(_watch_truth(virtual, step.axes, seen))
+    sightings: list[tuple[int, list[float]]] = []
+    watching = asyncio.get_running_loop().create_task(_watch_truth(virtual, step.axes, sightings))
     report = await client.wait_for_job(await client.submit(job))
     await sleep_ns(clock, NS_PER_S)
     watching.cancel()
-    done_step = next((each for each in report.steps if each.do == "path"), None)
+    done_step = next((step_report for step_report in report.steps if step_report.do == "path"), None)
     if report.state != "done" or done_step is None or done_step.t0_fleet_ns is None or not found_samples:
         raise PathDemoFailed(f"the job is {report.state}: {report.reason or 'nothing was sampled'}")
     origin_ns = next(iter(virtual.coordinators.values()))[1].leadership.scale.origin_host_ns
     await client.close()
     plan = plan_path(step, [_describe_axis(fleet, name) for name in step.axes])
     begins_ns, ends_s = done_step.t0_fleet_ns + origin_ns, plan.duration_s
-    rows = [((at_ns - begins_ns) / NS_PER_S, where) for at_ns, where in seen]
-    kept = [(at_s, where) for at_s, where in rows if -0.05 <= at_s <= ends_s + 0.05]
-    times_s, truth = np.array([at_s for at_s, _ in kept]), np.array([where for _, where in kept])
+    rows = [((at_ns - begins_ns) / NS_PER_S, position) for at_ns, position in sightings]
+    kept_rows = [(at_s, position) for at_s, position in rows if -0.05 <= at_s <= ends_s + 0.05]
+    times_s, truth = np.array([at_s for at_s, _ in kept_rows]), np.array([position for _, position in kept_rows])
     course = plan.path(np.linspace(0.0, plan.length, COURSE))
     unit = fleet.axis(step.axes[0]).unit
     samples = _collect_samples(found_samples, done_step.t0_fleet_ns, ends_s)
@@ -113,13 +113,15 @@ async def _watch_truth(fleet: VirtualFleet, axes: list[str], seen: list[tuple[in
 def _collect_samples(found: list[StepSamples], t0_ns: int, ends_s: float) -> dict[str, AxisSamples]:
     """The samples of all axes while they move."""
     samples: dict[str, AxisSamples] = {}
-    for each in found:
-        times_s = (np.array(each.fleet_ns, dtype=np.float64) - t0_ns) / NS_PER_S
-        inside = (times_s >= 0.0) & (times_s <= ends_s)
-        for name, axis in each.axes.items():
+    for sample_series in found:
+        times_s = (np.array(sample_series.fleet_ns, dtype=np.float64) - t0_ns) / NS_PER_S
+        is_inside = (times_s >= 0.0) & (times_s <= ends_s)
+        for name, axis in sample_series.axes.items():
             positions = np.array(axis.counts, dtype=np.float64) / axis.counts_per_unit
-            bound_s = each.bound_ns / NS_PER_S
-            samples[f"{each.controller}.{name}"] = AxisSamples(times_s[inside], positions[inside], bound_s)
+            bound_s = sample_series.bound_ns / NS_PER_S
+            samples[f"{sample_series.controller}.{name}"] = AxisSamples(
+                times_s[is_inside], positions[is_inside], bound_s
+            )
     return samples
 
 

@@ -80,10 +80,10 @@ class VariableStore:
             return
         if size < 1:
             raise CommandError(6)
-        freed = len(self.arrays.get(name, ()))
+        size_before = len(self.arrays.get(name, ()))
         if name not in self.arrays and len(self.arrays) >= ARRAYS:
             raise CommandError(67)
-        if size > self.free_elements() + freed:
+        if size > self.free_elements() + size_before:
             raise CommandError(66)
         self.arrays[name] = [0] * size
 
@@ -106,8 +106,8 @@ class VariableStore:
         lines: list[str] = []
         for name in sorted(self.variables):
             raw = self.variables[name]
-            scaled = fixed.round_half_up(abs(raw) * 10000 / fixed.ONE)
-            lines.append(f"{name} = {'-' if raw < 0 else ''}{scaled // 10000}.{scaled % 10000:04d}")
+            number = fixed.round_half_up(abs(raw) * 10000 / fixed.ONE)
+            lines.append(f"{name} = {'-' if raw < 0 else ''}{number // 10000}.{number % 10000:04d}")
         return lines
 
     def list_arrays(self) -> list[str]:

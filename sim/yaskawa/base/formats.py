@@ -41,10 +41,10 @@ class NumberFormat:
         """Format `raw`; a number that does not fit is shown as nines (hexadecimal: the nearest end)."""
         if self.hexadecimal:
             return self._format_hex(raw, layout)
-        scaled = fixed.round_half_up(abs(raw) * 10**self.decimals / fixed.ONE)
+        number = fixed.round_half_up(abs(raw) * 10**self.decimals / fixed.ONE)
         limit = 10 ** (self.digits + self.decimals)
-        scaled = min(scaled, limit - 1)
-        text = str(scaled).rjust(self.digits + self.decimals, "0")
+        number = min(number, limit - 1)
+        text = str(number).rjust(self.digits + self.decimals, "0")
         point = len(text) - self.decimals
         head, tail = text[:point], text[point:]
         if layout.strip_zeros:

@@ -100,11 +100,11 @@ class ServoTimebase:
             self._shift, self.joined = self._base_tick - source.current_tick(), True
 
     def _notify_followers(self) -> None:
-        for follower, changed in self.followers:
+        for follower, on_change in self.followers:
             if follower.period_us < 0:
                 if not follower.joined:
                     follower.join_source()
-                changed()
+                on_change()
 
     @property
     def _active_source(self) -> "ServoTimebase | None":

@@ -61,21 +61,21 @@ def _compile_record(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
         contour = motion.contouring.running
-        given: dict[str, int] = {}
+        increments: dict[str, int] = {}
         if fields is not None:
             for letter, raw in zip(LETTERS, fields(c), strict=False):
-                given[letter] = 0 if raw is None else fixed.to_integer(raw)
+                increments[letter] = 0 if raw is None else fixed.to_integer(raw)
         for name, field in form:
             if field is not None and not isinstance(field, str):
                 targets = contour.axes if name == "*" and contour is not None else (c.machine.find_axis(name).name,)
-                given.update(dict.fromkeys(targets, fixed.to_integer(field(c))))
-        if any(abs(increment) > c.machine.model.figures.contour_step for increment in given.values()):
+                increments.update(dict.fromkeys(targets, fixed.to_integer(field(c))))
+        if any(abs(increment) > c.machine.model.figures.contour_step for increment in increments.values()):
             raise CommandError(41)
         if contour is None:
-            if motion.contouring.interval == 0 and not any(given.values()):
+            if motion.contouring.interval == 0 and not any(increments.values()):
                 return None
             raise CommandError(8)
-        _queue_record(c, contour, tuple(given.get(name, 0) for name in contour.axes))
+        _queue_record(c, contour, tuple(increments.get(name, 0) for name in contour.axes))
         return None
 
     return run_command
@@ -119,4 +119,4 @@ def _takes_record(motion: MotionControl) -> bool:
 @register_command("WC")
 def _compile_wait_contour(text: str) -> Runner:
     require_bare(text)
-    return lambda c: when_passed(lambda machine, now: _takes_record(machine.motion))
+    return lambda c: when_passed(lambda machine, sample: _takes_record(machine.motion))

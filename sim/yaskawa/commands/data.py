@@ -83,15 +83,15 @@ def _compile_message(text: str) -> Runner:
                 parts.append(_compile_part(part))
 
     def run_command(c: CommandContext) -> Outcome:
-        written = "".join(part(c) for part in parts)
+        message = "".join(part(c) for part in parts)
         if target:
             if not c.machine.ports.is_port_open(target):
                 raise CommandError(126)
-            c.machine.ports.send_text(target, f"{written}\r\n" if line_end else written)
+            c.machine.ports.send_text(target, f"{message}\r\n" if line_end else message)
         elif c.thread is not None:
-            c.machine.ports.send_message(f"{written}\r\n" if line_end else written)
+            c.machine.ports.send_message(f"{message}\r\n" if line_end else message)
         else:
-            return written if line_end else RawData(written)
+            return message if line_end else RawData(message)
         return None
 
     return run_command
@@ -100,29 +100,29 @@ def _compile_message(text: str) -> Runner:
 def _split_pieces(piece: str) -> list[str]:
     """Split a field of MG where braces follow it without a separator (`{^07}{^255}`, `V{F4.2}{N}`)."""
     pieces: list[str] = []
-    rest_piece = piece
-    while rest_piece:
-        if rest_piece.startswith("{"):
-            end = rest_piece.find("}")
+    remainder = piece
+    while remainder:
+        if remainder.startswith("{"):
+            end = remainder.find("}")
             if end < 0:
                 raise CommandError(53)
-            pieces.append(rest_piece[: end + 1])
-            rest_piece = rest_piece[end + 1 :]
+            pieces.append(remainder[: end + 1])
+            remainder = remainder[end + 1 :]
             continue
-        if rest_piece.startswith('"'):
-            end = rest_piece.find('"', 1)
+        if remainder.startswith('"'):
+            end = remainder.find('"', 1)
             if end < 0:
                 raise CommandError(52)
-            pieces.append(rest_piece[: end + 1])
-            rest_piece = rest_piece[end + 1 :]
+            pieces.append(remainder[: end + 1])
+            remainder = remainder[end + 1 :]
             continue
-        end = rest_piece.find("{")
-        value = rest_piece if end < 0 else rest_piece[:end]
-        rest_piece = "" if end < 0 else rest_piece[end:]
-        match = _BRACES.match(rest_piece)
+        end = remainder.find("{")
+        value = remainder if end < 0 else remainder[:end]
+        remainder = "" if end < 0 else remainder[end:]
+        match = _BRACES.match(remainder)
         if match is not None and match[0][1:2] in ("F", "$", "S"):
             value += match[0]
-            rest_piece = rest_piece[match.end() :]
+            remainder = remainder[match.end() :]
         pieces.append(value)
     return pieces
 
@@ -155,15 +155,15 @@ _DIMENSION = re.compile(r"([A-Za-z][A-Za-z0-9]*)\[(.+)\]")
 def _compile_dimension(text: str) -> Runner:
     if text == "?":
         return lambda c: c.machine.format_variable(fixed.from_integer(c.machine.data.free_elements()))
-    wanted: list[tuple[str, Callable[[CommandContext], int]]] = []
+    requests: list[tuple[str, Callable[[CommandContext], int]]] = []
     for part in split_fields(text):
         match = _DIMENSION.fullmatch(part)
         if match is None:
             raise CommandError(55 if part else 50)
-        wanted.append((match[1], compile_integer(match[2])))
+        requests.append((match[1], compile_integer(match[2])))
 
     def run_command(c: CommandContext) -> Outcome:
-        for name, size in wanted:
+        for name, size in requests:
             c.machine.data.create_array(name, size(c), proper=c.machine.model.proper_arrays)
         return None
 
@@ -204,9 +204,9 @@ def element_span(c: CommandContext, size: int, given: list[int | None]) -> tuple
 
 @register_command("QD")
 def _compile_download_array(text: str) -> Runner:
-    name_text, *rest = split_fields(text)
+    name_text, *field_texts = split_fields(text)
     name = array_name(name_text)
-    fields = compile_values(parse_fields(",".join(rest), 2))
+    fields = compile_values(parse_fields(",".join(field_texts), 2))
 
     def run_command(c: CommandContext) -> Outcome:
         port = c.port or (None if c.machine.model.still_data else c.machine.ports.serial)
@@ -237,9 +237,9 @@ def _compile_download_array(text: str) -> Runner:
 
 @register_command("QU")
 def _compile_upload_array(text: str) -> Runner:
-    name_text, *rest = split_fields(text)
+    name_text, *field_texts = split_fields(text)
     name = array_name(name_text)
-    fields = compile_values(parse_fields(",".join(rest), 3))
+    fields = compile_values(parse_fields(",".join(field_texts), 3))
 
     def run_command(c: CommandContext) -> Outcome:
         if c.machine.motion.is_active():
@@ -249,11 +249,11 @@ def _compile_upload_array(text: str) -> Runner:
         first, last = element_span(c, len(array), given_fields)
         comma = given_fields[2] is not None and fixed.to_integer(given_fields[2]) == 1
         numbers = [c.machine.position_format.format_value(raw, c.machine.layout) for raw in array[first : last + 1]]
-        written = (",".join(numbers) if comma else "\r".join(numbers)) + ("" if comma else "\r") + END_OF_TEXT
+        message = (",".join(numbers) if comma else "\r".join(numbers)) + ("" if comma else "\r") + END_OF_TEXT
         if c.port is None:
-            c.machine.ports.send_message(written)
+            c.machine.ports.send_message(message)
             return None
-        return written
+        return message
 
     return run_command
 
@@ -310,8 +310,8 @@ def _compile_record(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 2))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None]]
-        exponent, records = given[0], given[1]
+        values = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None]]
+        exponent, records = values[0], values[1]
         if exponent is None:
             raise CommandError(50)
         if not 0 <= exponent <= 8 or (records is not None and not -8000 <= records <= 8000):
@@ -337,11 +337,11 @@ def register_listing(
         require_bare(text.removeprefix("?"))
 
         def run_command(c: CommandContext) -> Outcome:
-            written = "".join(f"{line}\r\n" for line in lines(c))
+            message = "".join(f"{line}\r\n" for line in lines(c))
             if c.thread is not None:
-                c.machine.ports.send_message(written)
+                c.machine.ports.send_message(message)
                 return None
-            return RawData(written)
+            return RawData(message)
 
         return run_command
 

@@ -21,17 +21,17 @@ def _compile_absolute_encoder(text: str) -> Runner:
     form = parse_form(text)
 
     def run_command(c: CommandContext) -> Outcome:
-        given: list[tuple[ServoAxis, int]] = []
+        resolutions: list[tuple[ServoAxis, int]] = []
         for name, field in form:
             if field is None or isinstance(field, str):
                 raise CommandError(51)
             resolution = fixed.to_integer(field(c))
             if not 1 <= abs(resolution) <= c.machine.model.figures.encoder_resolution:
                 raise CommandError(6)
-            given += [(axis, resolution) for axis in target_axes(c, name)]
-        if not given:
+            resolutions += [(axis, resolution) for axis in target_axes(c, name)]
+        if not resolutions:
             raise CommandError(50)
-        for axis, resolution in given:
+        for axis, resolution in resolutions:
             _read_encoder(c, axis, resolution)
         return None
 
@@ -47,10 +47,10 @@ def _read_encoder(c: CommandContext, axis: ServoAxis, resolution: int) -> None:
     if not axis.motor_off:
         raise CommandError(MOTOR_ON)
     c.machine.last_encoder = axis.index
-    place = encoders.get(axis.name)
-    if place is None:
+    encoder = encoders.get(axis.name)
+    if encoder is None:
         raise CommandError(SILENT)
-    axis.absolute = place if resolution > 0 else -place
+    axis.absolute = encoder if resolution > 0 else -encoder
     axis.turns = axis.absolute // abs(resolution)
     axis.define_position(c.machine.current_sample(), axis.absolute)
 

@@ -24,8 +24,8 @@ def _compile_address(text: str) -> Runner:
         return lambda c: address_text(c.machine.address)
     head, retry_given, retry_text = text.partition("<")
     retry = compile_integer(retry_text) if retry_given else None
-    unsigned = int(head) if head.isdecimal() and int(head) < 1 << 32 else None
-    fields = compile_values(parse_fields(head)) if head and unsigned is None else None
+    number = int(head) if head.isdecimal() and int(head) < 1 << 32 else None
+    fields = compile_values(parse_fields(head)) if head and number is None else None
 
     def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
@@ -33,8 +33,8 @@ def _compile_address(text: str) -> Runner:
             raise CommandError(1)
         if machine.motion.is_active():
             raise CommandError(7)
-        if unsigned is not None:
-            machine.address = fixed.wrap_counts(unsigned)
+        if number is not None:
+            machine.address = fixed.wrap_counts(number)
         if fields is not None:
             machine.address = _parse_address([raw for raw in fields(c) if raw is not None])
         if retry is not None:
@@ -60,15 +60,15 @@ def _parse_address(given: list[int]) -> int:
 
 @register_command("IH")
 def _compile_internet_handle(text: str) -> Runner:
-    handle, found, rest = text.partition("=")
-    if not found or handle not in (*HANDLES, "S", "T"):
+    handle, mark, tail = text.partition("=")
+    if not mark or handle not in (*HANDLES, "S", "T"):
         raise CommandError(4)
-    if rest.startswith(">"):
-        value = compile_integer(rest[1:])
+    if tail.startswith(">"):
+        value = compile_integer(tail[1:])
         return lambda c: _close_handle(c, handle, value(c))
     if handle in ("S", "T"):
         raise CommandError(4)
-    head, kind_given, kind_text = rest.partition(">")
+    head, kind_given, kind_text = tail.partition(">")
     head, port_given, port_text = head.partition("<")
     kind = compile_integer(kind_text) if kind_given else None
     port = compile_integer(port_text) if port_given else None
@@ -117,16 +117,16 @@ def _close_handle(c: CommandContext, handle: str, mode: int) -> Outcome:
 
 @register_command("HS")
 def _compile_swap_handles(text: str) -> Runner:
-    first, found, second = text.partition("=")
-    if not found or first not in (*HANDLES, "S") or second not in (*HANDLES, "S"):
+    first, mark, second = text.partition("=")
+    if not mark or first not in (*HANDLES, "S") or second not in (*HANDLES, "S"):
         raise CommandError(4)
 
     def run_command(c: CommandContext) -> Outcome:
         own = c.port.name if c.port is not None else ""
-        one, other = (own if name == "S" else name for name in (first, second))
-        if not one or not other:
+        first_handle, second_handle = (own if name == "S" else name for name in (first, second))
+        if not first_handle or not second_handle:
             raise CommandError(4)
-        c.machine.ports.swap_handles(one, other)
+        c.machine.ports.swap_handles(first_handle, second_handle)
         return None
 
     return run_command
@@ -152,17 +152,17 @@ def _format_plain(raw: int) -> str:
 @register_command("SA")
 def _compile_send_command(text: str) -> Runner:
     """`SAh="KI",2`: the first field, followed by the others, separated by commas (L1796-L1806)."""
-    handle, found, rest = text.partition("=")
-    if not found or handle not in HANDLES or len(handle) != 1:
+    handle, mark, tail = text.partition("=")
+    if not mark or handle not in HANDLES or len(handle) != 1:
         raise CommandError(4)
-    parts = split_fields(rest)
-    if len(parts) > FIELDS or not rest:
+    parts = split_fields(tail)
+    if len(parts) > FIELDS or not tail:
         raise CommandError(50)
     fields = [_send_field(part) for part in parts]
 
     def run_command(c: CommandContext) -> Outcome:
-        first, *others = [field(c) for field in fields]
-        _find_peer(c, handle).send_command(first + ",".join(others))
+        first, *texts = [field(c) for field in fields]
+        _find_peer(c, handle).send_command(first + ",".join(texts))
         return None
 
     return run_command
@@ -178,28 +178,28 @@ def _find_peer(c: CommandContext, handle: str) -> PeerHandle:
 @register_command("MB")
 def _compile_modbus(text: str) -> Runner:
     """Send a packet to a Modbus device (L7296-L7332); the command waits for the answer, unless MW is 0 (L7739)."""
-    handle, found, rest = text.partition("=")
-    if not found or handle not in HANDLES or len(handle) != 1:
+    handle, mark, tail = text.partition("=")
+    if not mark or handle not in HANDLES or len(handle) != 1:
         raise CommandError(4)
-    parts = split_fields(rest)
+    parts = split_fields(tail)
     name = array_name(parts.pop()) if parts[-1].endswith("]") else ""
     if not parts or not all(parts):
         raise CommandError(50)
     numbers = [compile_integer(part) for part in parts]
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [number(c) for number in numbers]
-        if given[0] == RAW:
-            given.insert(0, HANDLES.index(handle) + 1)
-        if len(given) < 2:
+        values = [number(c) for number in numbers]
+        if values[0] == RAW:
+            values.insert(0, HANDLES.index(handle) + 1)
+        if len(values) < 2:
             raise CommandError(50)
-        if given[1] not in FUNCTIONS:
+        if values[1] not in FUNCTIONS:
             raise CommandError(127)
         peer = _find_peer(c, handle)
-        _transmit_modbus(peer, given, c.machine.data.get_array(name) if name else [])
+        _transmit_modbus(peer, values, c.machine.data.get_array(name) if name else [])
         if not c.machine.modbus_wait:
             return None
-        return when_passed(lambda machine, now: peer.send_state != WAITING)
+        return when_passed(lambda machine, sample: peer.send_state != WAITING)
 
     return run_command
 
@@ -266,8 +266,8 @@ def _compile_tell_handles(text: str) -> Runner:
                 lines.append(f"IH{name} {kind} PORT 0 TO IP ADDRESS {address_text(peer.address)} PORT {peer.number}")
             else:
                 lines.append(f"IH{name} AVAILABLE")
-        written = "\r\n".join(lines)
-        return report_text(c, written)
+        message = "\r\n".join(lines)
+        return report_text(c, message)
 
     return run_command
 

@@ -25,8 +25,8 @@ def running_thread(c: CommandContext) -> ProgramThread:
 def _compile_location(text: str) -> Callable[[CommandContext], int]:
     """A label, `#L+n`, or a line number (L5671)."""
     if text.startswith("#"):
-        label, found, extra = text[1:].partition("+")
-        offset = compile_integer(extra) if found else None
+        label, mark, extra = text[1:].partition("+")
+        offset = compile_integer(extra) if mark else None
         return lambda c: _check_line(c, c.machine.program.find_label(label) + (offset(c) if offset is not None else 0))
     value = compile_integer(text)
     return lambda c: _check_line(c, value(c))
@@ -214,8 +214,8 @@ def _compile_input_interrupt(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         running_thread(c)
-        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None, None]]
-        first, last, mask, high = given[:4]
+        values = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None, None]]
+        first, last, mask, high = values[:4]
         programs = c.machine.programs
         if first is not None:
             if not 0 <= first <= 8 or (last is not None and not 2 <= last <= 8):
@@ -264,7 +264,7 @@ def _compile_input(text: str) -> Runner:
             raise CommandError(71)
         c.machine.ports.send_text("S", prompt)
         thread.input_for, thread.input_length = name, length
-        return when_passed(lambda machine, now: not thread.input_for)
+        return when_passed(lambda machine, sample: not thread.input_for)
 
     return run_command
 
@@ -275,17 +275,17 @@ def _compile_breakpoint(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         programs = c.machine.programs
-        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None]]
+        values = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None]]
         for thread in programs.threads:
             thread.paused = False
             thread.steps = 0
-        if given[0] is None:
+        if values[0] is None:
             programs.break_at, programs.break_hit = None, False
             return None
-        number = given[1] or 0
-        if not 0 <= given[0] < c.machine.model.room.lines or not 0 <= number < c.machine.model.threads:
+        number = values[1] or 0
+        if not 0 <= values[0] < c.machine.model.room.lines or not 0 <= number < c.machine.model.threads:
             raise CommandError(6)
-        programs.break_at, programs.break_hit = (given[0], number), False
+        programs.break_at, programs.break_hit = (values[0], number), False
         return None
 
     return run_command

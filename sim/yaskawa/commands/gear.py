@@ -33,11 +33,11 @@ def _split_masters(text: str) -> list[tuple[str, str]]:
 
 def _parse_master(source: str) -> str:
     """Return the canonical name of a master: an axis, `C` or `D` with an axis, a system, N, or a designator."""
-    place = canonical_axis(source[-1:])
-    if len(source) == 2 and source[0] in "CD" and place in LETTERS:
-        return source[0] + place
-    if len(source) == 1 and (place in LETTERS or source in "STN"):
-        return place if place in LETTERS else source
+    letter = canonical_axis(source[-1:])
+    if len(source) == 2 and source[0] in "CD" and letter in LETTERS:
+        return source[0] + letter
+    if len(source) == 1 and (letter in LETTERS or source in "STN"):
+        return letter if letter in LETTERS else source
     if source.startswith("~"):
         return source
     raise CommandError(4)
@@ -109,10 +109,10 @@ def _compile_cam_enable(text: str) -> Runner:
     def run_command(c: CommandContext) -> Outcome:
         motion = c.machine.motion
         cam = motion.cam
-        wanted = value(c)
-        if wanted not in (0, 1):
+        switch = value(c)
+        if switch not in (0, 1):
             raise CommandError(6)
-        if wanted:
+        if switch:
             if cam.master is None:
                 raise CommandError(102)
             if cam.effective_cycle > (cam.points - 1) * cam.interval:
@@ -124,7 +124,7 @@ def _compile_cam_enable(text: str) -> Runner:
                 motion.camming.disengage_slave(motion.axes[name], sample_now)
             cam.waiting.clear()
             motion.camming.set_modulus(0)
-        cam.enabled = bool(wanted)
+        cam.enabled = bool(switch)
         return None
 
     return run_command
@@ -173,8 +173,8 @@ def _compile_cam_interval(text: str) -> Runner:
 
 def _show_interval(c: CommandContext, text: str) -> str:
     cam = c.machine.motion.cam
-    both = zip((cam.interval, cam.start), text.split(","), strict=False)
-    return ",".join(c.machine.format_counts(number) for number, mark in both if mark)
+    pairs = zip((cam.interval, cam.start), text.split(","), strict=False)
+    return ",".join(c.machine.format_counts(number) for number, mark in pairs if mark)
 
 
 @register_command("ET")
@@ -182,10 +182,10 @@ def _compile_cam_table(text: str) -> Runner:
     index: Evaluator | None = None
     body = text
     if text.startswith("["):
-        place, found, body = text[1:].partition("]=")
-        if not found:
+        index_text, mark, body = text[1:].partition("]=")
+        if not mark:
             raise CommandError(55)
-        index = compile_expression(place)
+        index = compile_expression(index_text)
     if not body:
         raise CommandError(50)
     fields = compile_values(parse_fields(body))
@@ -232,7 +232,7 @@ def _run_engagement(c: CommandContext, op: str, form: list[tuple[str, Field]]) -
     for name, field in form:
         if field is None or isinstance(field, str):
             raise CommandError(51)
-        place = fixed.to_integer(field(c))
+        position = fixed.to_integer(field(c))
         for axis in target_axes(c, name):
             if axis.name == cam.master:
                 raise CommandError(4)
@@ -240,7 +240,7 @@ def _run_engagement(c: CommandContext, op: str, form: list[tuple[str, Field]]) -
                 raise CommandError(7)
             if op == "EG" and axis.motor_off:
                 raise CommandError(20)
-            _change_engagement(c, op, axis, place)
+            _change_engagement(c, op, axis, position)
     return None
 
 

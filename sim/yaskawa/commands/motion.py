@@ -34,7 +34,7 @@ def _compile_begin(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         machine, motion = c.machine, c.machine.motion
-        now, at = machine.current_sample(), machine.timebase.next_sample()
+        sample, at = machine.current_sample(), machine.timebase.next_sample()
         wanted_names = resolve_names(c, names)
         systems = [motion.systems[name] for name in wanted_names if name in motion.systems]
         if names:
@@ -46,9 +46,9 @@ def _compile_begin(text: str) -> Runner:
         if motion.abort_input:
             raise CommandError(22)
         for axis in axes:
-            _check_begin(c, axis, now)
+            _check_begin(c, axis, sample)
         for system in systems:
-            motion.coordinated.check_begin(system, now)
+            motion.coordinated.check_begin(system, sample)
         motion.independent.begin_motion(axes, at)
         for system in systems:
             motion.coordinated.begin_sequence(system, at)
@@ -217,18 +217,18 @@ def _define_auxiliary(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> 
 def increment_target(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> None:
     """`IP`: at rest a move, in a move a farther target, in a jog a jump."""
     machine, motion = c.machine, c.machine.motion
-    now, at = machine.current_sample(), machine.timebase.next_sample()
+    sample, at = machine.current_sample(), machine.timebase.next_sample()
     for axis, raw in given:
         if axis.mode in ("contour", "sequence"):
             raise busy_refusal(axis)
         if axis.stopping:
             raise CommandError(16)
-        if axis.mode == "move" and raw and (raw > 0) != (axis.target >= axis.path.position(now)):
+        if axis.mode == "move" and raw and (raw > 0) != (axis.target >= axis.path.position(sample)):
             raise CommandError(16)
         if not axis.is_moving:
             if axis.motor_off:
                 raise CommandError(20)
-            if raw and motion.limits.is_blocked(axis, forward=raw > 0, now=now):
+            if raw and motion.limits.is_blocked(axis, forward=raw > 0, now=sample):
                 raise CommandError(22)
     for axis, raw in given:
         step = fixed.to_integer(raw)
@@ -239,10 +239,10 @@ def increment_target(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> N
             axis.profile.shift_rest(step)
             motion.schedule_axis(axis, at)
         else:
-            kept, armed = axis.registers["PR"], axis.armed
+            register, armed_state = axis.registers["PR"], axis.armed
             axis.registers["PR"], axis.armed = fixed.from_integer(step), "PR"
             motion.independent.begin_motion([axis], at)
-            axis.registers["PR"], axis.armed = kept, armed
+            axis.registers["PR"], axis.armed = register, armed_state
 
 
 def move_distance(c: CommandContext, axis: ServoAxis) -> int:

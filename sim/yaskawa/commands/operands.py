@@ -271,13 +271,13 @@ def _compile_error_place(suffix: str) -> Evaluator:
 
     def read_value(c: CommandContext) -> int:
         programs = c.machine.programs
-        place = (
+        error_values = (
             programs.error_line,
             programs.error_thread,
             programs.error_index,
             programs.error_index + 1,
         )
-        return fixed.from_integer(place[int(suffix or "0")])
+        return fixed.from_integer(error_values[int(suffix or "0")])
 
     return read_value
 

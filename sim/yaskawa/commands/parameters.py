@@ -39,13 +39,13 @@ def register_form(
             return lambda c: ",".join(read(c, axis) for name, _ in entries for axis in target_axes(c, name))
 
         def run_command(c: CommandContext) -> Outcome:
-            given: list[tuple[ServoAxis, int]] = []
+            raw_values: list[tuple[ServoAxis, int]] = []
             for name, field in entries:
                 if field is None or isinstance(field, str):
                     raise CommandError(50)
                 raw = field(c)
-                given += [(axis, raw) for axis in target_axes(c, name)]
-            write(c, given)
+                raw_values += [(axis, raw) for axis in target_axes(c, name)]
+            write(c, raw_values)
             return None
 
         return run_command
@@ -71,13 +71,13 @@ def parameter_writer(op: str, check: Checked | None = None, applied: Applied | N
 
     def write_values(c: CommandContext, given: list[tuple[ServoAxis, int]]) -> None:
         parameter = c.machine.model.parameters[op]
-        accepted_axis = [(axis, accept_value(parameter, axis, raw)) for axis, raw in given]
-        for axis, raw in accepted_axis:
+        new_values = [(axis, accept_value(parameter, axis, raw)) for axis, raw in given]
+        for axis, raw in new_values:
             if axis.is_moving and not parameter.moving:
                 raise CommandError(18 if axis.mode == "contour" else 29 if axis.mode == "sequence" else 7)
             if check is not None:
                 check(c, axis, op, raw)
-        for axis, raw in accepted_axis:
+        for axis, raw in new_values:
             axis.registers[op] = raw
             if applied is not None:
                 applied(c, axis, op)
@@ -89,10 +89,10 @@ def accept_value(parameter: AxisParameter, axis: ServoAxis, raw: int) -> int:
     """Return the stored value; 6 when out of range, 4 when the virtual axis has no such parameter."""
     if axis.virtual and not parameter.virtual:
         raise CommandError(4)
-    kept = parameter.accept_value(raw)
-    if kept is None:
+    value = parameter.accept_value(raw)
+    if value is None:
         raise CommandError(6)
-    return kept
+    return value
 
 
 def _replan_axis(c: CommandContext, axis: ServoAxis, op: str) -> None:
@@ -170,7 +170,7 @@ def _apply_pole(c: CommandContext, axis: ServoAxis, op: str) -> None:
 
 
 _POLES = {
-    fixed.parse_literal(given): fixed.parse_literal(kept) for given, kept in ((".95", ".95271"), (".9", ".89971"))
+    fixed.parse_literal(literal): fixed.parse_literal(pole) for literal, pole in ((".95", ".95271"), (".9", ".89971"))
 }
 """PL stores a coarser value than it receives, by a rule that the manual does not state; it shows these two
 (L8378-L8387)."""

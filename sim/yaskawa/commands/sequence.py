@@ -36,8 +36,8 @@ def _with_speeds(text: str) -> tuple[str, Speeds]:
     if ">" in head:
         head, _, tail = head.partition(">")
         if "<" in tail:
-            tail, _, other = tail.partition("<")
-            entry = compile_expression(other)
+            tail, _, speed_text = tail.partition("<")
+            entry = compile_expression(speed_text)
         leave = compile_expression(tail)
     if "<" in head:
         head, _, tail = head.partition("<")
@@ -46,16 +46,16 @@ def _with_speeds(text: str) -> tuple[str, Speeds]:
 
 
 def _evaluate_speeds(c: CommandContext, speeds: Speeds) -> tuple[float | None, float | None]:
-    found: list[float | None] = []
+    values: list[float | None] = []
     for evaluator, highest in zip(speeds, c.machine.model.figures.fastest, strict=True):
         if evaluator is None:
-            found.append(None)
+            values.append(None)
             continue
         speed = fixed.to_integer(evaluator(c))
         if not 0 <= speed <= highest:
             raise CommandError(6)
-        found.append(float(speed // 2 * 2))
-    return found[0], found[1]
+        values.append(float(speed // 2 * 2))
+    return values[0], values[1]
 
 
 @register_command("CA")
@@ -275,8 +275,8 @@ def _register_parameter(op: str, parameter: SystemParameter, write: Callable[[Co
 
     def compile_register(text: str) -> Runner:
         if text in ("?", "S?", "T?"):
-            read = OPERAND_READERS[op]
-            return lambda c: c.machine.format_answer(op, fixed.from_real(read(find_system(c, text[:-1]))))
+            reader = OPERAND_READERS[op]
+            return lambda c: c.machine.format_answer(op, fixed.from_real(reader(find_system(c, text[:-1]))))
         if text[1:2] == "=" and text[0] in "ST":
             fields = [compile_expression(text[2:])]
             names = [text[0]]

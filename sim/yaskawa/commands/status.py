@@ -269,13 +269,13 @@ _AXIS_BLOCK = struct.Struct("<HBBiiiiih")
 def _compile_data_record(text: str) -> Runner:
     if any(letter not in "ABCDXYZWSTI" for letter in text):
         raise CommandError(4)
-    wanted = {("XYZW".find(letter) >= 0 and "ABCD"["XYZW".find(letter)]) or letter for letter in text}
+    letters = {("XYZW".find(letter) >= 0 and "ABCD"["XYZW".find(letter)]) or letter for letter in text}
 
     def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
-        names = wanted or {*"IST", *"ABCD"[: len(machine.letters)]}
+        names = letters or {*"IST", *"ABCD"[: len(machine.letters)]}
         blocks = b""
-        header, now = 0x8000, machine.current_sample()
+        header, sample = 0x8000, machine.current_sample()
         padding = bytes(_axis_bytes(c) - _AXIS_BLOCK.size)
         if "I" in names:
             header |= 0x400
@@ -287,7 +287,7 @@ def _compile_data_record(text: str) -> Runner:
         for index, letter in enumerate("ABCD"):
             if letter in names:
                 header |= 1 << index
-                blocks += _axis_block(c, machine.find_axis("XYZW"[index]), now) + padding
+                blocks += _axis_block(c, machine.find_axis("XYZW"[index]), sample) + padding
         data = struct.pack("<HH", header, len(blocks) + 4) + blocks
         if c.port is None:
             machine.ports.send_message(data.decode("latin-1"))
@@ -329,8 +329,8 @@ def axis_values(c: CommandContext, axis: ServoAxis, now: int) -> tuple[int, ...]
     """Return the nine values of an axis block: status, switches, stop code, positions (reference, motor, error,
     auxiliary), velocity, torque. The command is evaluated once for all of them: the record is the one that hosts
     poll."""
-    command_here = axis.command_at(now)
-    command_now = fixed.wrap_counts(fixed.round_half_up(command_here))
+    command = axis.command_at(now)
+    command_now = fixed.wrap_counts(fixed.round_half_up(command))
     encoder_now = axis.actual_at(now)
     return (
         _axis_status(axis, now),
@@ -340,7 +340,7 @@ def axis_values(c: CommandContext, axis: ServoAxis, now: int) -> tuple[int, ...]
         axis.report_counts(encoder_now),
         fixed.wrap_counts(command_now - encoder_now),
         auxiliary_position(c, axis),
-        fixed.wrap_counts(_average_speed(axis, now, command_here) * 64),
+        fixed.wrap_counts(_average_speed(axis, now, command) * 64),
         max(min(round(torque_volts(c, axis) / fixed.ONE / 10.0 * 32767), 32767), -32767),
     )
 
@@ -352,17 +352,17 @@ def _axis_bytes(c: CommandContext) -> int:
 
 def _axis_switches(c: CommandContext, axis: ServoAxis, state: int) -> int:
     latch_input = axis.index < 8 and c.machine.environment.inputs[axis.index]
-    captured_latch = not axis.latch_armed and axis.latch_used
-    return captured_latch << 7 | latch_input << 6 | state & 0x0E
+    has_captured = not axis.latch_armed and axis.latch_used
+    return has_captured << 7 | latch_input << 6 | state & 0x0E
 
 
 def _axis_status(axis: ServoAxis, now: int) -> int:
-    profile, moving = axis.profile, axis.is_moving
-    slope = profile.acceleration_at(now) if profile is not None and moving else 0.0
+    profile, is_moving = axis.profile, axis.is_moving
+    slope = profile.acceleration_at(now) if profile is not None and is_moving else 0.0
     rate = axis.command_velocity(now) if axis.mode or axis.gear.on else 0.0
     positioning = axis.armed in ("PR", "PA")
     return (
-        moving << 15
+        is_moving << 15
         | positioning << 14
         | (axis.armed == "PA") << 13
         | (axis.mode == "edge") << 12
@@ -372,7 +372,7 @@ def _axis_status(axis: ServoAxis, now: int) -> int:
         | (axis.mode == "sequence") << 8
         | (rate < 0) << 7
         | (axis.mode == "contour") << 6
-        | (moving and slope == 0 and rate != 0) << 5
+        | (is_moving and slope == 0 and rate != 0) << 5
         | axis.stopping << 4
         | (axis.mode == "move" and slope * rate < 0) << 3
         | axis.latch_armed << 2

@@ -91,11 +91,11 @@ def _compile_configure(text: str) -> Runner:
     fields = compile_values(parse_fields(text, POLARITIES))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [None if raw is None else fixed.to_integer(raw) for raw in fields(c)]
-        for index, value in enumerate(given):
+        values = [None if raw is None else fixed.to_integer(raw) for raw in fields(c)]
+        for index, value in enumerate(values):
             if value is not None and value not in ((0, 1) if index == 3 else (-1, 1)):
                 raise CommandError(6)
-        for index, value in enumerate(given):
+        for index, value in enumerate(values):
             if value is not None:
                 c.machine.polarity[index] = value
         c.machine.motion.homing.polarity = c.machine.polarity[1]

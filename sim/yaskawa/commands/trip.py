@@ -53,7 +53,7 @@ def _compile_after_input(text: str) -> Runner:
         number = value(c)
         if not 1 <= abs(number) <= len(c.machine.environment.inputs):
             raise CommandError(6)
-        return when_passed(lambda machine, now: machine.environment.inputs[abs(number) - 1] == (number > 0))
+        return when_passed(lambda machine, sample: machine.environment.inputs[abs(number) - 1] == (number > 0))
 
     return run_command
 
@@ -70,7 +70,7 @@ def _compile_after_move(text: str) -> Runner:
         if not names:
             axes, systems = list(motion.real), list(motion.systems.values())
         return when_passed(
-            lambda machine, now: (
+            lambda machine, sample: (
                 not any(axis.is_moving for axis in axes) and not any(system.running for system in systems)
             )
         )
@@ -132,10 +132,10 @@ def register_place_trip(
             raise CommandError(51)
 
         def run_command(c: CommandContext) -> Outcome:
-            place = fixed.to_integer(field(c))
-            if place < low:
+            position = fixed.to_integer(field(c))
+            if position < low:
                 raise CommandError(6)
-            return go(c.machine.find_axis(name), c, place)
+            return go(c.machine.find_axis(name), c, position)
 
         return run_command
 

@@ -124,12 +124,12 @@ class PeerHandle:
 
     def _connect_port(self) -> None:
         network = self.machine.network
-        place = network.places.get(self.address) if network is not None else None
-        if place is None or self.machine.ports.outgoing.get(self.handle) is not self:
+        server = network.places.get(self.address) if network is not None else None
+        if server is None or self.machine.ports.outgoing.get(self.handle) is not self:
             self.machine.refuse_command(125)
             return
         try:
-            self._line = place.connect(
+            self._line = server.connect(
                 "tcp" if self.kind == TCP else "udp",
                 partial(self._call_later, self._receive_bytes),
                 self.handle_disconnect,

@@ -83,9 +83,9 @@ class IoPoints:
     def set_all(self, outputs: int) -> None:
         """`OP`: set all outputs."""
         outputs &= self._real
-        changed, self.outputs = self.outputs ^ outputs, outputs
+        changes, self.outputs = self.outputs ^ outputs, outputs
         for number in range(self.count):
-            if changed >> number & 1:
+            if changes >> number & 1:
                 self.terminals.change_level(number + 1, level=bool(outputs >> number & 1))
 
     def _notify_listeners(self, number: int, *, level: bool) -> None:

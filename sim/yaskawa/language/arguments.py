@@ -25,11 +25,11 @@ def split_fields(text: str, separator: str = ",") -> list[str]:
     """Split `text` at separators outside quotes and brackets."""
     parts: list[str] = []
     start = depth = 0
-    quoted = False
+    in_quotes = False
     for position, character in enumerate(text):
         if character == '"':
-            quoted = not quoted
-        elif quoted:
+            in_quotes = not in_quotes
+        elif in_quotes:
             continue
         elif character in "([{":
             depth += 1
@@ -44,19 +44,19 @@ def split_fields(text: str, separator: str = ",") -> list[str]:
 
 def parse_axes(text: str, allowed: str = LETTERS) -> tuple[str, ...]:
     """Parse the designators in a list of letters, `~a` kept as it is; none given gives an empty tuple."""
-    found: list[str] = []
+    operators: list[str] = []
     position = 0
     while position < len(text):
         if text[position] == "~" and position + 1 < len(text):
-            found.append(text[position : position + 2])
+            operators.append(text[position : position + 2])
             position += 2
             continue
         name = canonical_axis(text[position])
         if name not in allowed:
             raise CommandError(28 if name in "ST" else 4)
-        found.append(name)
+        operators.append(name)
         position += 1
-    return tuple(found)
+    return tuple(operators)
 
 
 def queried_axes(text: str) -> tuple[str, ...]:

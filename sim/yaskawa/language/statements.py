@@ -63,30 +63,30 @@ def compile_line(line: str, model: LanguageModel) -> tuple[CompiledStatement, ..
     statements: list[CompiledStatement] = []
     remainder = line
     while True:
-        stripped = remainder.lstrip()
-        if is_comment(stripped, model):
-            head, found, remainder = stripped.partition(model.comment_end) if model.comment_end else (stripped, "", "")
+        statement = remainder.lstrip()
+        if is_comment(statement, model):
+            head, mark, remainder = statement.partition(model.comment_end) if model.comment_end else (statement, "", "")
             runner = _do_nothing if len(head) <= LONGEST_LINE else _refuse_with(5)
             statements.append(CompiledStatement("NO", head, runner, quiet=len(head) <= LONGEST_LINE))
-            if not found:
+            if not mark:
                 break
             continue
-        text, found, remainder = _cut_statement(remainder)
+        text, mark, remainder = _cut_statement(remainder)
         statements.append(compile_statement(text.strip(), model))
-        if not found:
+        if not mark:
             break
     return tuple(statements)
 
 
 def finished_length(line: str, model: LanguageModel) -> int:
     """Return the number of characters of an unfinished line that are whole statements with their semicolons."""
-    done = 0
-    while not is_comment(line[done:].lstrip(), model):
-        head, found, _ = _cut_statement(line[done:])
-        if not found:
+    position = 0
+    while not is_comment(line[position:].lstrip(), model):
+        head, mark, _ = _cut_statement(line[position:])
+        if not mark:
             break
-        done += len(head) + 1
-    return done
+        position += len(head) + 1
+    return position
 
 
 def _cut_statement(line: str) -> tuple[str, bool, str]:
@@ -140,8 +140,8 @@ def compile_statement(text: str, model: LanguageModel) -> CompiledStatement:
 
 def _is_spaced_command(text: str, model: LanguageModel) -> bool:
     """Return whether a blank or the kind of op-code shows that arguments follow, e.g. `MG V1=2`."""
-    op, rest = text[:2], text[2:]
-    return op in model.commands and (op == "IF" or (rest[:1] == " " and not rest.lstrip().startswith(("=", "["))))
+    op, tail = text[:2], text[2:]
+    return op in model.commands and (op == "IF" or (tail[:1] == " " and not tail.lstrip().startswith(("=", "["))))
 
 
 def is_assignment(compact: str, model: LanguageModel) -> bool:

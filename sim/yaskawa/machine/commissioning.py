@@ -12,10 +12,10 @@ def make_options(config: Controller, sizes: Sequence[int]) -> Mapping[str, Any]:
     """The number of axes, a home switch and an index pulse within reach of every axis, and the names of the fleet file.
     sizes: of the models."""
     letters = {name: canonical_axis(axis.motors[0]) for name, axis in config.axes.items()}
-    needed = max(LETTERS.index(letter) for letter in letters.values()) + 1
+    least_size = max(LETTERS.index(letter) for letter in letters.values()) + 1
     edges = {letters[name]: -search_distance(axis) for name, axis in config.axes.items()}
     return {
-        "axes": next((size for size in sizes if size >= needed), sizes[-1]),
+        "axes": next((size for size in sizes if size >= least_size), sizes[-1]),
         "home_edge": edges,
         "names": {letter: config.axes[name].motors[0] for name, letter in letters.items()},
         # The edge is halfway between two pulses: at one of them, the next one would be found now and then.

@@ -70,11 +70,11 @@ class YaskawaController:
         machine = self.machine
         machine.advance_to_now()
         found_axis = self._find_axis(axis)
-        changed = (
+        has_changed = (
             machine.environment.home_level(found_axis.name, found_axis.physical_at(machine.current_sample())) != level
         )
         machine.environment.home[found_axis.name] = level
-        if changed:
+        if has_changed:
             machine.motion.homing.input_changed(found_axis, machine.timebase.next_sample())
         machine.run_ready()
 
@@ -200,10 +200,10 @@ class YaskawaBench:
         elif key == "outputs":
             machine.io.set_output(int(name), level=bool(value))
         elif key == "limits":
-            which = _LIMITS.get(str(value))
-            if which is None:
+            limits = _LIMITS.get(str(value))
+            if limits is None:
                 raise ValueError(f"limits: {value!r} is not one of {', '.join(_LIMITS)}")
-            controller.set_limit(name, which)
+            controller.set_limit(name, limits)
         elif key == "home":
             controller.set_home(name, level=bool(value))
         elif key == "stalled":

@@ -167,7 +167,7 @@ class SharedInterpreter:
         thread = self._sole_program()
         if thread is None:
             return False
-        done = False
+        has_run = False
         try:
             while thread.line < len(machine.program.lines) and self.programs.only_waits(thread):
                 due_ns = self.decoded_ns if self.busy else wake_ns
@@ -181,7 +181,7 @@ class SharedInterpreter:
                     thread.trip, thread.resting = None, False
                 else:
                     break
-                done = True
+                has_run = True
                 if thread.trip is not None:
                     sample_now = machine.current_sample()
                     due = thread.trip.due(machine, sample_now)
@@ -191,13 +191,13 @@ class SharedInterpreter:
                     self._begin_decoding(None, thread, self._delay.draw_ns(program=True))
                 else:
                     break
-            if done:
+            if has_run:
                 if self.busy and self.programs.only_waits(thread):
                     self.leeway_ns = LEEWAY_NS
                 machine.schedule.discard_schedule()
         finally:
             timebase.end_event()
-        return done
+        return has_run
 
     def _sole_program(self) -> ProgramThread | None:
         """Return the only active program of the controller, if it only waits and jumps."""

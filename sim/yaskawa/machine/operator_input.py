@@ -40,10 +40,10 @@ class OperatorInput:
     def _assign_input(self, name: str, raw: int) -> None:
         array, bracket, index = name.partition("[")
         if bracket:
-            place = compile_expression(index.removesuffix("]"))(
+            element = compile_expression(index.removesuffix("]"))(
                 CommandContext(self._machine, self._machine.programs.threads[0])
             )
-            self._machine.data.store_element(array, fixed.to_integer(place), raw)
+            self._machine.data.store_element(array, fixed.to_integer(element), raw)
         else:
             self._machine.data.assign_variable(name, raw)
 

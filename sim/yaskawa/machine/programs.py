@@ -117,18 +117,18 @@ class ProgramThreads:
             self._next_line(thread)
             return
         statement = statements[thread.index]
-        place = (thread.line, thread.index)
+        position = (thread.line, thread.index)
         thread.index += 1
         try:
             outcome = statement.run_statement(self.contexts[thread.number])
         except CommandError as error:
-            self._handle_failure(thread, place, error.code)
+            self._handle_failure(thread, position, error.code)
             return
         if isinstance(outcome, TripPoint):
             self.block_thread(thread, outcome)
         elif outcome is not None:
             self.machine.ports.send_message(outcome if isinstance(outcome, RawData) else f"{outcome}\r\n")
-        if thread.running and (thread.line == place[0]) and thread.index >= len(self.compiled_line(thread.line)):
+        if thread.running and (thread.line == position[0]) and thread.index >= len(self.compiled_line(thread.line)):
             self._next_line(thread)
 
     def block_thread(self, thread: ProgramThread, trip: TripPoint) -> None:

@@ -62,14 +62,14 @@ class EventSchedule:
     def schedule_wake(self) -> None:
         """Schedule a call at the next sample with an event."""
         sample_now = self._machine.current_sample()
-        soon_sample = self._machine.next_event_sample()
-        due = min(soon_sample, self._machine.interpreter.next_check(sample_now))
+        next_sample = self._machine.next_event_sample()
+        due = min(next_sample, self._machine.interpreter.next_check(sample_now))
         if due != self._wake_sample:
             self._wake_sample, self._wake_ns, self._wake_leeway_ns = due, NEVER_NS, 0
             if due != inf:
                 self._wake_ns = self._machine.timebase.true_ns(int(max(due, sample_now)))
                 # Of the due events only a waiting program may be processed later.
-                if due < soon_sample and self._machine.interpreter.only_waits_at(due, sample_now):
+                if due < next_sample and self._machine.interpreter.only_waits_at(due, sample_now):
                     self._wake_leeway_ns = LEEWAY_NS
         self.set_alarm()
 

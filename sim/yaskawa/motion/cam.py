@@ -48,13 +48,13 @@ class ElectronicCam:
         points)."""
         table = self.table.get(slave) or [0] * self.points
         turns = self.count_turns(master)
-        rest_master = (
+        position = (
             master - self.start - turns * self.effective_cycle
             if self.effective_cycle
             else max(master - self.start, 0.0)
         )
-        index = min(int(rest_master // self.interval), self.points - 2)
-        share = (rest_master - index * self.interval) / self.interval
+        index = min(int(position // self.interval), self.points - 2)
+        share = (position - index * self.interval) / self.interval
         low, high = table[index], table[index + 1]
         return turns * self.cycles.get(slave, 0) + low + (high - low) * share
 

@@ -66,15 +66,19 @@ class CamFollowers:
 
     def poll_waiting(self, now: int) -> bool:
         """Engage and disengage the slaves whose master has reached their position; return whether there was one."""
-        cam, changed_poll = self.control.cam, False
-        waiting = dict(cam.waiting)
-        for (name, what), place in waiting.items():
-            if what == "EQ" and (name, "EG") in waiting:
+        cam, has_changed = self.control.cam, False
+        waits = dict(cam.waiting)
+        for (name, op), position in waits.items():
+            if op == "EQ" and (name, "EG") in waits:
                 continue
-            before, here = (self.master_position(now - 1) - place, self.master_position(now) - place)
+            distance_before, distance = (self.master_position(now - 1) - position, self.master_position(now) - position)
             cycle = cam.effective_cycle or inf
-            if before // cycle != here // cycle or here == 0 or (cycle == inf and (before < 0) != (here < 0)):
-                del cam.waiting[name, what]
-                changed_poll = True
-                (self.engage_slave if what == "EG" else self.disengage_slave)(self.control.axes[name], now)
-        return changed_poll
+            if (
+                distance_before // cycle != distance // cycle
+                or distance == 0
+                or (cycle == inf and (distance_before < 0) != (distance < 0))
+            ):
+                del cam.waiting[name, op]
+                has_changed = True
+                (self.engage_slave if op == "EG" else self.disengage_slave)(self.control.axes[name], now)
+        return has_changed

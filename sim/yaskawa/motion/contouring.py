@@ -74,9 +74,9 @@ class ContourMode:
             return
         for index, name in enumerate(contour.axes):
             axis = self._control.axes[name]
-            moved = axis.mode == "contour"
+            has_moved = axis.mode == "contour"
             axis.stand_at(at, fixed.round_half_up(contour.position(index, at)))
-            if moved:
+            if has_moved:
                 axis.stop_code = code
                 last = contour.changed[index]
                 self._control.record.note_end(axis, last if last is not None and last <= at else contour.started or at)

@@ -114,21 +114,21 @@ class MotionControl:
 
     def _needs_polling(self) -> bool:
         """Return whether limits or cams have to be checked in every sample."""
-        moving = geared = False
+        is_moving = is_geared = False
         for axis in self._all:
-            geared = geared or axis.gear.on
+            is_geared = is_geared or axis.gear.on
             if not axis.mode or axis.mode == "cam":
                 continue
             if self.cam.waiting:
                 return True
-            moving = True
+            is_moving = True
             if axis.virtual:
                 continue
             if axis.mode in ("sequence", "contour") and self.limits.is_bounded(axis):
                 return True
             if axis.frozen is not None and axis.error_limit:
                 return True
-        return moving and geared and any(axis.gear.on and self.limits.is_bounded(axis) for axis in self.real)
+        return is_moving and is_geared and any(axis.gear.on and self.limits.is_bounded(axis) for axis in self.real)
 
     # Independent motion
 
@@ -200,24 +200,24 @@ class MotionControl:
 
     def settle_motion(self, now: int) -> bool:
         """Advance everything to sample `now`; return whether anything has changed."""
-        changed_motion = False
+        has_changed = False
         for axis in self._all:
             while axis.watch <= now or axis.end <= now:
-                changed_motion = True
+                has_changed = True
                 if axis.watch < axis.end and axis.watch <= now:
                     self._handle_limit(axis, int(axis.watch))
                 else:
                     self._finish_axis(axis, int(axis.end))
         for system in self.systems.values():
             if system.running and system.end_sample() <= now:
-                changed_motion = True
+                has_changed = True
                 self.coordinated.finish_sequence(system, int(system.end_sample()))
         while self.contouring.running is not None and self.contouring.running.end <= now:
-            changed_motion = True
+            has_changed = True
             self.contouring.next_record(self.contouring.running, int(self.contouring.running.end))
         if self._needs_polling():
-            changed_motion = self._poll_limits(now) or changed_motion
-        return changed_motion
+            has_changed = self._poll_limits(now) or has_changed
+        return has_changed
 
     def _handle_limit(self, axis: ServoAxis, at: int) -> None:
         axis.watch = inf
@@ -236,27 +236,27 @@ class MotionControl:
         axis.mode, axis.stopping = "", False
         axis.stop_code = axis.ending_code
         if profile is not None:
-            whole = fixed.round_half_up(profile.end_position)
-            if whole != profile.end_position:
-                profile.land_at(whole)
+            rounded_end = fixed.round_half_up(profile.end_position)
+            if rounded_end != profile.end_position:
+                profile.land_at(rounded_end)
         self.record.note_end(axis, at)
 
     def _poll_limits(self, now: int) -> bool:
-        changed = False
+        has_changed = False
         for axis in self.real:
-            running = axis.mode in ("sequence", "contour", "move", "jog") and not axis.stopping
-            if (running or axis.only_follows) and self.limits.is_bounded(axis):
+            is_running = axis.mode in ("sequence", "contour", "move", "jog") and not axis.stopping
+            if (is_running or axis.only_follows) and self.limits.is_bounded(axis):
                 velocity = axis.command_velocity(now)
                 if velocity and self.limits.is_blocked(axis, forward=velocity > 0, now=now):
                     self.stop_axis(axis, now, FORWARD_CODE if velocity > 0 else REVERSE_CODE)
                     self.alerts.limit_reached()
-                    changed = True
+                    has_changed = True
             if axis.frozen is not None and axis.registers["OE"] and not axis.motor_off:
                 limit = axis.error_limit
                 if limit and abs(axis.position_error(now)) > limit:
                     self.switch_off_on_error(axis, now)
-                    changed = True
-        return self.camming.poll_waiting(now) or changed
+                    has_changed = True
+        return self.camming.poll_waiting(now) or has_changed
 
     def switch_off_on_error(self, axis: ServoAxis, now: int) -> None:
         """`OE`: switch the amplifier off; the motion of the axis ends there (D47)."""

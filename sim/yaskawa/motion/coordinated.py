@@ -32,8 +32,10 @@ class CoordinatedMotion:
             if axis.is_moving:
                 raise CommandError(21)
         point_ahead = system.segments[0].point_at(min(1.0, system.segments[0].length))
-        for axis, start, near in zip(self.member_axes(system), system.segments[0].start, point_ahead, strict=False):
-            if near != start and self.control.limits.is_blocked(axis, forward=near > start, now=now):
+        for axis, start, next_position in zip(
+            self.member_axes(system), system.segments[0].start, point_ahead, strict=False
+        ):
+            if next_position != start and self.control.limits.is_blocked(axis, forward=next_position > start, now=now):
                 raise CommandError(22)
 
     def begin_sequence(self, system: CoordinateSystem, at: int) -> None:
@@ -86,6 +88,6 @@ class CoordinatedMotion:
         """Empty the queue, keep the values of the status operands."""
         system.last_index = system.segment_index(self.control.timebase.current_sample())
         system.running = system.stopping = False
-        travelled_profile = system.profile
+        profile = system.profile
         system.clear_queue()
-        system.profile = travelled_profile
+        system.profile = profile

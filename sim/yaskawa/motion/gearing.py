@@ -21,5 +21,5 @@ def _master_position(motion: MotionControl, source: str) -> Callable[[float], fl
     axis = motion.find_axis(source[-1])
     if source.startswith("D") and len(source) == 2:
         return lambda at: float(axis.auxiliary)
-    commanded = len(source) == 2
-    return lambda at: axis.follower_travel(at, commanded=commanded)
+    is_commanded = len(source) == 2
+    return lambda at: axis.follower_travel(at, commanded=is_commanded)

@@ -55,9 +55,9 @@ class HomingStages:
         edge = self.control.environment.home_edge.get(axis.name)
         if edge is None or axis.name in self.control.environment.home:
             return inf, SEEK_CODE
-        place = edge + axis.physical_zero
+        position = edge + axis.physical_zero
         low = not self._home_level(axis, axis.reference_at(at))
-        return first_sample(profile, at, place if low else place - 1, upward=low), SEEK_CODE
+        return first_sample(profile, at, position if low else position - 1, upward=low), SEEK_CODE
 
     def input_changed(self, axis: ServoAxis, at: int) -> None:
         """Handle a change of the home input from outside."""
@@ -100,6 +100,6 @@ class HomingStages:
         if not every:
             return inf
         forward = axis.mode != "index" or axis.registers["JG"] > 0
-        place = axis.reference_at(at) - axis.physical_zero
-        turn = place // every + 1 if forward else -(-place // every) - 1
+        position = axis.reference_at(at) - axis.physical_zero
+        turn = position // every + 1 if forward else -(-position // every) - 1
         return first_sample(profile, at, turn * every + axis.physical_zero, upward=forward)

@@ -34,14 +34,14 @@ class TravelLimits:
         travel = self.environment.travel.get(axis.name)
         if travel is None:
             return False
-        place = axis.physical_at(now + 1)
-        return place >= travel[1] if forward else place <= travel[0]
+        position = axis.physical_at(now + 1)
+        return position >= travel[1] if forward else position <= travel[0]
 
     def is_blocked(self, axis: ServoAxis, now: int, *, forward: bool) -> bool:
         """Return whether a limit switch or a software limit forbids motion in that direction."""
-        place = axis.reference_at(now)
+        position = axis.reference_at(now)
         limit = fixed.to_integer(axis.registers["FL" if forward else "BL"])
-        return self.limit_active(axis, forward=forward, now=now) or (place > limit if forward else place < limit)
+        return self.limit_active(axis, forward=forward, now=now) or (position > limit if forward else position < limit)
 
     def limit_thresholds(self, axis: ServoAxis, *, forward: bool) -> list[int]:
         """Return the positions at which limits stop a motion in that direction."""

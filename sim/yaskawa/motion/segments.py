@@ -28,10 +28,10 @@ class PathSegment:
         share = min(max(along / self.length, 0.0), 1.0)
         if not self.radius:
             return tuple(a + (b - a) * share for a, b in zip(self.start, self.end, strict=True))
-        first, now = radians(self.angle), radians(self.angle + self.sweep * share)
+        first, angle = radians(self.angle), radians(self.angle + self.sweep * share)
         return (
-            self.start[0] + self.radius * (cos(now) - cos(first)) * self.scale[0],
-            self.start[1] + self.radius * (sin(now) - sin(first)) * self.scale[1],
+            self.start[0] + self.radius * (cos(angle) - cos(first)) * self.scale[0],
+            self.start[1] + self.radius * (sin(angle) - sin(first)) * self.scale[1],
         )
 
     def heading_at(self, along: float) -> float:

@@ -211,7 +211,7 @@ class CoordinateSystem:
     @staticmethod
     def _cross_segment(profile: VelocityProfile, goal: _SegmentGoal, up: float, down: float) -> bool:
         """Append pieces up to the goal; return False when the wanted speed is 0 and the path stops before it."""
-        stop, wanted, limit = goal.stop, goal.wanted, goal.limit
+        stop, goal_speed, limit = goal.stop, goal.wanted, goal.limit
         speed, room = profile.end_velocity, stop - profile.end_position
 
         def leave_free(v: float, a: float) -> float:
@@ -220,19 +220,19 @@ class CoordinateSystem:
                 return inf
             return (limit + 2 * down * room - v * v) / (2 * (a + down))
 
-        if speed > wanted:
-            distance = min((speed * speed - wanted * wanted) / (2 * down), room)
-            after = sqrt(max(speed * speed - 2 * down * distance, 0.0))
-            profile.append_piece((speed - after) / down, -down)
-            speed, room = after, room - distance
-        elif speed < wanted:
-            distance = min((wanted * wanted - speed * speed) / (2 * up), room, max(leave_free(speed, up), 0.0))
-            after = sqrt(speed * speed + 2 * up * distance)
-            profile.append_piece((after - speed) / up, up)
-            speed, room = after, room - distance
+        if speed > goal_speed:
+            distance = min((speed * speed - goal_speed * goal_speed) / (2 * down), room)
+            end_speed = sqrt(max(speed * speed - 2 * down * distance, 0.0))
+            profile.append_piece((speed - end_speed) / down, -down)
+            speed, room = end_speed, room - distance
+        elif speed < goal_speed:
+            distance = min((goal_speed * goal_speed - speed * speed) / (2 * up), room, max(leave_free(speed, up), 0.0))
+            end_speed = sqrt(speed * speed + 2 * up * distance)
+            profile.append_piece((end_speed - speed) / up, up)
+            speed, room = end_speed, room - distance
         if room <= _TINY:
             return True
-        if wanted <= 0.0:
+        if goal_speed <= 0.0:
             profile.land_at(profile.end_position)
             profile.append_piece(inf, 0.0)
             return False
@@ -241,8 +241,8 @@ class CoordinateSystem:
             profile.append_piece(cruise / speed, 0.0)
             room -= cruise
         if room > _TINY and speed > 0.0:
-            after = sqrt(max(speed * speed - 2 * down * room, 0.0))
-            profile.append_piece((speed - after) / down, -down)
+            end_speed = sqrt(max(speed * speed - 2 * down * room, 0.0))
+            profile.append_piece((speed - end_speed) / down, -down)
         return True
 
 

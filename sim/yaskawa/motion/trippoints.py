@@ -45,12 +45,12 @@ class TripPoint:
     """
 
     passed: Check
-    due: Callable[[TripMachine, int], float] = lambda machine, now: inf
+    due: Callable[[TripMachine, int], float] = lambda machine, sample: inf
 
 
 def at_sample(sample: int) -> TripPoint:
     """WT and AT: a sample is reached."""
-    return TripPoint(lambda machine, now: now >= sample, lambda machine, now: sample)
+    return TripPoint(lambda machine, at: at >= sample, lambda machine, at: sample)
 
 
 def when_passed(passed: Check) -> TripPoint:

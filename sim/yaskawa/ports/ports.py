@@ -170,11 +170,11 @@ class PortSession:
             if len(text) > 1 and self.open:
                 self._packets.appendleft((text[1:], packet))
         else:
-            head, found, rest = text.partition("\r")
+            head, mark, tail = text.partition("\r")
             self._append_text(head)
-            if rest:
-                self._packets.appendleft((rest, packet))
-            if found:
+            if tail:
+                self._packets.appendleft((tail, packet))
+            if mark:
                 self._end_line(packet)
             else:
                 self._end_statements(packet)
@@ -200,9 +200,9 @@ class PortSession:
 
     def _take_control(self, character: str) -> bool:
         """Continue a control sequence (D33); return whether `character` belongs to it."""
-        begun, self._control = self._control, ""
-        if begun == "\x12":
-            self._control = begun + character
+        control, self._control = self._control, ""
+        if control == "\x12":
+            self._control = control + character
             if self.machine.options.control_end != "required":
                 self._run_control(character)
             if self.machine.options.control_end == "separate":
@@ -211,7 +211,7 @@ class PortSession:
         if character not in "\r;":
             return False
         if self.machine.options.control_end == "required":
-            self._run_control(begun[1])
+            self._run_control(control[1])
         return True
 
     def _run_control(self, character: str) -> None:
@@ -246,27 +246,27 @@ class PortSession:
         for index, statement in enumerate(statements, start=1):
             self.queue.append((statement, packet))
             if statement.op in _TAKING:
-                tail = ";".join(statement_later.text for statement_later in statements[index:])
-                rest, self._line = (tail + end if tail else "") + self._line, ""
-                if rest:
-                    self._packets.appendleft((rest, packet))
+                tail = ";".join(statement.text for statement in statements[index:])
+                remainder, self._line = (tail + end if tail else "") + self._line, ""
+                if remainder:
+                    self._packets.appendleft((remainder, packet))
                 break
         self.machine.interpreter.run_ready()
 
     def _collect_download(self, text: str, packet: int) -> None:
         """Collect a download up to its end."""
-        ends = [place for mark in ENDS if (place := text.find(mark)) >= 0]
+        ends = [index for mark in ENDS if (index := text.find(mark)) >= 0]
         if not ends:
             self._loading += text
             return
         end = min(ends)
-        loaded, self._loading = self._loading + text[:end], ""
+        program, self._loading = self._loading + text[:end], ""
         download, self.download = self.download, None
         if text[end + 1 :]:
             self._packets.appendleft((text[end + 1 :], packet))
         try:
             if download is not None:
-                download(loaded)
+                download(program)
         except CommandError as error:
             self.refuse_command(error.code)
         else:
@@ -435,8 +435,8 @@ class PortSet:
         """`HS` (L5635)."""
         ports = {name: self.handles.pop(name, None) for name in (first, second)}
         peers = {name: self.outgoing.pop(name, None) for name in (first, second)}
-        for name, other in ((first, second), (second, first)):
-            port, peer = ports[other], peers[other]
+        for name, other_name in ((first, second), (second, first)):
+            port, peer = ports[other_name], peers[other_name]
             if port is not None:
                 port.name = name
                 self.handles[name] = port

@@ -35,12 +35,12 @@ class CommandPort(PortSession):
         machine = self.machine
         entry = machine.operator_input.entries["S"]
         text = data.decode("latin-1")
-        whole = self._takes_whole(text, entry)
-        self._fresh = self._fresh or whole
-        if whole and machine.selected is False and not self._line and text.lstrip()[:1] not in ("%", "!"):
+        is_whole = self._takes_whole(text, entry)
+        self._fresh = self._fresh or is_whole
+        if is_whole and machine.selected is False and not self._line and text.lstrip()[:1] not in ("%", "!"):
             return  # for another controller, as most of the bytes on a chain
         machine.advance_to_now()
-        if whole:
+        if is_whole:
             self._append_text(text[:-1])
             self._end_line(ACCEPTED)
             machine.run_ready()
@@ -163,8 +163,8 @@ class GeneralPort(PortSession):
 
     def receive_bytes(self, data: bytes) -> None:
         machine = self.machine
-        baud, _, chained, echo = machine.second_line
-        if not self.open or not baud or chained:
+        baud, _, is_chained, echo = machine.second_line
+        if not self.open or not baud or is_chained:
             return
         machine.advance_to_now()
         for character in data.decode("latin-1"):

@@ -44,11 +44,11 @@ class OperatorEntry:
             self._typed += character
             self.code = CHARACTER
             return
-        typed, self._typed = self._typed, ""
-        self._values["ST"] = fixed.from_string(typed[: fixed.STRING_LENGTH])
+        text, self._typed = self._typed, ""
+        self._values["ST"] = fixed.from_string(text[: fixed.STRING_LENGTH])
         try:
-            sign = -1 if typed.startswith("-") else 1
-            self._values["NM"] = sign * fixed.parse_literal(typed.removeprefix("-"))
+            sign = -1 if text.startswith("-") else 1
+            self._values["NM"] = sign * fixed.parse_literal(text.removeprefix("-"))
             self.code = NUMBER
         except ValueError:
             self.code = STRING

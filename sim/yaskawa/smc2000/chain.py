@@ -69,8 +69,8 @@ class DaisyChain:
         """Return whether the controller at `place` forwards bytes: both ways, at the baud rate of the next one's
         port 1."""
         machine = self.units[place].machine
-        baud, _, chained, _ = machine.second_line
-        return machine.powered and chained == 1 and baud == MAIN_BAUD
+        baud, _, is_chained, _ = machine.second_line
+        return machine.powered and is_chained == 1 and baud == MAIN_BAUD
 
     def call_after_hops(self, hops: int, deliver: Callable[[], None]) -> None:
         """Call `deliver` when bytes have passed this number of controllers."""
@@ -181,8 +181,8 @@ class ChainConnection:
         """The place of the controller that has answered last."""
         self.supply = PowerSupply()
         self._ends = [_OpenPort(None) for _ in chain.units]
-        for place in range(len(chain.units)):
-            self._plug_in(place)
+        for number in range(len(chain.units)):
+            self._plug_in(number)
 
     def receive_bytes(self, data: bytes) -> None:
         """Send bytes through the chain command by command, so that the controllers take them in order."""

@@ -95,10 +95,10 @@ def _compile_configure(text: str) -> Runner:
     fields = compile_values(parse_fields(text, _POLARITIES))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [None if raw is None else fixed.to_integer(raw) for raw in fields(c)]
-        if any(value not in (None, 1, -1) for value in given):
+        values = [None if raw is None else fixed.to_integer(raw) for raw in fields(c)]
+        if any(value not in (None, 1, -1) for value in values):
             raise CommandError(6)
-        for index, value in enumerate(given):
+        for index, value in enumerate(values):
             if value is not None:
                 c.machine.polarity[index] = value
         c.machine.motion.homing.polarity = c.machine.polarity[1]

@@ -32,8 +32,8 @@ def _format_word(c: CommandContext, bank: int) -> str:
 def _compile_output_port(text: str) -> Runner:
     """Outputs in words of 16; the first is a byte but on eight axes (L10693)."""
     if "?" in text:
-        queried_fields = [bank for bank, mark in enumerate(split_fields(text)) if mark == "?"]
-        return lambda c: ",".join(_format_word(c, bank) for bank in queried_fields)
+        banks = [bank for bank, mark in enumerate(split_fields(text)) if mark == "?"]
+        return lambda c: ",".join(_format_word(c, bank) for bank in banks)
     fields = compile_values(parse_fields(text, _BANKS))
 
     def run_command(c: CommandContext) -> Outcome:
@@ -84,22 +84,22 @@ def _compile_input_interrupt(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 3))
 
     def run_command(c: CommandContext) -> Outcome:
-        given = [0 if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None]]
-        first, last, mask = given[:3]
+        values = [0 if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None]]
+        first, last, mask = values[:3]
         programs = c.machine.programs
-        if min(given) < 0 and not c.machine.options.own_modulus:
+        if min(values) < 0 and not c.machine.options.own_modulus:
             raise CommandError(6)
         if not (-_INTERRUPTS <= first <= _INTERRUPTS and -_INTERRUPTS <= last <= _INTERRUPTS and abs(mask) <= 0xFF):
             raise CommandError(6)
         if first:
             if last and abs(last) < abs(first):
                 raise CommandError(6)
-            selected = sum(1 << number - 1 for number in range(abs(first), abs(last or first) + 1))
+            outputs = sum(1 << number - 1 for number in range(abs(first), abs(last or first) + 1))
         else:
-            selected = abs(mask)
-        programs.interrupts = selected
-        programs.active_high = selected if first < 0 or mask < 0 else 0
-        programs.interrupts_on = selected != 0
+            outputs = abs(mask)
+        programs.interrupts = outputs
+        programs.active_high = outputs if first < 0 or mask < 0 else 0
+        programs.interrupts_on = outputs != 0
         return None
 
     return run_command

@@ -27,20 +27,20 @@ register_listing("LL", lambda c: [f"#{label}" for label in sorted(c.machine.prog
 @register_command("QU", table=SMC2000_COMMANDS)
 def _compile_upload_array(text: str) -> Runner:
     """Elements in the variable format, separated and not ended by comma or carriage return, then ctrl-Z (D37)."""
-    name_text, *rest = split_fields(text)
+    name_text, *field_texts = split_fields(text)
     name = array_name(name_text)
-    fields = compile_values(parse_fields(",".join(rest), 3))
+    fields = compile_values(parse_fields(",".join(field_texts), 3))
 
     def run_command(c: CommandContext) -> Outcome:
         array = c.machine.data.get_array(name)
         given_fields = [*fields(c), None, None]
         first, last = element_span(c, len(array), given_fields)
         separator = "," if given_fields[2] is not None and fixed.to_integer(given_fields[2]) == 1 else "\r"
-        written = separator.join(c.machine.format_variable(raw) for raw in array[first : last + 1]) + END_OF_TEXT
+        message = separator.join(c.machine.format_variable(raw) for raw in array[first : last + 1]) + END_OF_TEXT
         if c.port is None:
-            c.machine.ports.send_message(written)
+            c.machine.ports.send_message(message)
             return None
-        return RawData(written)
+        return RawData(message)
 
     return run_command
 
@@ -59,12 +59,12 @@ def _compile_tell_code(text: str) -> Runner:
         return reported_code
 
     def run_command(c: CommandContext) -> Outcome:
-        written = reported_code(CommandContext(c.machine, None, c.port))
-        if not isinstance(written, str):
+        answer = reported_code(CommandContext(c.machine, None, c.port))
+        if not isinstance(answer, str):
             return None
         if c.thread is None:
-            return RawData(written)
-        c.machine.ports.send_message(written)
+            return RawData(answer)
+        c.machine.ports.send_message(answer)
         return None
 
     return run_command
@@ -83,12 +83,12 @@ def _compile_reset(text: str) -> Runner:
     value = compile_integer(text) if text else None
 
     def run_command(c: CommandContext) -> Outcome:
-        what = value(c) if value is not None else RESET
-        if what not in (RESET, PARAMETERS, CLEAR):
+        target = value(c) if value is not None else RESET
+        if target not in (RESET, PARAMETERS, CLEAR):
             raise CommandError(6)
-        if what == RESET:
+        if target == RESET:
             c.machine.reset_controller()
-        elif what == PARAMETERS:
+        elif target == PARAMETERS:
             c.machine.memory.restore_parameters()
         else:
             c.machine.programs.halt_all()

@@ -22,14 +22,14 @@ def _compile_configure_port(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
-        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None, None]]
-        baud, handshake, chained, echo = (
-            old if new is None else new for old, new in zip(machine.second_line, given, strict=False)
+        values = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None, None]]
+        baud, handshake, chain_mode, echo = (
+            old if new is None else new for old, new in zip(machine.second_line, values, strict=False)
         )
-        if baud not in BAUD_RATES or {handshake, chained, echo} - {0, 1}:
+        if baud not in BAUD_RATES or {handshake, chain_mode, echo} - {0, 1}:
             raise CommandError(6)
-        machine.second_line = (baud, handshake, chained, echo)
-        machine.operator_input.entries["2"].set_enabled(on=not chained)
+        machine.second_line = (baud, handshake, chain_mode, echo)
+        machine.operator_input.entries["2"].set_enabled(on=not chain_mode)
         return None
 
     return run_command
@@ -43,8 +43,8 @@ def _compile_communication_interrupt(text: str) -> Runner:
 
     def run_command(c: CommandContext) -> Outcome:
         machine = c.machine
-        given = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None]]
-        modes, data = dict(zip(("S", "2"), given, strict=False)), given[2]
+        values = [None if raw is None else fixed.to_integer(raw) for raw in [*fields(c), None, None]]
+        modes, data = dict(zip(("S", "2"), values, strict=False)), values[2]
         if any(mode not in (None, -1, 0, 1, 2) for mode in modes.values()) or data not in (None, 0, 1):
             raise CommandError(6)
         for port, mode in modes.items():
@@ -66,13 +66,13 @@ def _compile_end(text: str) -> Runner:
     fields = compile_values(parse_fields(text, 2)) if text else None
 
     def run_command(c: CommandContext) -> Outcome:
-        restore, again = [fixed.to_integer(raw or 0) for raw in [*(fields(c) if fields else []), 0, 0]][:2]
-        if restore not in (0, 1) or again not in (0, 1):
+        restore, repeat = [fixed.to_integer(raw or 0) for raw in [*(fields(c) if fields else []), 0, 0]][:2]
+        if restore not in (0, 1) or repeat not in (0, 1):
             raise CommandError(6)
         thread = running_thread(c)
         if not thread.stack:
             thread.halt_thread()
-        elif thread.leave_subroutine(restore=restore == 1) == "COMINT" and again:
+        elif thread.leave_subroutine(restore=restore == 1) == "COMINT" and repeat:
             c.machine.interrupting_on = True
         return None
 
@@ -102,6 +102,6 @@ def _compile_input(text: str) -> Runner:
             raise CommandError(71)
         thread.input_for, thread.input_port, thread.input_length = name, port, length
         c.machine.ports.send_text(port, prompt)
-        return when_passed(lambda machine, now: not thread.input_for)
+        return when_passed(lambda machine, sample: not thread.input_for)
 
     return run_command

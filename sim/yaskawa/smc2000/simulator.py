@@ -218,7 +218,7 @@ class Smc2000Simulator:
         chosen_options = ChainOptions.model_validate(dict(options))
         crystal = oscillator or Oscillator()
         units: list[YaskawaController] = []
-        for place, unit in enumerate(chosen_options.chain):
+        for number, unit in enumerate(chosen_options.chain):
             own = chosen_options.options | {
                 "axes": unit.axes,
                 "address": unit.address,
@@ -226,8 +226,8 @@ class Smc2000Simulator:
                 "chained": True,
             }
             drift_ppm = crystal.drift_ppm if unit.drift_ppm is None else unit.drift_ppm
-            other_oscillator = Oscillator(crystal.offset_ns, drift_ppm, crystal.wander_ppm, crystal.seed + place)
-            units.append(self.build_single(clock, own, other_oscillator, timing, seed + place))
+            other_oscillator = Oscillator(crystal.offset_ns, drift_ppm, crystal.wander_ppm, crystal.seed + number)
+            units.append(self.build_single(clock, own, other_oscillator, timing, seed + number))
         chain = DaisyChain(clock, units, chosen_options.hop_ns)
         if chosen_options.shared_clock:
             chain.share_clock()

@@ -13,7 +13,9 @@ MAX_STEPS = 5_000  # that are run forward for it in all: a second
 
 def list_misfits(template: "Template", settings: "Mapping[str, ParameterSetting]") -> list[str]:
     """Where the form of the job is wrong with another value that bounds and choices allow, in words."""
-    return [f"with {words}: {made}" for words, made in _fill_extremes(template, settings) if isinstance(made, str)]
+    return [
+        f"with {words}: {result}" for words, result in _fill_extremes(template, settings) if isinstance(result, str)
+    ]
 
 
 def check_extremes(
@@ -32,21 +34,21 @@ def check_extremes(
 
     notes: list[str] = []
     steps = 0
-    for words, made in _fill_extremes(template, settings):
-        if isinstance(made, str):
-            notes.append(f"with {words}: {made}")
+    for words, result in _fill_extremes(template, settings):
+        if isinstance(result, str):
+            notes.append(f"with {words}: {result}")
             continue
-        steps += sum(1 for _ in iterate_steps(made.job.steps)) * repeat
+        steps += sum(1 for _ in iterate_steps(result.job.steps)) * repeat
         if steps > MAX_STEPS:
             return [*notes, f"not checked with {words}, nor with the values after it: the job is too long"]
         try:
-            problems = forecast_job(fleet, summaries.place_summaries(made.job).steps, repeat).problems
+            problems = forecast_job(fleet, summaries.place_summaries(result.job).steps, repeat).problems
         except FileError as error:
             notes.append(f"with {words}: {error.problems[0]}")
         except Refusal as error:
             notes.append(f"with {words}: {error.text}")
         else:
-            notes += [f"with {words}: {made.problem(problem.place, problem.text)}" for problem in problems[:1]]
+            notes += [f"with {words}: {result.problem(problem.place, problem.text)}" for problem in problems[:1]]
     return notes
 
 

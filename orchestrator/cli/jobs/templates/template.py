@@ -31,16 +31,18 @@ def _list_parameters(file: Path, *, as_json: bool) -> None:
 
     parameters = Template.load(file).parameters
     if as_json:
-        print_json([{"name": name, **describe_parameter(each)} for name, each in parameters.items()])
+        print_json([{"name": name, **describe_parameter(parameter)} for name, parameter in parameters.items()])
         return
     if not parameters:
         console.print(f"{file} has no parameters", highlight=False, markup=False, soft_wrap=True)
         return
     table = make_plain_table(["parameter", "type", "unit", "default>", "allowed", "meaning"], ["meaning"])
-    for name, each in parameters.items():
-        plain = describe_parameter(each)
-        default = "required" if plain["required"] else _format_value(each, plain["default"])
-        table.add_row(name, each.type, plain["unit"] or "", default, _describe_range(each, plain), each.description)
+    for name, parameter in parameters.items():
+        plain = describe_parameter(parameter)
+        default = "required" if plain["required"] else _format_value(parameter, plain["default"])
+        table.add_row(
+            name, parameter.type, plain["unit"] or "", default, _describe_range(parameter, plain), parameter.description
+        )
     console.print(table)
 
 

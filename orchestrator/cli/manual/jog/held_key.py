@@ -72,13 +72,13 @@ class HeldKey:
 
     def _handle_repeated(self, name: str, now_ns: int) -> KeyChange | None:
         silent_ns = now_ns - self._last_ns
-        again = name == self._last and silent_ns <= (REPEAT_GAP_NS if self._repeats else REPEAT_DELAY_NS)
-        held = self.key == name
+        is_repeat = name == self._last and silent_ns <= (REPEAT_GAP_NS if self._repeats else REPEAT_DELAY_NS)
+        is_held = self.key == name
         self.key = self._last = name
         self._last_ns = now_ns
-        self._repeats = again
-        if not again:
+        self._repeats = is_repeat
+        if not is_repeat:
             self.until_ns = now_ns + TAP_NS
             return KeyChange.BEGIN
         self.until_ns = max(self.until_ns or 0, now_ns + REPEAT_WAIT_NS)
-        return None if held else KeyChange.GO_ON
+        return None if is_held else KeyChange.GO_ON

@@ -66,19 +66,19 @@ async def _run_panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
     from orchestrator.cli.manual.jog.terminal import RawTerminal
 
     axes = await _find_configurations(tutti, wanted)
-    ended: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    end: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 
     def end_panel() -> None:
-        if not ended.done():
-            ended.set_result(INTERRUPTED)
+        if not end.done():
+            end.set_result(INTERRUPTED)
 
     # From here on every exit passes the end of the context below, which restores the terminal.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         asyncio.get_running_loop().add_signal_handler(number, end_panel)
     with RawTerminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
         panel = JogPanel(axes, terminal.releases, tutti.keys.fleet)
-        async with JogSession(tutti, panel, terminal, ended):
-            return await ended
+        async with JogSession(tutti, panel, terminal, end):
+            return await end
 
 
 async def _find_configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict[str, Axis]":

@@ -92,8 +92,8 @@ class KeyParser:
 
     def expire_sequence(self) -> list[TerminalEvent]:
         """Treat the incomplete sequence as finished: it is the Escape key, or a sequence that was cut off."""
-        alone, self._rest = self._rest == b"\x1b", b""
-        return [KeyEvent("escape")] if alone else []
+        is_alone, self._rest = self._rest == b"\x1b", b""
+        return [KeyEvent("escape")] if is_alone else []
 
 
 def _parse_next(data: bytes) -> tuple[int, TerminalEvent | None]:

@@ -232,7 +232,7 @@ class JogPanel:
             due.append(motion.renew_ns)
         if motion is None and self._acquired:
             due.append(self._idle_since_ns + IDLE_NS)
-        return min((each for each in due if each is not None), default=None)
+        return min((instant_ns for instant_ns in due if instant_ns is not None), default=None)
 
     # Replies
 
@@ -312,8 +312,8 @@ class JogPanel:
             self._blocked, self.refusal, self.note = False, None, ""
             if self.work.running is not None:
                 return self._refuse_while_working()
-            ended_motion = self._end_motion(now_ns)
-            return [*ended_motion, *(self._handle_press(now_ns) if self.work.step_size is None else self._make_step())]
+            works = self._end_motion(now_ns)
+            return [*works, *(self._handle_press(now_ns) if self.work.step_size is None else self._make_step())]
         if grip is KeyChange.GO_ON:
             # A key that is held makes one step.
             return [] if self._blocked or self.work.step_size is not None else self._handle_press(now_ns)
@@ -329,9 +329,9 @@ class JogPanel:
             return self._begin_motion(now_ns)
         if self._acquiring:
             return []
-        back_axes = self._release_axes()
+        works = self._release_axes()
         self._acquiring = True
-        return [*back_axes, AcquireAxis(self.chosen_axis)]
+        return [*works, AcquireAxis(self.chosen_axis)]
 
     def _make_step(self) -> list[PanelAction]:
         """Start a step in the direction of the pressed key. Its job acquires the axis itself."""
@@ -345,12 +345,12 @@ class JogPanel:
         if self.work.running is not None:
             return self._refuse_while_working()
         self.refusal, self.note = None, ""
-        ended_stop = self._stop_and_block(now_ns)
+        works = self._stop_and_block(now_ns)
         work = start()
         if work is None:
             self.note = f"press {key} again within 3 s"
-            return ended_stop
-        return [*ended_stop, *self._release_axes(), work]
+            return works
+        return [*works, *self._release_axes(), work]
 
     def _refuse_while_working(self) -> list[PanelAction]:
         assert self.work.running is not None
@@ -386,8 +386,8 @@ class JogPanel:
         """Stop, and ignore the held key until the next press."""
         self._held_key.release_key()
         self._blocked = True
-        cancelled_works = [] if self.work.running is None else [CancelWork()]
-        return [*self._end_motion(now_ns), *cancelled_works]
+        cancellations = [] if self.work.running is None else [CancelWork()]
+        return [*self._end_motion(now_ns), *cancellations]
 
     def _show_refusal(self, refusal: Refusal) -> None:
         """Show a refusal: nothing moves until the next key press."""

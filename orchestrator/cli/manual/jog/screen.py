@@ -65,8 +65,8 @@ def _render_axes(panel: JogPanel, now_ns: int, columns: int, room: int) -> Table
     names = list(panel.axes)
     first = max(0, min(panel.chosen - room // 2, len(names) - room))
     for name in names[first : first + room]:
-        chosen = name == panel.chosen_axis
-        table.add_row(*_make_row(panel, name, now_ns), style="bold" if chosen else "")
+        is_chosen = name == panel.chosen_axis
+        table.add_row(*_make_row(panel, name, now_ns), style="bold" if is_chosen else "")
     return table
 
 
@@ -75,8 +75,8 @@ def _make_row(panel: JogPanel, name: str, now_ns: int) -> list[str | Text]:
     mark, by = "▸" if name == panel.chosen_axis else "", panel.describe_holder(name)
     held_by = Text(by, style="bold cyan" if by == "you" else "yellow")
     if state_now is None or _is_stale(panel, name, now_ns):
-        gone = "offline" if state_now is None else "silent"
-        return [mark, name, "-", "-", Text(gone, style="red"), "", "", "", "", held_by]
+        absence = "offline" if state_now is None else "silent"
+        return [mark, name, "-", "-", Text(absence, style="red"), "", "", "", "", held_by]
     low, high = _describe_room(axis, state_now)
     return [
         mark,
@@ -113,7 +113,7 @@ def _render_motion(panel: JogPanel) -> RenderableType:
     """Describe the speed of a key press, and the current motion."""
     axis, state_now = panel.axes[panel.chosen_axis], panel.axis_state(panel.chosen_axis)
     most = panel.jog_speed(panel.chosen_axis)
-    why = "" if state_now is None or state_now.referenced else ", slow: unreferenced"
+    hint = "" if state_now is None or state_now.referenced else ", slow: unreferenced"
     unit = axis.unit
     doing_words = "at rest"
     if panel.work.running is not None:
@@ -122,7 +122,7 @@ def _render_motion(panel: JogPanel) -> RenderableType:
         doing_words = "jogging"
     elif state_now is not None and state_now.moving:
         doing_words = "moving"
-    filled = round(panel.speed_fraction * 20)
+    length = round(panel.speed_fraction * 20)
     return Group(
         Text.assemble(
             f"{panel.chosen_axis}  ",
@@ -132,11 +132,11 @@ def _render_motion(panel: JogPanel) -> RenderableType:
         _describe_arrows(panel, unit),
         Text.assemble(
             "speed  ",
-            ("━" * filled, "cyan"),
-            ("─" * (20 - filled), "dim"),
+            ("━" * length, "cyan"),
+            ("─" * (20 - length), "dim"),
             f"  {panel.speed_fraction:.0%} = ",
             (f"{panel.key_speed():.4g} {unit}/s", "bold"),
-            f" of {most:.4g} {unit}/s{why}",
+            f" of {most:.4g} {unit}/s{hint}",
         ),
     )
 
@@ -161,8 +161,8 @@ def _list_troubles(panel: JogPanel, now_ns: int) -> list[Text]:
         if state is None:
             continue
         if state.estop is not None:
-            why = f": {state.estop.reason}" if state.estop.reason else ""
-            text = f"{controller}: E-STOP by {state.estop.actor}{why} → `tutti reset` when it is safe"
+            reason = f": {state.estop.reason}" if state.estop.reason else ""
+            text = f"{controller}: E-STOP by {state.estop.actor}{reason} → `tutti reset` when it is safe"
             lines.append(Text(text, style="bold red"))
         lines += [Text(f"{controller}: {fault.text} → {fault.remedy}", style="red") for fault in state.faults]
         if _is_stale(panel, controller, now_ns):

@@ -171,14 +171,14 @@ class JogSession:
     async def _manage_leases(self) -> None:
         """Acquire and release leases one after the other: an axis can be acquired again only after its release. None
         ends the loop."""
-        while (wanted := await self._leasing.get()) is not None:
-            if isinstance(wanted, ManualControl):
-                await wanted.release()
+        while (target := await self._leasing.get()) is not None:
+            if isinstance(target, ManualControl):
+                await target.release()
                 continue
-            if isinstance(wanted, asyncio.Event):
-                wanted.set()
+            if isinstance(target, asyncio.Event):
+                target.set()
                 continue
-            hand = self._tutti.manual_control([wanted], what="jog panel")
+            hand = self._tutti.manual_control([target], what="jog panel")
             try:
                 await hand.acquire()
             except Refusal as error:
@@ -223,7 +223,7 @@ class JogSession:
 
     async def _estop_fleet(self) -> None:
         latched_estop = await self._tutti.estop("at the jog panel")
-        wrong = [controller for controller, done in latched_estop.items() if not done]
+        wrong = [controller for controller, is_latched in latched_estop.items() if not is_latched]
         if wrong or not latched_estop:
             self._panel.show_note(f"NOT LATCHED: {', '.join(wrong) or 'no controller answers'}; use the wired e-stop")
         else:

@@ -47,8 +47,8 @@ class RawTerminal:
 
     def __enter__(self) -> Self:
         with ExitStack() as restore:
-            before = termios.tcgetattr(self.fd_in)
-            restore.callback(self._set_mode, before)
+            old_mode = termios.tcgetattr(self.fd_in)
+            restore.callback(self._set_mode, old_mode)
             tty.setraw(self.fd_in)
             # Key events are not received in the background.
             restore.callback(signal.signal, signal.SIGTSTP, signal.signal(signal.SIGTSTP, signal.SIG_IGN))

@@ -112,16 +112,16 @@ class WatchPanel:
         found_lines = [line for line in self._lines if self._matches(line)]
         self._scrolled["events"] = min(self._scrolled["events"], max(0, len(found_lines) - room))
         end = len(found_lines) - self._scrolled["events"]
-        shown = found_lines[max(0, end - room) : end]
-        lines = [Text(line, no_wrap=True, overflow="ellipsis") for line in shown]
+        visible_lines = found_lines[max(0, end - room) : end]
+        lines = [Text(line, no_wrap=True, overflow="ellipsis") for line in visible_lines]
         for line in lines:
             line.truncate(columns, overflow="ellipsis")
         blank: list[Line] = [[Segment("")] for _ in range(room - len(lines))]
         return [*blank, *([Segment(line.plain)] for line in lines)]
 
     def _render_head(self) -> Text:
-        lost = f"DISCONNECTED: nothing received for {self.connection.silence_s:.0f} s"
-        state = ("connected", "green") if self.connection.is_connected else (lost, "bold red")
+        silence_text = f"DISCONNECTED: nothing received for {self.connection.silence_s:.0f} s"
+        state = ("connected", "green") if self.connection.is_connected else (silence_text, "bold red")
         head = Text.assemble((f"fleet {self.view.keys.fleet}", "bold"), "  ", state, no_wrap=True, overflow="ellipsis")
         if self.view.openness:
             head.append("  INSECURE: the bus has no TLS", "bold red")
@@ -140,8 +140,8 @@ class WatchPanel:
     def _render_keys(self) -> Text:
         text = Text(no_wrap=True, overflow="ellipsis")
         for key, meaning in _KEYS:
-            marked = " *" if key == "tab" and self._pane == "axes" else ""
-            text.append(key, "bold").append(f" {meaning}{marked}   ", "dim")
+            mark = " *" if key == "tab" and self._pane == "axes" else ""
+            text.append(key, "bold").append(f" {meaning}{mark}   ", "dim")
         return text
 
     def _filter_states(self) -> Mapping[str, ControllerState]:

@@ -94,11 +94,11 @@ async def _run_screen(view: "LiveView", samples: "asyncio.Queue[BusSample]") -> 
 
     panel = WatchPanel(view, time.monotonic, _utc_now)
     loop = asyncio.get_running_loop()
-    ended: asyncio.Future[int] = loop.create_future()
+    end: asyncio.Future[int] = loop.create_future()
 
     def end_screen(code: int) -> None:
-        if not ended.done():
-            ended.set_result(code)
+        if not end.done():
+            end.set_result(code)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, end_screen, INTERRUPTED)
@@ -106,17 +106,17 @@ async def _run_screen(view: "LiveView", samples: "asyncio.Queue[BusSample]") -> 
         keys = _KeyReader(terminal, panel, end_screen)
         loop.add_reader(terminal.fd_in, keys.read_keys)
         try:
-            while not ended.done():
+            while not end.done():
                 while not samples.empty():
                     panel.take_sample(samples.get_nowait())
                 panel.check_time()
                 _, panel.rows = terminal.get_size()
                 terminal.show_image(panel)
-                await asyncio.wait([ended], timeout=REFRESH_S)
+                await asyncio.wait([end], timeout=REFRESH_S)
         finally:
             loop.remove_reader(terminal.fd_in)
-    if ended.result():
-        raise SystemExit(ended.result())
+    if end.result():
+        raise SystemExit(end.result())
 
 
 def _utc_now() -> str:

@@ -29,7 +29,7 @@ class AlarmTables:
                 if notify:
                     values = (record.change, body, crc)
                     self._db.execute("INSERT OR REPLACE INTO alarm_notices VALUES (?, ?, ?, 0)", values)
-            self._db.executemany("DELETE FROM alarms WHERE id = ?", [(each,) for each in forgotten])
+            self._db.executemany("DELETE FROM alarms WHERE id = ?", [(alarm_id,) for alarm_id in forgotten])
             newest = "(SELECT max(number) FROM alarm_history)"
             self._db.execute(f"DELETE FROM alarm_history WHERE number <= {newest} - ?", (MAX_HISTORY,))
 
@@ -43,19 +43,19 @@ class AlarmTables:
 
     def load_alarms(self) -> tuple[list[AlarmRecord], list[str]]:
         records: list[AlarmRecord] = []
-        damaged: list[str] = []
+        damaged_names: list[str] = []
         for name, body, crc in self._select_rows("SELECT id, body, crc FROM alarms ORDER BY id"):
             record = _read_record(body, crc)
             if record is not None and record.id == name:
                 records.append(record)
             else:
-                damaged.append(name)
-        return records, damaged
+                damaged_names.append(name)
+        return records, damaged_names
 
     def load_notices(self) -> list[AlarmNotice]:
         rows = self._select_rows("SELECT body, crc, tries FROM alarm_notices ORDER BY rowid")
-        read = [(_read_record(body, crc), tries) for body, crc, tries in rows]
-        return [AlarmNotice(record, tries) for record, tries in read if record is not None]
+        records = [(_read_record(body, crc), tries) for body, crc, tries in rows]
+        return [AlarmNotice(record, tries) for record, tries in records if record is not None]
 
     def load_history(self, limit: int) -> list[AlarmRecord]:
         rows = self._select_rows("SELECT body FROM alarm_history ORDER BY number DESC LIMIT ?", (limit,))

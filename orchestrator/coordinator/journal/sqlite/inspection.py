@@ -154,8 +154,8 @@ def _check_point_rows(db: sqlite3.Connection) -> Iterator[JournalDamage]:
 
 def _check_bodies(db: sqlite3.Connection, table: _BodyTable) -> Iterator[JournalDamage]:
     crc = "crc" if table.checked else "NULL"
-    for key, body, expected in db.execute(f"SELECT {table.key}, body, {crc} FROM {table.name} ORDER BY rowid"):
-        wrong = expected is not None and crc32(body.encode()) != expected
+    for key, body, checksum in db.execute(f"SELECT {table.key}, body, {crc} FROM {table.name} ORDER BY rowid"):
+        wrong = checksum is not None and crc32(body.encode()) != checksum
         problem = "its checksum is wrong" if wrong else _find_problem(table.model, body)
         if problem:
             yield JournalDamage(f"{table.name} {key}", problem, table.remedy)
@@ -187,6 +187,6 @@ def _find_problem(model: type[Model], text: str) -> str:
         model.model_validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        return re.sub(r"\s+", " ", f"{where}: {first['msg']}" if where else first["msg"])
+        field = ".".join(map(str, first["loc"]))
+        return re.sub(r"\s+", " ", f"{field}: {first['msg']}" if field else first["msg"])
     return ""

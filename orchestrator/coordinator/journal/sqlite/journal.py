@@ -141,10 +141,10 @@ class SqliteJournal:
             raise EpochOvertaken(f"epoch {epoch} is over: a coordinator leads with epoch {last}")
 
     def _read_epoch(self) -> int:
-        known = self._read_value("epoch", "0")
-        if not known.isdecimal() or int(known) > MAX_EPOCH:
-            raise make_unusable_error(self._path, ValueError(f"its epoch {known!r} is damaged"))
-        return int(known)
+        epoch_text = self._read_value("epoch", "0")
+        if not epoch_text.isdecimal() or int(epoch_text) > MAX_EPOCH:
+            raise make_unusable_error(self._path, ValueError(f"its epoch {epoch_text!r} is damaged"))
+        return int(epoch_text)
 
     def fleet_time_scale(self, kernel_id: str, now_ns: int, scale_id: str) -> tuple[str, int]:
         with self._transaction():
@@ -191,7 +191,7 @@ class SqliteJournal:
         utc: str,
         entry: QueueEntryOptions | None = None,
     ) -> tuple[str, bool]:
-        terms, origin_again = entry or QueueEntryOptions()
+        terms, origin = entry or QueueEntryOptions()
         self._require_same_file()
         with self._transaction():
             row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
@@ -214,8 +214,8 @@ class SqliteJournal:
                 "missed": terms.missed,
                 "due": int(terms.at is None),
                 "held_by": APPROVAL if terms.proposed else job.actor if terms.held else "",
-                "origin": origin_again.origin if origin_again else None,
-                "from_step": origin_again.from_step if origin_again else 0,
+                "origin": origin.origin if origin else None,
+                "from_step": origin.from_step if origin else 0,
                 "expires_utc": terms.expires,
                 "now": int(terms.now),
                 "session": terms.session,
@@ -223,14 +223,12 @@ class SqliteJournal:
             }
             values["crc"] = find_checksum(values)
             marks = ", ".join("?" * len(values))
-            inserted_row = self._db.execute(
-                f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),)
-            )
-            self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (inserted_row.lastrowid,))
+            cursor = self._db.execute(f"INSERT INTO jobs ({', '.join(values)}) VALUES ({marks})", (*values.values(),))
+            self._db.execute("UPDATE jobs SET place = number WHERE number = ?", (cursor.lastrowid,))
             digests = [(job_id, digest) for digest in find_digests(job.steps)]
             self._db.executemany("INSERT INTO job_points VALUES (?, ?)", digests)
-            submitted = (job_id, reason, job.actor, utc)
-            self._db.execute("INSERT INTO transitions VALUES (?, 'queued', ?, ?, ?, NULL)", submitted)
+            fields = (job_id, reason, job.actor, utc)
+            self._db.execute("INSERT INTO transitions VALUES (?, 'queued', ?, ?, ?, NULL)", fields)
         return job_id, True
 
     def has_client_key(self, client_key: str) -> bool:
@@ -259,7 +257,7 @@ class SqliteJournal:
     def reorder_jobs(self, job_id: str, priority: int, places: Mapping[str, int], transition: JobTransition) -> None:
         with self._transaction():
             if is_queued(self._db, job_id):
-                moved_places = [(place, name) for name, place in places.items()]
+                moved_places = [(number, name) for name, number in places.items()]
                 self._db.executemany("UPDATE jobs SET place = ? WHERE id = ?", moved_places)
                 self._db.execute("UPDATE jobs SET priority = ? WHERE id = ?", (priority, job_id))
                 insert_transition(self._db, job_id, transition)
@@ -310,12 +308,12 @@ class SqliteJournal:
     def find_jobs(
         self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
     ) -> tuple[list[JobRecord], int]:
-        where = "WHERE (? IS NULL OR state = ?) AND instr(name, ?) > 0 AND submitted_utc >= ?"
+        condition = "WHERE (? IS NULL OR state = ?) AND instr(name, ?) > 0 AND submitted_utc >= ?"
         if not name:
-            where = where.replace("instr(name, ?) > 0", "? = ''")
+            condition = condition.replace("instr(name, ?) > 0", "? = ''")
         values = (state, state, name, since_utc)
-        total = self._select_rows(f"SELECT count(*) FROM jobs {where}", values)[0][0]
-        return self._select_records(f"{where} ORDER BY number DESC LIMIT ?", (*values, limit)), total
+        total = self._select_rows(f"SELECT count(*) FROM jobs {condition}", values)[0][0]
+        return self._select_records(f"{condition} ORDER BY number DESC LIMIT ?", (*values, limit)), total
 
     def find_referenced_jobs(self, reference: str, limit: int = 5) -> list[JobRecord]:
         for clause, values in (
@@ -350,14 +348,14 @@ class SqliteJournal:
         values = (before_utc, *_UNFINISHED_STATES, keep, *_UNFINISHED_STATES)
         with self._transaction():
             self._db.execute(f"CREATE TEMP TABLE old AS {old}", values)
-            named = self._db.execute("SELECT digest FROM job_points WHERE job_id IN (SELECT id FROM old)").fetchall()
+            digests = self._db.execute("SELECT digest FROM job_points WHERE job_id IN (SELECT id FROM old)").fetchall()
             for table in ("recordings", "reports", "decisions", "transitions", "job_points", "point_rows", "approvals"):
                 self._db.execute(f"DELETE FROM {table} WHERE job_id IN (SELECT id FROM old)")
-            gone = self._db.execute("DELETE FROM jobs WHERE id IN (SELECT id FROM old)").rowcount
+            count = self._db.execute("DELETE FROM jobs WHERE id IN (SELECT id FROM old)").rowcount
             self._db.execute("DROP TABLE old")
-        for digest in {digest for (digest,) in named} - self.list_named_points():
+        for digest in {digest for (digest,) in digests} - self.list_named_points():
             self.points.delete_upload(digest)
-        return gone
+        return count
 
     def list_named_points(self) -> set[str]:
         return {digest for (digest,) in self._select_rows("SELECT DISTINCT digest FROM job_points")}
@@ -396,7 +394,8 @@ class SqliteJournal:
     def list_reservations(self) -> list[Reservation]:
         rows = self._select_rows("SELECT holder, actor, what, axes, until_utc FROM reservations ORDER BY rowid")
         return [
-            Reservation(holder, actor, what, tuple(axes.split()), until) for holder, actor, what, axes, until in rows
+            Reservation(holder, actor, purpose, tuple(axes.split()), until_utc)
+            for holder, actor, purpose, axes, until_utc in rows
         ]
 
     # Named positions

@@ -38,10 +38,10 @@ class PointRows:
             self._db.executemany(f"INSERT OR REPLACE INTO point_rows VALUES ({', '.join('?' * 11)})", rows)
 
     def load_points(self, job_id: str, after: tuple[int, int], limit: int) -> list[PointRecord]:
-        where = "job_id = ? AND (step, point) > (?, ?) ORDER BY step, point LIMIT ?"
-        query = f"SELECT {_COLUMNS} FROM point_rows WHERE {where}"
+        condition = "job_id = ? AND (step, point) > (?, ?) ORDER BY step, point LIMIT ?"
+        query = f"SELECT {_COLUMNS} FROM point_rows WHERE {condition}"
         try:
-            found_rows = self._db.execute(query, (job_id, *after, limit)).fetchall()
+            rows = self._db.execute(query, (job_id, *after, limit)).fetchall()
         except sqlite3.Error as error:
             raise make_unusable_error(self._path, error) from None
         return [
@@ -54,7 +54,7 @@ class PointRows:
                 start_skew=None if least is None else SkewInterval(at_least_ns=least, at_most_ns=most),
                 took_s=took_s,
                 target=json.loads(target),
-                measured=json.loads(measured),
+                measured=json.loads(positions),
             )
-            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, measured in found_rows
+            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, positions in rows
         ]

@@ -95,11 +95,11 @@ class PointStore:
         return self._read_state(digest)
 
     def _read_state(self, digest: str) -> UploadState | None:
-        found = self._select("SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,))
-        if not found:
+        rows = self._select("SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,))
+        if not rows:
             return None
-        received, size, columns = found[0]
-        return UploadState(received, size, None if columns is None else _COLUMNS.validate_json(columns))
+        size_received, size, columns = rows[0]
+        return UploadState(size_received, size, None if columns is None else _COLUMNS.validate_json(columns))
 
     def add_part(self, digest: str, begin: int, data: bytes, utc: str) -> UploadState:
         state = self._read_state(digest)
@@ -107,29 +107,27 @@ class PointStore:
             raise Refusal("no-upload", "the upload of these points is not known any more", "begin it again")
         if begin != state.received or not data or state.columns is not None:
             return state
-        received_begin = begin + len(data)
-        if received_begin > state.size:
-            raise Refusal(
-                "bad-points", f"{received_begin} bytes of points are more than the {state.size} announced", ""
-            )
+        end = begin + len(data)
+        if end > state.size:
+            raise Refusal("bad-points", f"{end} bytes of points are more than the {state.size} announced", "")
         with self._transaction():
             self._db.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (digest, begin, data, crc32(data)))
-            values = (received_begin, utc, digest)
+            values = (end, utc, digest)
             self._db.execute("UPDATE uploads SET received = ?, used_utc = ? WHERE digest = ?", values)
-        if received_begin < state.size:
-            return UploadState(received_begin, state.size, None)
-        return UploadState(received_begin, state.size, self._finish_upload(digest))
+        if end < state.size:
+            return UploadState(end, state.size, None)
+        return UploadState(end, state.size, self._finish_upload(digest))
 
     def _finish_upload(self, digest: str) -> list[PointColumn]:
         """Check the digest, and find the extremes. Raises `Refusal`; the points are deleted then."""
         (header,) = self._db.execute("SELECT header FROM uploads WHERE digest = ?", (digest,)).fetchone()
         axes = _AXES.validate_json(header)
-        found_hash, summary = hashlib.sha256(header.encode()), ColumnSummary(axes)
+        content_hash, summary = hashlib.sha256(header.encode()), ColumnSummary(axes)
         try:
             for data in self._read_parts(digest, 0, None):
-                found_hash.update(data)
+                content_hash.update(data)
                 summary.add_rows(np.frombuffer(data, ROW_TYPE).reshape(-1, len(axes)))
-            if f"sha256:{found_hash.hexdigest()}" != digest:
+            if f"sha256:{content_hash.hexdigest()}" != digest:
                 raise Refusal(
                     "bad-digest", "the points that arrived are not those that were announced", "send them again"
                 )
@@ -148,10 +146,10 @@ class PointStore:
     # Reading
 
     def read_rows(self, digest: str, first: int, count: int) -> list[tuple[float, ...]]:
-        found = self._select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
-        if not found or found[0][1] is None:
+        rows = self._select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
+        if not rows or rows[0][1] is None:
             raise JournalError(f"the points {digest[:15]}… are not stored any more", "submit the job again")
-        axes = _AXES.validate_json(found[0][0])
+        axes = _AXES.validate_json(rows[0][0])
         begin, end = (number * find_row_bytes(axes) for number in (first, first + count))
         data = b"".join(self._read_parts(digest, begin, end))
         return [tuple(row) for row in np.frombuffer(data, ROW_TYPE).reshape(-1, len(axes)).tolist()]

@@ -11,15 +11,15 @@ from orchestrator.model.positions.entries import SavedPosition
 def read_positions(rows: Iterable[tuple[str, str, int]]) -> tuple[list[SavedPosition], list[str]]:
     """The positions of rows of name, body and checksum; and the names of those that cannot be read."""
     positions: list[SavedPosition] = []
-    damaged: list[str] = []
+    damaged_names: list[str] = []
     for name, body, crc in rows:
         try:
             position = SavedPosition.model_validate_json(body)
         except ValidationError:
-            damaged.append(name)
+            damaged_names.append(name)
             continue
         if crc32(body.encode()) == crc and position.name == name:
             positions.append(position)
         else:
-            damaged.append(name)
-    return positions, damaged
+            damaged_names.append(name)
+    return positions, damaged_names

@@ -57,8 +57,8 @@ def make_unusable_error(path: str, error: Exception) -> JournalError:
 def open_read_only(path: Path) -> sqlite3.Connection:
     """Open a database that another process may be using, to read it alone. Raises `sqlite3.Error`."""
     # On a disk that is mounted for reading only SQLite cannot create the index that its readers share.
-    how = "mode=ro" if os.access(path.parent, os.W_OK) else "immutable=1"
-    db = sqlite3.connect(f"{path.absolute().as_uri()}?{how}", uri=True, isolation_level=None)
+    options = "mode=ro" if os.access(path.parent, os.W_OK) else "immutable=1"
+    db = sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True, isolation_level=None)
     db.text_factory = decode_text
     return db
 

@@ -26,19 +26,19 @@ class ColumnReader:
         """The step of a job. Raises `FileError` with every mistake."""
         rows = csv.reader(lines, skipinitialspace=True)
         header = next(rows, list[str]())
-        names = [each.strip() for each in header]
-        timed = bool(names) and names[0] == TIME
-        columns = names[timed:]
+        names = [title.strip() for title in header]
+        has_times = bool(names) and names[0] == TIME
+        columns = names[has_times:]
         self._check_header(names, columns)
         points: list[list[str]] = []
         times: list[float] = []
         for row in rows:
-            if not row or all(not each.strip() for each in row):
+            if not row or all(not cell.strip() for cell in row):
                 continue
             point = self._read_row(rows.line_num, row, len(names))
             if point is not None:
-                times += [float(point[0])] if timed else []
-                points.append(point[timed:])
+                times += [float(point[0])] if has_times else []
+                points.append(point[has_times:])
         if not self._problems.found and len(points) < 2:
             self._problems.add(
                 max(1, rows.line_num), 0, f"a path needs at least 2 points, this table has {len(points)}"
@@ -67,7 +67,7 @@ class ColumnReader:
         if len(row) != width:
             self._problems.add(line, 0, f"has {len(row)} values, and the first line {width} names")
             return None
-        values = [each.strip() for each in row]
+        values = [cell.strip() for cell in row]
         wrong = [number for number, value in enumerate(values, 1) if not _is_quantity(value)]
         for number in wrong:
             self._problems.add(line, number, f"{values[number - 1][:40]!r} is no number, nor a number with a unit")

@@ -82,11 +82,11 @@ class GcodeReader:
     # A line
 
     def _read_line(self, text: str) -> None:
-        bare = _COMMENT.sub(lambda found: " " * len(found.group()), text.rstrip("\r\n"))
+        bare = _COMMENT.sub(lambda match: " " * len(match.group()), text.rstrip("\r\n"))
         if bare.strip() in ("", "%"):
             return
         words = list(self._read_words(bare))
-        before = len(self._problems.found)
+        count = len(self._problems.found)
         codes = [(_find_code(word), word) for word in words if word.letter == "G"]
         for code, word in codes:
             if code not in _MOTION | _MODES and code != 4:
@@ -94,7 +94,7 @@ class GcodeReader:
                     word, f"G{word.value:g} is not supported; supported are G0 to G4, G17 to G21, G61, G64, G90, G91"
                 )
         values = self._collect_values(words)
-        if len(self._problems.found) > before:
+        if len(self._problems.found) > count:
             return
         self._change_modes([code for code, _ in codes if code is not None], values)
         if any(code == 4 for code, _ in codes):
@@ -178,7 +178,7 @@ class GcodeReader:
             self._steps.append({"do": "dwell", "duration": f"{format_number(pause.value)} s"})
 
     def _move(self, values: Mapping[str, _Word]) -> None:
-        modes, before = self._modes, dict(self._at)
+        modes, start = self._modes, dict(self._at)
         if modes.motion is None:
             self._problems.add(self._line, 0, "no motion is chosen; begin with G0, G1, G2 or G3")
             return
@@ -188,12 +188,12 @@ class GcodeReader:
         for letter in self._letters:
             if letter in values:
                 value = values[letter].value * modes.scale
-                self._at[letter] = before[letter] + value if modes.relative else value
-        piece = self._make_line() if modes.motion < 2 else self._make_arc(values, before)
-        if piece is None or (modes.motion < 2 and self._at == before):
+                self._at[letter] = start[letter] + value if modes.relative else value
+        piece = self._make_line() if modes.motion < 2 else self._make_arc(values, start)
+        if piece is None or (modes.motion < 2 and self._at == start):
             return  # a mistake, or a move to where it stands
         if self._path is None:
-            self._path = _Path([self._write(before[letter]) for letter in self._letters])
+            self._path = _Path([self._write(start[letter]) for letter in self._letters])
         rapid = not modes.motion
         if rapid and self._path.pieces:
             self._path.pieces[-1]["corner"] = "stop"  # no rounding from a feed into a rapid
@@ -215,12 +215,14 @@ class GcodeReader:
         if centre is None:
             return None
         plane = [self._axes[self._letters.index(letter)] for letter in (first, second)]
-        others = [each for each in self._letters if each not in (first, second) and self._at[each] != before[each]]
-        is_circle = all(isclose(self._at[each], before[each], abs_tol=1e-9) for each in (first, second))
+        other_letters = [
+            letter for letter in self._letters if letter not in (first, second) and self._at[letter] != before[letter]
+        ]
+        is_circle = all(isclose(self._at[letter], before[letter], abs_tol=1e-9) for letter in (first, second))
         return {
-            "piece": "helix" if others or is_circle else "arc",
+            "piece": "helix" if other_letters or is_circle else "arc",
             "to": self._write_point(),
-            "centre": [self._write(each) for each in centre],
+            "centre": [self._write(coordinate) for coordinate in centre],
             "plane": plane,
             "direction": "cw" if self._modes.motion == 2 else "ccw",
         }
@@ -229,17 +231,17 @@ class GcodeReader:
         self, values: Mapping[str, _Word], before: Mapping[str, float], offsets: Sequence[str]
     ) -> tuple[float, float] | None:
         first, second, *_ = _PLANES[self._modes.plane]
-        here, there = (before[first], before[second]), (self._at[first], self._at[second])
+        start, end = (before[first], before[second]), (self._at[first], self._at[second])
         if "R" in values:
-            return self._find_centre_of_radius(values["R"], here, there)
+            return self._find_centre_of_radius(values["R"], start, end)
         given_values = [values[offset].value * self._modes.scale if offset in values else 0.0 for offset in offsets]
-        centre = here[0] + given_values[0], here[1] + given_values[1]
-        radius, other = hypot(*given_values), hypot(there[0] - centre[0], there[1] - centre[1])
+        centre = start[0] + given_values[0], start[1] + given_values[1]
+        radius, end_radius = hypot(*given_values), hypot(end[0] - centre[0], end[1] - centre[1])
         if radius == 0:
             self._problems.add(self._line, 0, f"an arc needs its centre: {offsets[0]} and {offsets[1]}, or R")
             return None
-        if abs(radius - other) > ARC_ERROR + radius / 1000:
-            text = f"the end of the arc is {other:g} mm from its centre, and its start {radius:g} mm"
+        if abs(radius - end_radius) > ARC_ERROR + radius / 1000:
+            text = f"the end of the arc is {end_radius:g} mm from its centre, and its start {radius:g} mm"
             self._problems.add(self._line, 0, text)
             return None
         return centre
@@ -252,12 +254,12 @@ class GcodeReader:
         x, y = (there[0] - here[0]) / 2, (there[1] - here[1]) / 2
         half = hypot(x, y)
         if half == 0 or half > abs(radius) + ARC_ERROR:
-            what = (
+            reason = (
                 "a full circle has no radius form; give its centre"
                 if half == 0
                 else f"its ends are {2 * half:g} mm apart"
             )
-            self._refuse(word, f"no arc of radius {abs(radius):g} mm: {what}")
+            self._refuse(word, f"no arc of radius {abs(radius):g} mm: {reason}")
             return None
         height = max(0.0, radius**2 - half**2) ** 0.5 / half
         if (self._modes.motion == 3) == (radius < 0):

@@ -25,8 +25,8 @@ def read_path_file(path: Path, axes: Mapping[str, str], start: Mapping[str, floa
     if kind in TRAJECTORIES:
         return TrajectoryReader(read_file(path), axes).read_steps()
     if kind not in GCODE + TABLES:
-        known_string = ", ".join(GCODE + TABLES + TRAJECTORIES)
-        raise FileError([FileProblem(name, 1, "", f"is of no known kind; its name must end in one of: {known_string}")])
+        known_kinds = ", ".join(GCODE + TABLES + TRAJECTORIES)
+        raise FileError([FileProblem(name, 1, "", f"is of no known kind; its name must end in one of: {known_kinds}")])
     lines = _read_lines(path)
     if kind in TABLES:
         return ColumnReader(name, axes).read_steps(lines)

@@ -30,12 +30,12 @@ def read_path_steps(job: Job, folder: Path | None = None) -> Job:
     files = {id(step): _read_file(step, step.file, folder) for step in find_paths(job.steps) if step.file is not None}
     if not files:
         return job
-    read = job.model_copy(update={"steps": [step.replace_steps(files) for step in job.steps]})
-    size = len(read.to_json())
+    new_job = job.model_copy(update={"steps": [step.replace_steps(files) for step in job.steps]})
+    size = len(new_job.to_json())
     if size > MAX_JOB_BYTES:
         text = f"with its files of paths the job has {size / 1e6:.1f} MB; at most {MAX_JOB_BYTES / 1e6:g} MB are sent"
         raise FileError([FileProblem(job.name, 1, "", f"{text}: split the program into several jobs")])
-    return read
+    return new_job
 
 
 def _read_file(step: FollowPath, file: str, folder: Path | None) -> Step:
@@ -43,12 +43,12 @@ def _read_file(step: FollowPath, file: str, folder: Path | None) -> Step:
     path = Path(file) if folder is None else folder / file
     plain = read_path_file(path, dict(zip(step.names or step.axes, step.axes, strict=True)), _find_places(step, path))
     steps: list[JobStep] = []
-    for number, each in enumerate(plain):
-        fields = {**_add_fields(step, each), "name": step.name} if each["do"] == "path" else each
+    for number, plain_step in enumerate(plain):
+        fields = {**_add_fields(step, plain_step), "name": step.name} if plain_step["do"] == "path" else plain_step
         job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": [fields]}, Job)
         if job is None:
-            place = ".".join(map(str, problems[0].place[2:]))
-            text = f"its path {number + 1} is not valid: {place} {problems[0].text}"
+            field = ".".join(map(str, problems[0].place[2:]))
+            text = f"its path {number + 1} is not valid: {field} {problems[0].text}"
             raise FileError([FileProblem(str(path), 1, "", text)])
         steps += job.steps
     if len(steps) > MAX_REPEATED:
@@ -70,10 +70,14 @@ def _find_places(step: FollowPath, path: Path) -> dict[str, float]:
 
 def _add_fields(step: FollowPath, each: dict[str, Any]) -> dict[str, Any]:
     """A path of a file with what its step says. The lower one of two speeds holds."""
-    said = step.model_dump(mode="json", exclude_defaults=True, by_alias=True)
-    fields = {**each, **{name: said[name] for name in _SHARED if name in said}, "tolerance": said["tolerance"]}
-    if "corner" in said:
-        fields["corner"] = said["corner"]
+    fields_said = step.model_dump(mode="json", exclude_defaults=True, by_alias=True)
+    fields = {
+        **each,
+        **{name: fields_said[name] for name in _SHARED if name in fields_said},
+        "tolerance": fields_said["tolerance"],
+    }
+    if "corner" in fields_said:
+        fields["corner"] = fields_said["corner"]
     if step.speed is not None:
         own = each.get("speed")
         fields["speed"] = step.speed if own is None else _choose_lower([step.speed, own])

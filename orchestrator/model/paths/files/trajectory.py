@@ -64,7 +64,7 @@ def _read_object(value: object) -> Mapping[str, object]:
 def _read_numbers(value: object) -> list[float] | None:
     if not isinstance(value, list):
         return None
-    numbers = [_read_number(each) for each in cast(list[object], value)]
+    numbers = [_read_number(item) for item in cast(list[object], value)]
     return None if None in numbers else [number for number in numbers if number is not None]
 
 
