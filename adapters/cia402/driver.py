@@ -47,7 +47,6 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     LatchedPosition,
-    Lowered,
     PathChunk,
     SampledPositions,
     SamplingPlan,
@@ -86,7 +85,7 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
     """Drive one node. Its state arrives by PDO; SDOs take turns per node, and a stop is a separate frame."""
 
     def __init__(self, setup: DriverSetup, options: Cia402Options) -> None:
-        super().__init__(setup)
+        super().__init__(setup, Cia402Lowered)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
@@ -328,11 +327,6 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         traits = ConnectionTraits(times, self._step_costs(longest_s), self._following)
         lowered = lower_step(self._config, self._options, traits, profiles, start)
         return add_triggers(lowered, self._config, self._options, times, start)
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, Cia402Lowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         del mapping

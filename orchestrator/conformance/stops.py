@@ -19,12 +19,12 @@ async def check_disarm(world: World, stage: str) -> None:
     before = world.positions()
     lowered, t0_ns = await world.arm(await world.plan(world.targets()))
     if stage != "arm":
-        await world.driver.verify_armed()
+        await world.driver.slots.present.verify()
     if stage == "go":
-        await world.driver.go()
+        await world.driver.slots.present.release()
     await world.until(min(t0_ns - lowered.costs.disarm_ns, world.clock.now_ns() + 30 * NS_PER_MS))
-    await world.driver.disarm_move()
-    await world.driver.disarm_move()
+    await world.driver.slots.unload()
+    await world.driver.slots.unload()
     await world.until(t0_ns + 3 * NS_PER_S)
     require(world.positions() == before and world.at_rest, "a disarmed move has started")
     await require_step(world)
@@ -35,10 +35,10 @@ async def check_nothing_without_go(world: World) -> None:
     await world.ready()
     before = world.positions()
     _, t0_ns = await world.arm(await world.plan(world.targets()))
-    await world.driver.verify_armed()
+    await world.driver.slots.present.verify()
     await world.until(t0_ns + 3 * NS_PER_S)
     require(world.positions() == before, "an armed move has started without `go`")
-    await world.driver.disarm_move()
+    await world.driver.slots.unload()
     await require_step(world)
 
 
@@ -47,8 +47,8 @@ async def check_stop(world: World, when_ms: int) -> None:
     await world.ready()
     for abort, factor in ((False, 1.0), (True, -0.4)):
         lowered, t0_ns = await world.arm(await world.plan(world.targets(4)))
-        await world.driver.verify_armed()
-        await world.driver.go()
+        await world.driver.slots.present.verify()
+        await world.driver.slots.present.release()
         following = world.start_task(follow_to_end(world))
         await world.until(max(world.clock.now_ns(), t0_ns + when_ms * NS_PER_MS))
         await world.driver.stop(abort=abort)

@@ -112,11 +112,11 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
         far = {axis: draw.choice((1.5, -3)) for axis in world.axes}
         profiles = await world.plan({axis: world.short_targets(factor)[axis] for axis, factor in far.items()})
         await world.arm(profiles)
-        await driver.verify_armed()
+        await driver.slots.present.verify()
         released = True
-        await driver.go()
-        await driver.wait_for_start()
-        await driver.wait_for_end()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
+        await driver.slots.present.wait_for_end()
         require_sound_reading(await driver.poll())
     except EXPECTED as error:
         ended = f"{type(error).__name__}: {error}"

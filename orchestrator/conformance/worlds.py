@@ -192,7 +192,7 @@ class World:
         if mapping is not None:
             ahead = how.model_copy(update={"lead_ns": t0_ns - mapping.host_at_ns})
             lowered = self.driver.lower_profiles(profiles, ahead, mapping)
-        await self.driver.arm_move(lowered, t0_ns, mapping)
+        await self.driver.slots.present.load(lowered, t0_ns, mapping)
         return lowered, t0_ns
 
     async def move(
@@ -201,10 +201,10 @@ class World:
         """A whole step."""
         profiles = await self.plan(targets)
         lowered, t0_ns = await self.arm(profiles)
-        await self.driver.verify_armed()
-        await self.driver.go()
-        started = await self.driver.wait_for_start()
-        return lowered, started, await self.driver.wait_for_end(), t0_ns, profiles
+        await self.driver.slots.present.verify()
+        await self.driver.slots.present.release()
+        started = await self.driver.slots.present.wait_for_start()
+        return lowered, started, await self.driver.slots.present.wait_for_end(), t0_ns, profiles
 
     def was_line_late(self, start_ns: int) -> bool:
         """Return whether a start may be later than declared because of the line."""

@@ -27,7 +27,6 @@ from adapters.yaskawa.common.lowering import (
     START_CLASSES,
     STOP_EXCHANGES,
     LoweringContext,
-    YaskawaLowered,
     find_chunk_times,
     lower_moves,
 )
@@ -53,7 +52,6 @@ from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
@@ -216,13 +214,6 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             beside_commands=needs.commands,
             beside_elements=needs.elements,
         )
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        if not isinstance(lowered, YaskawaLowered):
-            raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
-        self._jogging.drop_jogs(move.axis for move in lowered.moves)
-        with log_refusals(self._log, "arming"):
-            return await self._start.arm_move(lowered, t0_ns, mapping)
 
 
 _EXAMPLE = """\
