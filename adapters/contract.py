@@ -22,13 +22,11 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.clock.latency import StartLatency
-from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.link.timed_write import WriteResult
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.explain import list_problems
-from orchestrator.model.fleet import Controller, DigitalInput
+from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport, StartClass, StepCosts
@@ -606,10 +604,10 @@ class MoveSlots:
 
 
 class Driver(ABC):
-    """One controller of a make.
+    """One controller of a make: what every make does. What some do besides are the protocols of `adapters.abilities`.
 
-    Concurrency: `poll` and `send_raw` may run concurrently with any other call, and `stop` and `stop_axes` may be
-    called at any moment. The driver serialises its exchanges on the link itself; a stop bypasses that queue.
+    Concurrency: `poll` and `send_raw` may run concurrently with any other call, and `stop` may be called at any moment.
+    The driver serialises its exchanges on the link itself; a stop bypasses that queue.
 
     Errors: every call may raise `LinkClosed` and `ControllerFault`. A call that waits for a reply of the controller has
     a timeout of its own and raises `ControllerFault` with code `no-answer`.
@@ -625,12 +623,12 @@ class Driver(ABC):
         operator must do.
         """
 
-    @abstractmethod
     async def configure(self) -> None:
-        """Read back the controller's stored settings and load what the driver needs.
+        """Read back the controller's stored settings and load what the driver needs; by default nothing.
 
         Raises `ControllerFault` (code `config-mismatch`, with item, found and expected value) for a difference that the
         driver must not correct by itself."""
+        return
 
     @property
     @abstractmethod
@@ -645,33 +643,9 @@ class Driver(ABC):
         reconnects, and the first reading after that reports `restarted`.
         """
 
-    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
-        """Compare what motion relies on with what the controller holds now, and return the differences.
-
-        That is what `configure` has loaded or checked and a second client can change: scaling, filters, coupling,
-        modes, ranges, limits, resident programs. everything: all of it, before a step is armed (`costs.arm_ns` covers
-        it); otherwise the next part, in turn, of a controller at rest. `clear_faults` writes again what it can.
-        """
-        del everything
-        return ()
-
     def clock_mapping(self) -> TickMapping | None:
         """Return the current clock estimate; None for a make without a readable clock."""
         return None
-
-    def crystal_rate(self) -> CrystalRate | None:
-        """Return what finished moves have shown about the crystal of a make without a readable clock; None where that
-        is not learned."""
-        return None
-
-    def start_latency(self) -> StartLatency | None:
-        """Return what earlier starts have shown about the time from a start command to the start; None where that is
-        not learned."""
-        return None
-
-    def forget_starts(self) -> None:
-        """Forget what earlier starts have added to the bounds of a start. Nothing is sent to the controller."""
-        return
 
     @abstractmethod
     def lower_profiles(
@@ -694,52 +668,6 @@ class Driver(ABC):
     def slots(self) -> MoveSlots:
         """The places for moves of the controller, the same over all its connections."""
 
-    # Long paths in chunks: only makes with a `chunk_s`.
-
-    async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
-        """Load the next chunk of the path that the controller executes; without `release_chunk` it is not executed.
-
-        A chunk may begin inside the present one, and end before it: the present one is cut short there. Raises
-        `Refusal`; then the controller continues as if nothing had been loaded.
-        """
-        raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
-
-    async def release_chunk(self, number: int) -> None:
-        """Have the controller change over to the chunk that was loaded last, in one act of its own. Raises `Refusal`
-        (code `late`): then it certainly continues with the present one."""
-        raise Refusal("not-loaded", f"chunk {number} is not loaded", "load it first")
-
-    # Sampling by the controller itself
-
-    async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
-        """Have the controller record the actual positions of `axes` from now on for `seconds`, at least every
-        `period_ns`; what was recorded before is dropped.
-
-        Called at rest, before a step is armed; axes of the same controller may be armed and moved meanwhile. Raises
-        `Refusal` (code `no-sampling` for a make that cannot; `sampling-period`, `sampling-space` with what would fit).
-        """
-        del axes, period_ns, seconds
-        raise Refusal("no-sampling", "this make cannot record positions by itself", "remove `record` from the step")
-
-    async def take_samples(self) -> SampledPositions:
-        """Stop recording, fetch what was recorded, and free its memory. Called at rest. Raises `Refusal`."""
-        raise Refusal("no-sampling", "nothing is being recorded", "begin it first")
-
-    async def latch_position(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
-        """Arm the latch of an axis, and return the position that it has captured when the input became active.
-
-        Ends with a stop, too. Raises `Refusal` (code `no-latch` for a make that has none; `latch-input` for an input
-        that does not latch the axis; `line-level` if it is active already; `latch-timeout`).
-        """
-        del point, within_ns
-        text = f"axis {axis}: this make has no position latch"
-        raise Refusal("no-latch", text, "use an axis of an SMC-4000, or of a CiA 402 drive")
-
-    async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
-        """Return what the outputs with triggers did in the last step, by output; called after its end, however it
-        ended, and before another one is armed. Raises `Refusal`."""
-        return {}
-
     @abstractmethod
     async def stop(self, *, abort: bool) -> None:
         """Stop all axes and everything armed: by ramp, or with `abort` as fast as the controller can.
@@ -747,15 +675,6 @@ class Driver(ABC):
         Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
         other call.
         """
-
-    async def stop_before_connect(self) -> bool:
-        """Stop a controller that may be moving before anything else is sent to it, over a link that it shares with
-        other controllers.
-
-        Return False for a controller with a link of its own: the caller then opens that link and writes the make's
-        `stop_bytes`. Raises `LinkRefused`, `LinkClosed`.
-        """
-        return False
 
     @abstractmethod
     async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
@@ -773,39 +692,13 @@ class Driver(ABC):
         """
 
     @abstractmethod
-    async def jog_axis(self, axis: str, move: JogMove) -> None:
-        """Begin to jog one axis, or change to `move` while it jogs; return when the controller has accepted the
-        command.
-
-        Other jogging axes continue. The jog runs until `stop_axes`, `stop`, `move.end_counts` or a limit switch: the
-        caller limits its duration. Raises `Refusal`; then this call does not move the axis.
-        """
-
-    @abstractmethod
-    async def stop_axes(self, axes: Sequence[str]) -> None:
-        """Stop jogging axes by their ramps; others continue.
-
-        Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
-        other call."""
-
-    async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        """Load the controller's own soft limits, (low, high) in counts by axis; None for an axis whose position is
-        unknown, which these limits must not restrict. A make without native soft limits does nothing.
-
-        Raises `ControllerFault` (code `config-mismatch`) when the controller does not hold these values afterwards.
-        """
-        del limits
-
-    @abstractmethod
-    async def set_output(self, number: int, *, on: bool) -> None: ...
-
-    @abstractmethod
     async def clear_faults(self) -> None:
         """Clear what the controller latches (error state, stop) after an operator's reset. Raises `Refusal`."""
 
-    @abstractmethod
     async def send_raw(self, command: str) -> str:
-        """Send a command in the controller's language and return its reply as text."""
+        """Send a command in the controller's language and return its reply as text. Raises `Refusal`; by default for
+        every command."""
+        raise Refusal("no-raw", f"this make takes no raw commands: {command!r}", "")
 
     @abstractmethod
     async def close(self) -> None:

@@ -5,6 +5,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
+from adapters.abilities import (
+    LatchDriver,
+    LimitDriver,
+    ManualDriver,
+    OutputDriver,
+    PathDriver,
+    SamplingDriver,
+    SettingsDriver,
+    SharedLineDriver,
+    TriggerDriver,
+)
 from adapters.cia402 import eds, startup, states
 from adapters.cia402 import objects as o
 from adapters.cia402.bus import SHARED, Cia402Bus
@@ -81,7 +92,18 @@ class Cia402Connection:
     watch: SettingsWatch
 
 
-class Cia402Driver(ConnectedDriver[Cia402Connection]):
+class Cia402Driver(
+    ConnectedDriver[Cia402Connection],
+    SettingsDriver,
+    PathDriver,
+    SamplingDriver,
+    TriggerDriver,
+    LatchDriver,
+    ManualDriver,
+    LimitDriver,
+    OutputDriver,
+    SharedLineDriver,
+):
     """Drive one node. Its state arrives by PDO; SDOs take turns per node, and a stop is a separate frame."""
 
     def __init__(self, setup: DriverSetup, options: Cia402Options) -> None:

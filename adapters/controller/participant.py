@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from adapters.abilities import find_differences
 from adapters.contract import Driver, LoadPlace, MoveOutcome, MoveSlot, SettingDifference, require_triggers
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
@@ -336,7 +337,7 @@ class StepParticipant:
 
     async def _require_settings(self) -> None:
         """Raise `Refusal` when a setting that the move relies on is not as expected."""
-        differences = await self._driver.check_settings(everything=True)
+        differences = await find_differences(self._driver, everything=True)
         if differences:
             self._note_differences(differences)
             raise differences[0].to_refusal()

@@ -5,6 +5,7 @@ from typing import Any, NoReturn
 
 from pydantic import BaseModel, ConfigDict
 
+from adapters.abilities import SharedLineDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
@@ -12,7 +13,6 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     ExamplePlace,
-    JogMove,
     Lowered,
 )
 from adapters.toolkit.connection import MoverDriver, StepMover
@@ -58,7 +58,7 @@ class UnusableMake:
         return b""
 
 
-class _UnusableDriver(MoverDriver):
+class _UnusableDriver(MoverDriver, SharedLineDriver):
     """The driver of a controller that cannot be reached: `connect` raises the reason, everything else `LinkClosed`."""
 
     def __init__(self, setup: DriverSetup, error: PluginError) -> None:
@@ -102,15 +102,6 @@ class _UnusableDriver(MoverDriver):
         self._raise_closed()
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
-        self._raise_closed()
-
-    async def jog_axis(self, axis: str, move: JogMove) -> None:
-        self._raise_closed()
-
-    async def stop_axes(self, axes: Sequence[str]) -> None:
-        self._raise_closed()
-
-    async def set_output(self, number: int, *, on: bool) -> None:
         self._raise_closed()
 
     async def clear_faults(self) -> None:

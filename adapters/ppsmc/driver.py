@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
@@ -50,7 +51,7 @@ class PpSmcConnection:
     watch: PpSmcWatch
 
 
-class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
+class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriver, ManualDriver, OutputDriver):
     """Drive one controller. Exchanges take turns on one connection; a stop bypasses them on another."""
 
     def __init__(self, setup: DriverSetup, options: PpSmcOptions) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver, TriggerDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
@@ -58,7 +59,9 @@ class ShrcConnection:
     watch: ShrcWatch
 
 
-class ShrcDriver(ConnectedDriver[ShrcConnection]):
+class ShrcDriver(
+    ConnectedDriver[ShrcConnection], SettingsDriver, LearningDriver, TriggerDriver, ManualDriver, OutputDriver
+):
     """Drive one controller over one line. Exchanges take turns; a stop bypasses them."""
 
     def __init__(self, setup: DriverSetup, options: ShrcOptions) -> None:

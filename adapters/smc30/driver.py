@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver, SharedLineDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
@@ -55,7 +56,9 @@ class Smc30Connection:
     poller: Smc30Poller
 
 
-class Smc30Driver(ConnectedDriver[Smc30Connection]):
+class Smc30Driver(
+    ConnectedDriver[Smc30Connection], SettingsDriver, LearningDriver, ManualDriver, OutputDriver, SharedLineDriver
+):
     """Drive one controller. Its exchanges take turns with those of the other controllers of its line; a stop bypasses
     them."""
 

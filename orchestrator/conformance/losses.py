@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Awaitable, Callable
 from functools import partial
 
+from adapters.abilities import set_output
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.conformance.checks import ContractCheck, require_step
 from orchestrator.conformance.findings import NotApplicable, require, require_error
@@ -39,7 +40,7 @@ async def check_silence(world: World, call: str) -> None:
         "home": lambda: driver.home_axes(world.axes, lambda _: None),
         "arm": lambda: driver.slots.present.load(lowered, t0_ns, mapping),
         "verify": driver.slots.present.verify,
-        "set_output": lambda: driver.set_output(1, on=True),
+        "set_output": lambda: set_output(driver, 1, on=True),
     }
     began_ns = world.clock.now_ns()
     error = await require_error(calls[call](), f"{call} of a silent controller", *LOST)

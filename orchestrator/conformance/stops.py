@@ -102,7 +102,7 @@ async def check_jog(world: World) -> None:
     config = world.axis(axis)
     speed, ramp = config.limits.velocity * float(config.scale) / 4, config.limits.acceleration * float(config.scale)
     end = round(speed)
-    await world.driver.jog_axis(axis, JogMove(speed, ramp, end))
+    await world.manual.jog_axis(axis, JogMove(speed, ramp, end))
     fastest = 0.0
     for _ in range(300):
         await sleep_ns(world.clock, 10 * NS_PER_MS)
@@ -111,15 +111,15 @@ async def check_jog(world: World) -> None:
     # As fast as its crystal is.
     require(0.8 * speed < fastest <= speed * (1 + 1e-4), f"the jog had {fastest:g} counts/s, requested {speed:g}")
     require(world.position(axis) == end, f"the jog ended at {world.position(axis)}, not at {end}")
-    await world.driver.jog_axis(axis, JogMove(-speed, ramp, None))
+    await world.manual.jog_axis(axis, JogMove(-speed, ramp, None))
     try:
         for other in others:
-            await world.driver.jog_axis(other, JogMove(speed, ramp, None))
+            await world.manual.jog_axis(other, JogMove(speed, ramp, None))
     except Refusal as error:
         require(not world.case.jogs_together, f"a second axis cannot be jogged: {error}")
         others = []
     await sleep_ns(world.clock, 300 * NS_PER_MS)
-    await world.driver.stop_axes([axis])
+    await world.manual.stop_axes([axis])
     await sleep_ns(world.clock, 400 * NS_PER_MS)
     require(not world.moving(axis), f"{axis} still jogs after `stop_axes`")
     require(all(world.moving(other) for other in others), "`stop_axes` of one axis has stopped another one")

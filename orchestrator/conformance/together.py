@@ -5,6 +5,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from adapters.abilities import LimitDriver, ManualDriver, set_output
 from adapters.contract import (
     AxisReading,
     ControllerIdentity,
@@ -182,16 +183,20 @@ class Together(Driver):
         return {axis: reason for each in missed for axis, reason in each.items()}
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
-        await at_once(one.jog_axis(axis, move) for one, _ in self._of([axis]))
+        await at_once(one.jog_axis(axis, move) for one, _ in self._of([axis]) if isinstance(one, ManualDriver))
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        await at_once(one.stop_axes(own) for one, own in self._of(axes))
+        await at_once(one.stop_axes(own) for one, own in self._of(axes) if isinstance(one, ManualDriver))
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        await at_once(one.load_soft_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
+        await at_once(
+            one.load_soft_limits({axis: limits[axis] for axis in own})
+            for one, own in self._of(list(limits))
+            if isinstance(one, LimitDriver)
+        )
 
     async def set_output(self, number: int, *, on: bool) -> None:
-        await self._drivers[0].set_output(number, on=on)
+        await set_output(self._drivers[0], number, on=on)
 
     async def clear_faults(self) -> None:
         await at_once(each.clear_faults() for each in self._drivers)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from adapters.abilities import ManualDriver, OutputDriver
 from adapters.contract import (
     AxisReading,
     ControllerIdentity,
@@ -51,7 +52,7 @@ class LineConnection:
     mover: LineMover
 
 
-class LineDriver(ConnectedDriver[LineConnection]):
+class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
     """Drive one controller in the language of `dialect`. scales: by axis."""
 
     def __init__(

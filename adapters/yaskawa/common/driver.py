@@ -4,6 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
+from adapters.abilities import (
+    LimitDriver,
+    ManualDriver,
+    OutputDriver,
+    PathDriver,
+    SamplingDriver,
+    SettingsDriver,
+    TriggerDriver,
+)
 from adapters.contract import (
     ChunkFit,
     ControllerIdentity,
@@ -44,7 +53,17 @@ LIMITS: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] =
 _Device = TypeVar("_Device", bound=SmcDevice)
 
 
-class YaskawaDriver(Driver, Generic[_Device]):
+class YaskawaDriver(
+    Driver,
+    SettingsDriver,
+    PathDriver,
+    SamplingDriver,
+    TriggerDriver,
+    ManualDriver,
+    LimitDriver,
+    OutputDriver,
+    Generic[_Device],
+):
     """One controller of either model.
 
     motors: motor index by axis. watch: its settings.

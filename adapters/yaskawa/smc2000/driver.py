@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from adapters.abilities import SharedLineDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -99,7 +100,7 @@ def _make_trigger_traits(axes: int, char_ns: int) -> TriggerTraits:
     )
 
 
-class SMC2000Driver(YaskawaDriver[SerialDevice]):
+class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
     """One SMC-2000, alone on its port or in a daisy chain."""
 
     # After the first ones the controller accepts no commands; the others select controllers of a chain.

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
+from adapters.abilities import LatchDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -74,7 +75,7 @@ LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
-class SMC4000Driver(YaskawaDriver[SmcDevice]):
+class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
     """One SMC-4000."""
 
     # After the first ones the controller accepts no commands; QR is answered by a record.
