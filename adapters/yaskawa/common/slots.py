@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from adapters.contract import DriverLog, HostInterval, LoadPlace, Lowered, MoveOutcome, MoveSlot, MoveSlots
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.jogging import YaskawaJogging
-from adapters.yaskawa.common.lowering import YaskawaLowered
+from adapters.yaskawa.common.loads import YaskawaLowered
 from adapters.yaskawa.common.start import SampleStart
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

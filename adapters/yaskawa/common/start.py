@@ -4,20 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
-from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.course_records import BegunPath, ChunkRecords
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lines import OutputPlayer
-from adapters.yaskawa.common.lowering import (
-    ContourLoad,
-    CourseLoad,
-    RegisterLoad,
-    YaskawaAxisMove,
-    YaskawaLowered,
-    follow_records,
-    format_fields,
-)
+from adapters.yaskawa.common.loads import CourseLoad, SamplePlace, YaskawaAxisMove, YaskawaLowered
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
@@ -25,7 +16,6 @@ from adapters.yaskawa.common.program import (
     REGISTER_VARIABLES,
     STEP_THREAD,
     WATCHDOG_THREAD,
-    entry_label,
     following_label,
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord
@@ -47,7 +37,7 @@ LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then it
 class LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
     another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
-    present step. records: of a path, the chunk that is released; loaded: the one behind it."""
+    present step. loaded: of a path, the chunk behind the released one."""
 
     lowered: YaskawaLowered
     ticks: int
@@ -58,7 +48,6 @@ class LoadedMove:
     follows: bool = False
     released: bool = False
     taken: bool = True
-    records: ChunkRecords | None = None
     loaded: ChunkRecords | None = None
 
     @property
@@ -116,18 +105,13 @@ class SampleStart:
         # started (L10305).
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", "XLO=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
-        if isinstance(lowered.load, CourseLoad):
-            maker = lowered.load.maker
-            records = loaded.records = maker.make_first(lowered.load.chunk, phase, mapping.tick_ns)
-            lowered = loaded.lowered = follow_records(lowered, records)
-            await self._refill.load_first(records, maker.room)
-        elif isinstance(lowered.load, ContourLoad):
-            await arrays.load_arrays(session, lowered.load.array_contents(phase, mapping.tick_ns), lowered.load.packets)
+        place = SamplePlace(phase, mapping.tick_ns)
+        lowered = loaded.lowered = await lowered.load.upload(self._refill, lowered, place)
         self._loaded = loaded
         await self._load_move(
             lowered,
             gate,
-            f"XQ {entry_label(lowered.mask, contour=isinstance(lowered.load, ContourLoad))},{STEP_THREAD}",
+            f"XQ {lowered.load.label(lowered.mask)},{STEP_THREAD}",
         )
         if drives is not None:
             await session.send_settings((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.active_ticks}"))
@@ -141,24 +125,14 @@ class SampleStart:
         """Load the move and the variables in `gate`, read back what was loaded, and send `then` after it. Raises
         `Refusal` if a value differs."""
         load = lowered.load
-        commands, variables = load.load_commands, dict[str, int]()
-        if isinstance(load, ContourLoad):
-            records = self._require_loaded().records
-            variables = load.program_variables
-            if isinstance(load, CourseLoad) and records is not None:
-                variables = load.ring_variables(records)
-            commands = (
-                f"DC {format_fields(load.brakes)}",
-                *(f"{name}={value}" for name, value in variables.items()),
-            )
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
             for command, values in self._verified_registers(lowered).items()
             for index, value in values.items()
         }
-        wanted |= variables
+        wanted |= load.variables
         wanted["XLI"] = _wait_input_number(lowered)
-        held = await self._device.session.set_and_read((*gate, *commands), list(wanted), then)
+        held = await self._device.session.set_and_read((*gate, *load.commands), list(wanted), then)
         for (operand, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
                 raise Refusal("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
@@ -280,7 +254,7 @@ class SampleStart:
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
         present, load, began_ns = self._require_loaded(), lowered.load, self._clock.now_ns()
-        if not isinstance(load, RegisterLoad) or isinstance(present.lowered.load, ContourLoad):
+        if not (load.fits_beside and present.lowered.load.fits_beside):
             raise Refusal("no-room", "the program holds one contour at a time", "")
         first_thread, second_thread = self._device.STEP_THREADS
         if second_thread == EDGE_THREAD and (present.lowered.drives or present.lowered.switches):
@@ -299,7 +273,7 @@ class SampleStart:
                 raise Refusal("other-start", text, "plan again from the present position")
         wanted = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
         wanted |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
-        for command, values in {"PA": load.ends, **load.register_values}.items():
+        for command, values in load.registers.items():
             wanted |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
         following = LoadedMove(
             lowered,
@@ -387,12 +361,12 @@ class SampleStart:
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         """Load the next chunk of the present path. Raises `Refusal`."""
-        present, load, before = self._require_course()
+        present, load = self._require_course()
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known", "wait a second")
         first, _ = self._options.begin_ticks(present.mapping.tick_ns, interleaved=True)
         begun = BegunPath(present.ticks + first, present.t0_ns)
-        records = load.maker.make_next(chunk, before, mapping, begun)
+        records = load.maker.make_next(chunk, load.records, mapping, begun)
         played = max(0, round(mapping.to_ticks(self._clock.now_ns())) - begun.tick) >> load.maker.interval
         present.loaded = None
         await self._refill.load(records, load.maker.room, played)
@@ -401,20 +375,20 @@ class SampleStart:
 
     async def release_chunk(self, number: int) -> None:
         """Change over to the loaded chunk. Raises `Refusal`."""
-        present, load, before = self._require_course()
+        present, load = self._require_course()
         records = present.loaded
         if records is None or records.number != number:
             raise Refusal("not-loaded", f"chunk {number} of the path is not loaded", "load it first")
         present.loaded = None
-        await self._refill.release(records, before, load.maker.room)
-        present.records, present.lowered = records, follow_records(present.lowered, records)
+        await self._refill.release(records, load.records, load.maker.room)
+        present.lowered = load.follow_records(present.lowered, records)
 
-    def _require_course(self) -> tuple[LoadedMove, CourseLoad, ChunkRecords]:
+    def _require_course(self) -> tuple[LoadedMove, CourseLoad]:
         present = self._require_loaded()
-        load = present.lowered.load
-        if not isinstance(load, CourseLoad) or present.records is None:
+        load = present.lowered.load.course
+        if load is None:
             raise Refusal("not-a-path", "the controller executes no path that can be continued", "")
-        return present, load, present.records
+        return present, load
 
     # After T0
 
@@ -548,7 +522,7 @@ class SampleStart:
         they ended earlier by the records that they do not use.
         """
         way, load = loaded.lowered.moving_axes, loaded.lowered.load
-        contour = load.contour if isinstance(load, ContourLoad) else None
+        contour = load.contour
         # A contour has one stamp for all its axes. A command line for all stamps would be too long (L12254).
         names = [f"XE{move.index + 1}" for move in way]
         asked = names if contour is None else [names[0], "XACT"]

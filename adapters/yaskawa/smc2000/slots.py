@@ -5,7 +5,7 @@ from contextlib import AbstractAsyncContextManager, nullcontext
 
 from adapters.contract import DriverLog
 from adapters.yaskawa.common.jogging import YaskawaJogging
-from adapters.yaskawa.common.lowering import ContourLoad, YaskawaLowered
+from adapters.yaskawa.common.loads import YaskawaLowered
 from adapters.yaskawa.common.slots import SampleMover
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.smc2000.device import SerialDevice
@@ -34,7 +34,7 @@ class SerialMover(SampleMover):
         self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None
     ) -> Mapping[str, int]:
         # In one turn, or the other controllers' polls would come in between; but not for the duration of an upload.
-        long = isinstance(lowered.load, ContourLoad) or lowered.switches is not None
+        long = lowered.load.contour is not None or lowered.switches is not None
         async with nullcontext() if long else self._device.exclusive_turn():
             stages = await super()._load_at_rest(lowered, t0_ns, mapping)
         self._suspend_polls(t0_ns)
