@@ -176,6 +176,20 @@ class SharedLineDriver(Protocol):
         ...
 
 
+ABILITIES: tuple[type, ...] = (
+    SettingsDriver,
+    LearningDriver,
+    PathDriver,
+    SamplingDriver,
+    TriggerDriver,
+    LatchDriver,
+    ManualDriver,
+    LimitDriver,
+    OutputDriver,
+    SharedLineDriver,
+)
+
+
 async def find_differences(driver: Driver, *, everything: bool) -> Sequence[SettingDifference]:
     """Return the settings that differ, as `SettingsDriver.check_settings` does; none where nothing is compared."""
     return await driver.check_settings(everything=everything) if isinstance(driver, SettingsDriver) else ()

@@ -54,6 +54,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, DigitalInput, DigitalOutput, SerialLink
 from orchestrator.model.messages import StartOptions
+from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
@@ -278,6 +279,7 @@ axes:
 class SMC2000Make:
     """The make for the entry point."""
 
+    api_version = API_VERSION
     name = "smc2000"
     options_model: type[BaseModel] = Smc2000DriverOptions
 

@@ -55,6 +55,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink
 from orchestrator.model.messages import StartOptions
+from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
@@ -246,6 +247,7 @@ outputs:
 class SMC4000Make:
     """The make for the entry point."""
 
+    api_version = API_VERSION
     name = "smc4000"
     options_model: type[BaseModel] = YaskawaOptions
 
