@@ -64,6 +64,7 @@ class FakeDriver(Driver):
     def __init__(self, setup: DriverSetup) -> None:
         self._setup = setup
         self._link: Link | None = None
+        self._slots = MoveSlots(MoveSlot(FakeMover()))
 
     async def connect(self) -> ControllerIdentity:
         self._link = await self._setup.open_link()
@@ -86,7 +87,7 @@ class FakeDriver(Driver):
 
     @property
     def slots(self) -> MoveSlots:
-        return MoveSlots(MoveSlot(FakeMover()))
+        return self._slots
 
     async def stop(self, *, abort: bool) -> None:
         if self._link is None:
