@@ -15,19 +15,18 @@ Everything common to all makes (the bus, polling, fencing, limits, the e-stop la
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any, Literal, Protocol, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.clock.latency import StartLatency
-from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.link.timed_write import WriteResult
-from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.explain import list_problems
-from orchestrator.model.fleet import Controller, DigitalInput
+from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport, StartClass, StepCosts
@@ -176,8 +175,7 @@ class ChunkFit:
 @dataclass(frozen=True, slots=True)
 class Lowered:
     """A controller's part of a step as the controller will execute it. Makes derive their own class, with what
-    `arm_move`
-    needs.
+    loading it needs.
 
     durations_s: by axis, from its start to its end, in host seconds.
     path_error_counts: by axis, the largest distance to the plan, for axes that start together.
@@ -185,9 +183,9 @@ class Lowered:
     trigger line, the window of that line is one of them (name `line`).
     edge: the same for the edge of the trigger line that the controller drives, at its terminal.
     clock_ppm: guaranteed bound by which the controller's own crystal may stretch or shorten all durations.
-    can_advance: `go` can move T0 to an earlier instant.
+    can_advance: its release can move T0 to an earlier instant.
     gap_ns: with `start.follows`, how long after the end of the present move, at the latest, the controller can begin
-    this one if it is loaded by `load_next` while the present one runs; None: it cannot be loaded then.
+    this one if it is loaded beside it, in the following slot; None: it cannot be loaded then.
     commands: the commands that would be sent, for display.
     triggers: by output that the controller switches on the way (`start.triggers`), the guaranteed interval of an edge
     at its terminal relative to the instant asked for, one entry per cause.
@@ -391,11 +389,225 @@ def ends_too_early(made_s: float, wanted_s: float, start: StartOptions) -> bool:
     return wanted_s - made_s > max(wanted_s / 50, start.early_ns / NS_PER_S)
 
 
-class Driver(ABC):
-    """One controller of a make.
+LoadPlace = Literal["at rest", "behind", "beside"]
+"""When a move is loaded. `at rest`: the axes rest. `behind`: right behind a move that has just ended as planned, at the
+positions where this one starts; in no more than the time that `Lowered.costs` states for a move that follows. `beside`:
+while the present move is released or moves."""
 
-    Concurrency: `poll` and `send_raw` may run concurrently with any other call, and `stop` and `stop_axes` may be
-    called at any moment. The driver serialises its exchanges on the link itself; a stop bypasses that queue.
+
+class SlotMover(Protocol):
+    """What a make does with the move of one slot. `MoveSlot` calls it, and keeps the state."""
+
+    async def load(
+        self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None, place: LoadPlace
+    ) -> Mapping[str, int]:
+        """Load a move for a start at host instant `t0_ns`, without moving; read it back where the make allows.
+
+        A trigger line that is waited for or driven must be passive when the wait begins (code `line-level`). `beside`:
+        the controller starts the move only after its release, and only if the present move has then ended at its target
+        on every axis of both moves.
+
+        Returns the stages of loading in ns (`encode`, `wire`, `verify`, …). Raises `Refusal`; then nothing is loaded.
+        """
+        ...
+
+    async def verify(self) -> None:
+        """Check immediately before the commit that the move is still loaded, and for the present move that the axes
+        still are where it starts. Raises `Refusal`."""
+        ...
+
+    async def release(self, start_tolerance_ns: int, advance_ns: int) -> None:
+        """Release the loaded move: it starts at its instant. Raises `Refusal` (code `late`) when that instant has
+        passed.
+
+        start_tolerance_ns: a move that the host starts may start this much later than the options guarantee.
+        advance_ns: T0 is this much earlier than the T0 of `load`: a whole number of ticks to within a few hundredths of
+        a tick; 0 unless the lowered move has `can_advance`.
+        """
+        ...
+
+    async def unload(self) -> None:
+        """Unload the move; nothing starts, now or later. Idempotent, and safe in every state except in motion.
+
+        A move beside the present one is unloaded alone, and the present one continues. With the present one, a move
+        beside it is unloaded too.
+        """
+        ...
+
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        """Return, after T0, the instant at which each axis started, by the controller's own evidence.
+
+        Raises `ControllerFault` (code `not-started` or `late`) as soon as it is certain that an axis did not start.
+        """
+        ...
+
+    async def wait_for_end(self) -> MoveOutcome:
+        """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
+        ...
+
+
+class SlotState(Enum):
+    """How far the move of a slot has come.
+
+    VERIFIED: checked for the commit. RELEASED: it starts at its instant, and may have started. MOVING: its start is
+    proven. ENDED: its end is, or that it did not start.
+    """
+
+    EMPTY = "empty"
+    LOADED = "loaded"
+    VERIFIED = "verified"
+    RELEASED = "released"
+    MOVING = "moving"
+    ENDED = "ended"
+
+
+class MoveSlot:
+    """A place for one move in a controller. Each method calls that of its `SlotMover`, whose docstring states what it
+    does, and moves the state on.
+
+    A slot can be loaded in every state: the make refuses that while a move is in progress. The state does not follow
+    what happens to the controller without a call of the slot: see `MoveSlots.drop`.
+    """
+
+    def __init__(self, mover: SlotMover) -> None:
+        self._mover = mover
+        self._state = SlotState.EMPTY
+        self._loads = 0
+        """Counts loaded moves, so that the end of an earlier one does not change the state of a later one."""
+
+    @property
+    def state(self) -> SlotState:
+        """How far its move has come."""
+        return self._state
+
+    async def load(
+        self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None, place: LoadPlace = "at rest"
+    ) -> Mapping[str, int]:
+        """Load a move: LOADED. Raises `Refusal`; then it is EMPTY, unless a move is in progress in it."""
+        try:
+            stages = await self._mover.load(lowered, t0_ns, mapping, place)
+        except BaseException:
+            if self._state not in (SlotState.RELEASED, SlotState.MOVING):
+                self._state = SlotState.EMPTY
+            raise
+        self._loads += 1
+        self._state = SlotState.LOADED
+        return stages
+
+    async def verify(self) -> None:
+        """Check the loaded move: VERIFIED. Raises `Refusal` (code `not-armed` for an empty slot)."""
+        self._require_move()
+        loads = self._loads
+        await self._mover.verify()
+        if self._state is SlotState.LOADED:
+            self._change(loads, SlotState.VERIFIED)
+
+    async def release(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
+        """Release the move: RELEASED from the beginning of the call on, whatever its result: it may have started, until
+        it is unloaded. The caller verifies it before. Raises `Refusal` (code `not-armed` for an empty slot)."""
+        self._require_move()
+        self._state = SlotState.RELEASED
+        await self._mover.release(start_tolerance_ns, advance_ns)
+
+    async def unload(self) -> None:
+        """Unload the move: EMPTY."""
+        self.clear()
+        await self._mover.unload()
+
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        """Wait for the start: MOVING. Raises `ControllerFault`, `Refusal` (code `not-armed` for an empty slot)."""
+        self._require_move()
+        loads = self._loads
+        try:
+            started = await self._mover.wait_for_start()
+        except (ControllerFault, Refusal):
+            self._change(loads, SlotState.ENDED)
+            raise
+        self._change(loads, SlotState.MOVING)
+        return started
+
+    async def wait_for_end(self) -> MoveOutcome:
+        """Wait for the end: ENDED. Raises `ControllerFault`, `Refusal` (code `not-armed` for an empty slot)."""
+        self._require_move()
+        loads = self._loads
+        try:
+            outcome = await self._mover.wait_for_end()
+        except (ControllerFault, Refusal):
+            self._change(loads, SlotState.ENDED)
+            raise
+        self._change(loads, SlotState.ENDED)
+        return outcome
+
+    def clear(self) -> None:
+        """Note that the controller does not hold the move any more: EMPTY. Nothing is sent."""
+        self._loads += 1
+        self._state = SlotState.EMPTY
+
+    def _change(self, loads: int, state: SlotState) -> None:
+        if loads == self._loads:
+            self._state = state
+
+    def _require_move(self) -> None:
+        if self._state is SlotState.EMPTY:
+            raise Refusal("not-armed", "no move is loaded", "arm it first")
+
+
+class MoveSlots:
+    """The slots of a controller: one, or two of a controller that can hold a move beside the present one.
+
+    The two change roles when the present move has ended. take_over: called then, before they do: the move of the
+    following slot is the present one of the make too.
+    """
+
+    def __init__(
+        self, present: MoveSlot, following: MoveSlot | None = None, take_over: Callable[[], None] = lambda: None
+    ) -> None:
+        self._present = present
+        self._following = following
+        self._take_over = take_over
+
+    @property
+    def present(self) -> MoveSlot:
+        """The slot of the present move."""
+        return self._present
+
+    @property
+    def following(self) -> MoveSlot | None:
+        """The slot of the move behind the present one, which is loaded while that is released or moves; None of a
+        controller with one slot. Only a lowered move with a `gap_ns` fits in it."""
+        return self._following
+
+    def advance(self) -> None:
+        """The present move has ended: the following one is the present one from now on. Raises `Refusal` (code
+        `not-armed`) if there is none."""
+        following = self._following
+        waiting = (SlotState.LOADED, SlotState.VERIFIED, SlotState.RELEASED)
+        if following is None or following.state not in waiting:
+            raise Refusal("not-armed", "no next move is loaded", "arm it first")
+        self._take_over()
+        self._present.clear()
+        self._present, self._following = following, self._present
+
+    async def unload(self) -> None:
+        """Unload both slots: nothing starts, now or later."""
+        if self._following is not None:
+            self._following.clear()
+        await self._present.unload()
+
+    def drop(self) -> None:
+        """Note that the controller was stopped, or is lost: it holds nothing any more that could start. A present move
+        that was released stays until its end is known."""
+        if self._present.state in (SlotState.LOADED, SlotState.VERIFIED):
+            self._present.clear()
+        if self._following is not None:
+            self._following.clear()
+
+
+class Driver(ABC):
+    """One controller of a make: what every make does. What some do besides are the protocols of `adapters.abilities`.
+
+    Concurrency: `poll` and `send_raw` may run concurrently with any other call, and `stop` may be called at any moment.
+    The driver serialises its exchanges on the link itself; a stop bypasses that queue.
 
     Errors: every call may raise `LinkClosed` and `ControllerFault`. A call that waits for a reply of the controller has
     a timeout of its own and raises `ControllerFault` with code `no-answer`.
@@ -411,12 +623,12 @@ class Driver(ABC):
         operator must do.
         """
 
-    @abstractmethod
     async def configure(self) -> None:
-        """Read back the controller's stored settings and load what the driver needs.
+        """Read back the controller's stored settings and load what the driver needs; by default nothing.
 
         Raises `ControllerFault` (code `config-mismatch`, with item, found and expected value) for a difference that the
         driver must not correct by itself."""
+        return
 
     @property
     @abstractmethod
@@ -431,33 +643,9 @@ class Driver(ABC):
         reconnects, and the first reading after that reports `restarted`.
         """
 
-    async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
-        """Compare what motion relies on with what the controller holds now, and return the differences.
-
-        That is what `configure` has loaded or checked and a second client can change: scaling, filters, coupling,
-        modes, ranges, limits, resident programs. everything: all of it, before a step is armed (`costs.arm_ns` covers
-        it); otherwise the next part, in turn, of a controller at rest. `clear_faults` writes again what it can.
-        """
-        del everything
-        return ()
-
     def clock_mapping(self) -> TickMapping | None:
         """Return the current clock estimate; None for a make without a readable clock."""
         return None
-
-    def crystal_rate(self) -> CrystalRate | None:
-        """Return what finished moves have shown about the crystal of a make without a readable clock; None where that
-        is not learned."""
-        return None
-
-    def start_latency(self) -> StartLatency | None:
-        """Return what earlier starts have shown about the time from a start command to the start; None where that is
-        not learned."""
-        return None
-
-    def forget_starts(self) -> None:
-        """Forget what earlier starts have added to the bounds of a start. Nothing is sent to the controller."""
-        return
 
     @abstractmethod
     def lower_profiles(
@@ -467,133 +655,18 @@ class Driver(ABC):
 
         With `start.wait` the move starts when that input becomes active. With `start.drive` the controller makes that
         output active at T0 (with or without axes of its own) and passive again later. With `start.triggers` it switches
-        outputs on the way, and the step ends only after the last of them. All happen only after `go`, like any start;
-        none after `stop` or `disarm_move`, or after the end, and the outputs are passive then. An output that follows
+        outputs on the way, and the step ends only after the last of them. All happen only after the release, like any
+        start; none after `stop` or `unload`, or after the end, and the outputs are passive then. An output that follows
         the pulses of an axis may go on while that brakes, not longer.
 
         Raises `Refusal` that names the axis and what would fit; code `start-class` for a start that the controller
         cannot make.
         """
 
+    @property
     @abstractmethod
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        """Load the move for a start at host instant `t0_ns`, without moving; read it back where the make allows.
-
-        A trigger line that is waited for or driven must be passive when the wait begins (code `line-level`).
-
-        Returns the stages of arming in ns (`encode`, `wire`, `verify`, …). Raises `Refusal`; then nothing is armed.
-        """
-
-    @abstractmethod
-    async def verify_armed(self) -> None:
-        """Check immediately before the commit that the move is still armed and the axes still are where the plan
-        starts. Raises `Refusal`."""
-
-    @abstractmethod
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        """Release the armed move: it starts at its instant. Raises `Refusal` (code `late`) when that instant has
-        passed.
-
-        start_tolerance_ns: a move that the host starts may start this much later than the options guarantee.
-        advance_ns: T0 is this much earlier than the T0 of `arm_move`: a whole number of ticks to within a few
-        hundredths of a tick; 0 unless the lowered move has `can_advance`.
-        """
-
-    @abstractmethod
-    async def disarm_move(self) -> None:
-        """Unload the move; nothing starts, now or later. Idempotent, and safe in every state except in motion."""
-
-    @abstractmethod
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        """Return, after T0, the instant at which each axis started, by the controller's own evidence.
-
-        Raises `ControllerFault` (code `not-started` or `late`) as soon as it is certain that an axis did not start.
-        """
-
-    @abstractmethod
-    async def wait_for_end(self) -> MoveOutcome:
-        """Wait for the end of the started move and return its outcome. `poll` may be called meanwhile."""
-
-    # Back to back
-
-    async def arm_behind(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        """Load a move right behind one that has just ended as planned at the positions where this one starts; like
-        `arm_move`, in no more than the time that `lowered.costs` states for a move that follows."""
-        return await self.arm_move(lowered, t0_ns, mapping)
-
-    # The next move is loaded while the present one runs: only moves with a `gap_ns`.
-
-    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        """Load the move after the present one, which is released or moves, for a start at `t0_ns`; like `arm_move`.
-
-        The controller starts it only after `release_next`, and only if the present move has then ended at its target on
-        every axis of both moves. `stop` and `disarm_move` unload it too.
-        """
-        raise Refusal("no-next", "the controller cannot load a move while one runs", "")
-
-    async def verify_next(self) -> None:
-        """Check, before the commit, that the next move is still loaded. Raises `Refusal`."""
-        raise Refusal("not-armed", "no next move is loaded", "arm it first")
-
-    async def release_next(self, advance_ns: int = 0) -> None:
-        """Release the next move: it starts at its instant. Raises `Refusal` (code `late`) when it is too late for
-        that. advance_ns: as for `go`."""
-        raise Refusal("not-armed", "no next move is loaded", "arm it first")
-
-    async def unload_next(self) -> None:
-        """Unload the next move; the present one continues. Idempotent."""
-        return
-
-    def take_next(self) -> None:
-        """The present move has ended, `wait_for_end` has returned: the next move is the present one from now on, for
-        every method."""
-        raise Refusal("not-armed", "no next move is loaded", "arm it first")
-
-    # Long paths in chunks: only makes with a `chunk_s`.
-
-    async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
-        """Load the next chunk of the path that the controller executes; without `release_chunk` it is not executed.
-
-        A chunk may begin inside the present one, and end before it: the present one is cut short there. Raises
-        `Refusal`; then the controller continues as if nothing had been loaded.
-        """
-        raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
-
-    async def release_chunk(self, number: int) -> None:
-        """Have the controller change over to the chunk that was loaded last, in one act of its own. Raises `Refusal`
-        (code `late`): then it certainly continues with the present one."""
-        raise Refusal("not-loaded", f"chunk {number} is not loaded", "load it first")
-
-    # Sampling by the controller itself
-
-    async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
-        """Have the controller record the actual positions of `axes` from now on for `seconds`, at least every
-        `period_ns`; what was recorded before is dropped.
-
-        Called at rest, before a step is armed; axes of the same controller may be armed and moved meanwhile. Raises
-        `Refusal` (code `no-sampling` for a make that cannot; `sampling-period`, `sampling-space` with what would fit).
-        """
-        del axes, period_ns, seconds
-        raise Refusal("no-sampling", "this make cannot record positions by itself", "remove `record` from the step")
-
-    async def take_samples(self) -> SampledPositions:
-        """Stop recording, fetch what was recorded, and free its memory. Called at rest. Raises `Refusal`."""
-        raise Refusal("no-sampling", "nothing is being recorded", "begin it first")
-
-    async def latch_position(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
-        """Arm the latch of an axis, and return the position that it has captured when the input became active.
-
-        Ends with a stop, too. Raises `Refusal` (code `no-latch` for a make that has none; `latch-input` for an input
-        that does not latch the axis; `line-level` if it is active already; `latch-timeout`).
-        """
-        del point, within_ns
-        text = f"axis {axis}: this make has no position latch"
-        raise Refusal("no-latch", text, "use an axis of an SMC-4000, or of a CiA 402 drive")
-
-    async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
-        """Return what the outputs with triggers did in the last step, by output; called after its end, however it
-        ended, and before another one is armed. Raises `Refusal`."""
-        return {}
+    def slots(self) -> MoveSlots:
+        """The places for moves of the controller, the same over all its connections."""
 
     @abstractmethod
     async def stop(self, *, abort: bool) -> None:
@@ -602,15 +675,6 @@ class Driver(ABC):
         Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
         other call.
         """
-
-    async def stop_before_connect(self) -> bool:
-        """Stop a controller that may be moving before anything else is sent to it, over a link that it shares with
-        other controllers.
-
-        Return False for a controller with a link of its own: the caller then opens that link and writes the make's
-        `stop_bytes`. Raises `LinkRefused`, `LinkClosed`.
-        """
-        return False
 
     @abstractmethod
     async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
@@ -628,39 +692,13 @@ class Driver(ABC):
         """
 
     @abstractmethod
-    async def jog_axis(self, axis: str, move: JogMove) -> None:
-        """Begin to jog one axis, or change to `move` while it jogs; return when the controller has accepted the
-        command.
-
-        Other jogging axes continue. The jog runs until `stop_axes`, `stop`, `move.end_counts` or a limit switch: the
-        caller limits its duration. Raises `Refusal`; then this call does not move the axis.
-        """
-
-    @abstractmethod
-    async def stop_axes(self, axes: Sequence[str]) -> None:
-        """Stop jogging axes by their ramps; others continue.
-
-        Returns when the command is sent; never waits for an outstanding reply, and may be called concurrently with any
-        other call."""
-
-    async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        """Load the controller's own soft limits, (low, high) in counts by axis; None for an axis whose position is
-        unknown, which these limits must not restrict. A make without native soft limits does nothing.
-
-        Raises `ControllerFault` (code `config-mismatch`) when the controller does not hold these values afterwards.
-        """
-        del limits
-
-    @abstractmethod
-    async def set_output(self, number: int, *, on: bool) -> None: ...
-
-    @abstractmethod
     async def clear_faults(self) -> None:
         """Clear what the controller latches (error state, stop) after an operator's reset. Raises `Refusal`."""
 
-    @abstractmethod
     async def send_raw(self, command: str) -> str:
-        """Send a command in the controller's language and return its reply as text."""
+        """Send a command in the controller's language and return its reply as text. Raises `Refusal`; by default for
+        every command."""
+        raise Refusal("no-raw", f"this make takes no raw commands: {command!r}", "")
 
     @abstractmethod
     async def close(self) -> None:

@@ -5,6 +5,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
+from adapters.abilities import (
+    LatchDriver,
+    LimitDriver,
+    ManualDriver,
+    OutputDriver,
+    PathDriver,
+    SamplingDriver,
+    SettingsDriver,
+    SharedLineDriver,
+    TriggerDriver,
+)
 from adapters.cia402 import eds, startup, states
 from adapters.cia402 import objects as o
 from adapters.cia402.bus import SHARED, Cia402Bus
@@ -47,7 +58,6 @@ from adapters.contract import (
     DriverSetup,
     JogMove,
     LatchedPosition,
-    Lowered,
     PathChunk,
     SampledPositions,
     SamplingPlan,
@@ -82,11 +92,22 @@ class Cia402Connection:
     watch: SettingsWatch
 
 
-class Cia402Driver(ConnectedDriver[Cia402Connection]):
+class Cia402Driver(
+    ConnectedDriver[Cia402Connection],
+    SettingsDriver,
+    PathDriver,
+    SamplingDriver,
+    TriggerDriver,
+    LatchDriver,
+    ManualDriver,
+    LimitDriver,
+    OutputDriver,
+    SharedLineDriver,
+):
     """Drive one node. Its state arrives by PDO; SDOs take turns per node, and a stop is a separate frame."""
 
     def __init__(self, setup: DriverSetup, options: Cia402Options) -> None:
-        super().__init__(setup)
+        super().__init__(setup, Cia402Lowered)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
@@ -328,11 +349,6 @@ class Cia402Driver(ConnectedDriver[Cia402Connection]):
         traits = ConnectionTraits(times, self._step_costs(longest_s), self._following)
         lowered = lower_step(self._config, self._options, traits, profiles, start)
         return add_triggers(lowered, self._config, self._options, times, start)
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, Cia402Lowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         del mapping

@@ -34,7 +34,7 @@ class SyncOutput(SyncPoint):
 
 @dataclass(frozen=True, slots=True)
 class Cia402Lowered(Lowered):
-    """A lowered step with what `arm_move` needs.
+    """A lowered step with what loading it needs.
 
     lead_ns: the SYNC is written this long before T0.
     target: None when nothing moves; otherwise shape or trajectory describes the motion.

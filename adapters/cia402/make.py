@@ -17,6 +17,7 @@ from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, va
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.fleet import Controller
+from orchestrator.model.plugins import API_VERSION
 
 _EXAMPLE = """\
 adapter: cia402
@@ -35,6 +36,8 @@ axes:
 
 class Cia402Make:
     """A CANopen drive of CiA 402: one node of a CAN bus, which it may share with others."""
+
+    api_version = API_VERSION
 
     @property
     def name(self) -> str:

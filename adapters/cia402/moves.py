@@ -110,7 +110,7 @@ class Cia402Mover:
 
     # Before the start
 
-    async def arm_move(self, lowered: Cia402Lowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_move(self, lowered: Cia402Lowered, t0_ns: int) -> Mapping[str, int]:
         """Load the step. Raises `Refusal`; then nothing is loaded."""
         node = self._node
         if self.move is not None or self.busy():
@@ -226,7 +226,7 @@ class Cia402Mover:
                 "does it support this mode (6502h)? Is another master on the bus?",
             )
 
-    async def verify_armed(self) -> None:
+    async def verify_move(self) -> None:
         """Check that the step is still loaded and the axis is where the plan starts. Raises `Refusal`."""
         move, node = self._require_step(), self._node
         await node.query_status()
@@ -281,7 +281,7 @@ class Cia402Mover:
         latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns if move.sync_start.stream is None else 0)
         self._sync_scheduler.load_frames(node.number, move.sync_start, frames, at_ns, latest_ns)
 
-    async def disarm_move(self) -> None:
+    async def unload_move(self) -> None:
         """Cancel the command that waits in the drive, and the SYNC unless other drives need it: nothing starts
         afterwards."""
         move, self.move = self.move, None

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from pydantic import ValidationError
 
+from adapters.abilities import LearningDriver, set_output
 from adapters.controller.armed_step import StepPhase
 from adapters.controller.context import ControllerContext
 from adapters.controller.fencing import EpochFence
@@ -310,7 +311,7 @@ class ControllerCommands:
             known = ", ".join(self._config.outputs) or "none"
             raise Refusal("unknown-output", f"no output {request.output}; outputs: {known}")
         self._status.require_online()
-        await self._driver.set_output(point.number, on=request.value == (point.active == "high"))
+        await set_output(self._driver, point.number, on=request.value == (point.active == "high"))
         await self._supervisor.poll_and_publish()
         return Reply()
 
@@ -375,7 +376,8 @@ class ControllerCommands:
     async def _handle_forget(self, request: ForgetRequest) -> Reply:
         """Forget learned bounds: not while a step is loaded, whose budget they are a part of."""
         self._require_no_step()
-        self._driver.forget_starts()
+        if isinstance(self._driver, LearningDriver):
+            self._driver.forget_starts()
         self._publisher.emit_event("setting", f"learned bounds of its starts are forgotten, by {request.actor}")
         return Reply()
 

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from adapters.abilities import ManualDriver
 from adapters.contract import ControllerReading, Driver, JogMove
 from adapters.controller.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
@@ -49,6 +50,7 @@ class JogControl:
         on_change: Callable[[], None],
     ) -> None:
         self._driver = driver
+        self._manual = driver if isinstance(driver, ManualDriver) else None
         self._clock = clock
         self._status = status
         self._spawn = spawn
@@ -111,7 +113,7 @@ class JogControl:
         async with self._command_lock:
             try:
                 if self._jogs.get(axis) is jog:
-                    await self._driver.jog_axis(axis, self._make_jog_move(axis, velocity))
+                    await self._require_manual().jog_axis(axis, self._make_jog_move(axis, velocity))
                     jog.velocity, jog.accepted_ns = velocity, self._clock.now_ns()
             except BaseException as error:
                 self._revert_jog(axis, jog)
@@ -120,11 +122,11 @@ class JogControl:
                     # pending.
                     self._expect_rest([axis])
                     with suppress(ControllerFault, LinkClosed):
-                        await self._driver.stop_axes([axis])
+                        await self._require_manual().stop_axes([axis])
                 raise
             if self._jogs.get(axis) is not jog:
                 # The jog was stopped while the command was under way: the stop may have reached the controller first.
-                await self._driver.stop_axes([axis])
+                await self._require_manual().stop_axes([axis])
         self._on_change()
 
     def _revert_jog(self, axis: str, jog: _AxisJog) -> None:
@@ -167,6 +169,11 @@ class JogControl:
             )
         return end
 
+    def _require_manual(self) -> ManualDriver:
+        if self._manual is None:
+            raise Refusal("no-jog", "this make cannot jog an axis", "move it by a job")
+        return self._manual
+
     # How jogs end
 
     async def _enforce_deadline(self, axis: str, jog: _AxisJog) -> None:
@@ -184,7 +191,7 @@ class JogControl:
         for axis in jogging:
             self._drop_jog(axis, self._jogs[axis], reason)
         self._expect_rest(jogging)
-        await self._driver.stop_axes(jogging)
+        await self._require_manual().stop_axes(jogging)
         self._on_change()
 
     async def stop_jogs_of(self, holder: str, reason: str) -> None:

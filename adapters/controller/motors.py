@@ -4,6 +4,7 @@ torque."""
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 
+from adapters.abilities import set_output
 from adapters.contract import Driver
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
@@ -73,7 +74,7 @@ class MotorControl:
         for brake in brakes.values():
             if brake.output is not None:
                 point = self._status.config.outputs[brake.output]
-                await self._driver.set_output(point.number, on=released == (point.active == "high"))
+                await set_output(self._driver, point.number, on=released == (point.active == "high"))
 
 
 def _longest_ns(durations_s: list[float]) -> int:

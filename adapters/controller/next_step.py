@@ -8,7 +8,7 @@ adapter as soon as the present move has ended; the promise is made after that.
 import asyncio
 from dataclasses import dataclass, field
 
-from adapters.contract import Driver, Lowered
+from adapters.contract import Lowered, MoveSlot, MoveSlots
 from adapters.controller.armed_step import ArmedStep
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
@@ -51,8 +51,8 @@ class FollowingStep:
 class NextStepSlot:
     """The place for one following step of a controller."""
 
-    def __init__(self, driver: Driver) -> None:
-        self._driver = driver
+    def __init__(self, slots: MoveSlots) -> None:
+        self._slots = slots
         self._following: FollowingStep | None = None
         self._behind: FollowingStep | None = None
         """The last step that the adapter loaded, or loads, behind another one."""
@@ -66,6 +66,12 @@ class NextStepSlot:
     def armed_step(self, armed_step: ArmedStep) -> None:
         if self._following is not None:
             self._following.armed_step = armed_step
+
+    def require_slot(self) -> MoveSlot:
+        """Return the slot of the controller for a move beside the present one. Raises `Refusal`."""
+        if self._slots.following is None:
+            raise Refusal("no-next", "the controller cannot load a move while one runs", "")
+        return self._slots.following
 
     def spare_ns(self, now_ns: int) -> int:
         """The time until the following step needs the controller; a long one without such a step."""
@@ -100,7 +106,7 @@ class NextStepSlot:
             return None
         self._following = None
         if following.in_controller:
-            self._driver.take_next()
+            self._slots.advance()
         else:
             self._behind = following
         return following
@@ -129,4 +135,4 @@ class NextStepSlot:
         following = self._following
         if following is not None and following.in_controller:
             following.unloading = True
-            await self._driver.unload_next()
+            await self.require_slot().unload()

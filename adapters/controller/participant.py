@@ -11,7 +11,8 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from adapters.contract import Driver, Lowered, MoveOutcome, SettingDifference, require_triggers
+from adapters.abilities import find_differences
+from adapters.contract import Driver, LoadPlace, MoveOutcome, MoveSlot, SettingDifference, require_triggers
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.clock import PastStep, clock_mapping
 from adapters.controller.fleet_durations import state_move, to_host_profiles, to_host_start
@@ -19,7 +20,6 @@ from adapters.controller.next_step import FollowingStep, NextStepSlot, PreparedM
 from adapters.controller.settling import SettlingResult
 from adapters.controller.step_end import MotionEnd, MotionStart
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
-from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.latency import MAX_STARTS
 from orchestrator.link.base import LinkClosed
@@ -51,8 +51,6 @@ QUIET_TURN_NS = 40 * NS_PER_MS
 READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller is read at rest
 STOP_LEAD_NS = 10 * NS_PER_MS  # this long before T0 a stop still takes effect before T0
 EARLY_NS = 2 * NS_PER_MS  # this long before T0, and from then on, a released step may have begun
-
-LoadCall = Callable[[Lowered, int, TickMapping | None], Awaitable[Mapping[str, int]]]
 
 
 class StepEventEmitter(Protocol):
@@ -126,7 +124,8 @@ class StepParticipant:
         self.past_steps: deque[PastStep] = deque(maxlen=MAX_STARTS)
         """The last steps: as many as starts are learned from."""
         self.armed_step: ArmedStep | None = None
-        self._next = NextStepSlot(driver)
+        self._slots = driver.slots
+        self._next = NextStepSlot(driver.slots)
         self.stop_pending = False
         """A released step has failed, and its stop could not be sent yet."""
         self.stop_ns = 0
@@ -218,25 +217,26 @@ class StepParticipant:
     async def _load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
         """Load the move into the controller, whose axes are at rest. following: the step before has just ended, and it
         waited for that."""
-        load = self._driver.arm_move if following is None else self._driver.arm_behind
+        place: LoadPlace = "at rest" if following is None else "behind"
         checked = following is not None and following.checked
-        stages = await self._load(move, load, self._driver.disarm_move, checked=checked)
+        stages = await self._load(move, self._slots.present, place, checked=checked)
         self.armed_step, self.stop_ns = move.armed_step, move.lowered.costs.stop_ns
         self._requested_ns = self._clock.now_ns()  # the commit is next
         self._spawn(self._unload_at_t0(move.armed_step))
         return self._make_armed_reply(move, stages)
 
     async def _load(
-        self, move: PreparedMove, load: LoadCall, unload: Callable[[], Awaitable[None]], *, checked: bool = False
+        self, move: PreparedMove, slot: MoveSlot, place: LoadPlace, *, checked: bool = False
     ) -> Mapping[str, int]:
-        """Load the move by `load` after a comparison of settings, unless they are `checked`; return how long its stages
-        took. Raises `Refusal`, `ControllerFault`: then it is unloaded."""
+        """Load the move into `slot` after a comparison of settings, unless they are `checked`; return how long its
+        stages took. Raises `Refusal`, `ControllerFault`: then it is unloaded."""
         interruptions = self._interruptions
+        unload = slot.unload if place == "beside" else self._slots.unload
         try:
             async with self._loading_lock:
                 if not checked:
                     await self._require_settings()
-                stages = await load(move.lowered, move.armed_step.t0_host_ns, move.mapping)
+                stages = await slot.load(move.lowered, move.armed_step.t0_host_ns, move.mapping, place)
         except (Refusal, ControllerFault):
             await unload()
             raise
@@ -276,7 +276,7 @@ class StepParticipant:
             if self.armed_step is None:
                 self._begin_next()
             return self._make_armed_reply(move, {}).model_copy(update={"waits": True})
-        stages = await self._load(move, self._driver.load_next, self._driver.unload_next)
+        stages = await self._load(move, self._next.require_slot(), "beside")
         self.stop_ns = max(self.stop_ns, move.lowered.costs.stop_ns)
         self._next.note_loaded(move)
         self._spawn(self._unload_at_t0(move.armed_step))
@@ -337,7 +337,7 @@ class StepParticipant:
 
     async def _require_settings(self) -> None:
         """Raise `Refusal` when a setting that the move relies on is not as expected."""
-        differences = await self._driver.check_settings(everything=True)
+        differences = await find_differences(self._driver, everything=True)
         if differences:
             self._note_differences(differences)
             raise differences[0].to_refusal()
@@ -353,10 +353,8 @@ class StepParticipant:
         async with self._transition_lock:
             armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
             interruptions = self._interruptions
-            if armed_step is self._next.armed_step:
-                await self._driver.verify_next()
-            else:
-                await self._driver.verify_armed()
+            follows = armed_step is self._next.armed_step
+            await (self._next.require_slot() if follows else self._slots.present).verify()
             if interruptions != self._interruptions or not armed_step.is_same(self._find_step(request)):
                 raise Refusal("stopped", "a stop came before the commit", "")
             committed = replace(armed_step, phase=StepPhase.COMMITTED)
@@ -385,15 +383,15 @@ class StepParticipant:
                 return await self._release_following(released, advance_ns)
             self.armed_step = released
             try:
-                await self._driver.go(request.start_tolerance_ns, advance_ns)
+                await self._slots.present.release(request.start_tolerance_ns, advance_ns)
             except (Refusal, ControllerFault):
                 self.armed_step = None
                 # The controller may have released the move all the same: a lost reply must not let it run.
-                await self._driver.stop(abort=False)
-                await self._driver.disarm_move()
+                await self._stop_driver()
+                await self._slots.unload()
                 raise
             if interruptions != self._interruptions or self.armed_step is not released:
-                await self._driver.disarm_move()
+                await self._slots.unload()
                 raise Refusal("stopped", "a stop came before the start", "")
             self._spawn(self._follow_step(released))
             return Reply()
@@ -403,7 +401,7 @@ class StepParticipant:
         interruptions = self._interruptions
         self._next.armed_step = released
         try:
-            await self._driver.release_next(advance_ns)
+            await self._next.require_slot().release(advance_ns=advance_ns)
         except (Refusal, ControllerFault):
             # The controller may have released the move all the same: a lost reply must not let it run.
             await self._unload_released(released)
@@ -427,7 +425,7 @@ class StepParticipant:
             # This bypasses a `go` that is still under way, because T0 is near.
             self._interruptions += 1
             begun = self._clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
-            await self._driver.stop(abort=False)
+            await self._stop_driver()
         async with self._transition_lock:
             armed_step = self.armed_step
             if armed_step is None:
@@ -439,7 +437,7 @@ class StepParticipant:
             self.armed_step = None
             if armed_step.phase is StepPhase.RELEASED:
                 # T0 may be at this very moment: a move that can no longer be unloaded must not run either.
-                await self._driver.stop(abort=False)
+                await self._stop_driver()
             await self._unload_step()
             self._emit("disarmed", "disarmed on request", armed_step)
             return DisarmedReply(may_have_started=begun)
@@ -453,7 +451,7 @@ class StepParticipant:
         self._interruptions += 1
         await self._next.unload()
         if released.is_same(self.armed_step):
-            await self._driver.disarm_move()  # it has become the present one meanwhile
+            await self._slots.unload()  # it has become the present one meanwhile
             self.armed_step = None
             self._emit("disarmed", "withdrawn before its start", released)
         elif self._next.armed_step is not None and self._clock.now_ns() + EARLY_NS >= released.t0_host_ns:
@@ -485,11 +483,11 @@ class StepParticipant:
         self._requested_ns = -QUIET_AFTER_REQUEST_NS
         if follow and self.armed_step is not None and self.armed_step.phase is StepPhase.MOVING:
             self._drop_following("stopped", reason)
-            await self._driver.stop(abort=abort)
+            await self._stop_driver(abort=abort)
             return
         armed_step, self.armed_step = self.armed_step, None
         following = self._next.drop(reason)
-        await self._driver.stop(abort=abort)
+        await self._stop_driver(abort=abort)
         for each in (armed_step, following):
             if each is not None:
                 self._emit("stopped", reason, each)
@@ -510,7 +508,7 @@ class StepParticipant:
     async def _unload_step(self) -> None:
         """Unload the step. If the link is lost meanwhile, the result is unknown: the stop stays pending."""
         self.stop_pending = True
-        await self._driver.disarm_move()
+        await self._slots.unload()
         self.stop_pending = False
         if self._reading_is_old:
             self._reading_is_old = False
@@ -528,12 +526,18 @@ class StepParticipant:
     async def _stop_failed_step(self) -> None:
         """Stop after a failure. Raises `LinkClosed`, `ControllerFault`: then the stop stays pending."""
         self.stop_pending = True
-        await self._driver.stop(abort=False)
+        await self._stop_driver()
         self.stop_pending = False
+
+    async def _stop_driver(self, *, abort: bool = False) -> None:
+        """Send a stop; the slots hold nothing any more that could start. Raises `LinkClosed`, `ControllerFault`."""
+        self._slots.drop()
+        await self._driver.stop(abort=abort)
 
     def drop_step(self, reason: str) -> None:
         """Drop the step: the controller is unreachable, or has lost its memory of the step."""
         self._interruptions += 1
+        self._slots.drop()
         self.stop_pending = False
         armed_step, self.armed_step = self.armed_step, None
         if armed_step is not None:
@@ -642,15 +646,17 @@ class StepParticipant:
     async def _watch_motion(self, armed_step: ArmedStep) -> MotionEnd | None:
         """Wait for start and end of the move, and withdraw what follows it unless it ends as planned; None if a stop
         has ended it meanwhile."""
-        started = await self._driver.wait_for_start()
+        started = await self._slots.present.wait_for_start()
         if self.armed_step is not armed_step:
             if self.armed_step is None and not self._transition_lock.locked():
-                await self._driver.wait_for_end()  # stopped at this moment: not over before a poll has shown rest
+                await (
+                    self._slots.present.wait_for_end()
+                )  # stopped at this moment: not over before a poll has shown rest
             return None
         moving = self.armed_step = replace(armed_step, phase=StepPhase.MOVING)
         begun = MotionStart(started, armed_step.scale)
         self._emit("started", begun.text, moving, begun.seen_evidence)
-        outcome = await self._driver.wait_for_end()
+        outcome = await self._slots.present.wait_for_end()
         self._ended_ns = moving.ends_host_ns
         self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
         settled = await self._settle_end(armed_step.axes, outcome)
@@ -687,7 +693,7 @@ class StepParticipant:
             async with self._transition_lock:  # not while the next step is armed
                 if self.armed_step is None:
                     # A move that did not start as planned must not block the next one.
-                    await self._driver.disarm_move()
+                    await self._slots.unload()
 
 
 def _find_last_instants(start: StartOptions) -> dict[str, int]:

@@ -2,6 +2,7 @@
 
 import asyncio
 
+from adapters.abilities import PathDriver
 from adapters.contract import Driver, PathChunk
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.fencing import EpochFence
@@ -29,6 +30,7 @@ class PathChunks:
     ) -> None:
         self._participant = participant
         self._driver = driver
+        self._loader = driver if isinstance(driver, PathDriver) else None
         self._fence = fence
         self._leases = leases
         self._status = status
@@ -52,7 +54,9 @@ class PathChunks:
             options.last,
             to_host_profiles(request.profiles, scale),
         )
-        fit = await self._driver.load_chunk(chunk, self._driver.clock_mapping())
+        if self._loader is None:
+            raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
+        fit = await self._loader.load_chunk(chunk, self._driver.clock_mapping())
         self._require_step(request)
         self._loaded = chunk, fit.stop_s
         return ChunkReply(
@@ -67,10 +71,10 @@ class PathChunks:
         """Change over to the loaded chunk. Raises `Refusal` (code `late`): the present one is executed to its end."""
         async with self._lock:
             step, loaded = self._require_step(request), self._loaded
-            if loaded is None or loaded[0].number != request.number:
+            if self._loader is None or loaded is None or loaded[0].number != request.number:
                 raise Refusal("not-loaded", f"chunk {request.number} is not loaded", "load it first")
             self._loaded = None
-            await self._driver.release_chunk(request.number)
+            await self._loader.release_chunk(request.number)
             self._require_step(request)
             # What the step has promised so far grows with every chunk.
             step.promised_s.update(dict.fromkeys(step.promised_s, loaded[1]))

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 
+from adapters.abilities import SharedLineDriver
 from adapters.controller.context import ControllerContext
 from adapters.link.last_stop import send_stop_once
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
@@ -74,7 +75,8 @@ class PendingStop:
             yield
             return
         await self._wait_until_loaded()
-        if await self._context.driver.stop_before_connect():
+        driver = self._context.driver
+        if isinstance(driver, SharedLineDriver) and await driver.stop_before_connect():
             yield
             return
         context = self._context

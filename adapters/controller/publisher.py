@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from adapters.abilities import LearningDriver
 from adapters.contract import ControllerReading
 from adapters.controller.armed_step import ArmedStep
 from adapters.controller.clock import PastStep, clock_mapping, learned_crystal, learned_starts
@@ -70,6 +71,7 @@ class StatePublisher:
     ) -> None:
         self._context = context
         self._controller, self._config, self._driver = context.controller, context.config, context.driver
+        self._learning = context.driver if isinstance(context.driver, LearningDriver) else None
         self._bus, self._keys, self._clock = context.bus, context.keys, context.clock
         self._fence = fence
         self._remembered = remembered
@@ -94,8 +96,9 @@ class StatePublisher:
         ]
 
     async def _answer_clock(self, _: BusSample) -> bytes:
-        mapping, crystal = self._clock_mapping(), self._driver.crystal_rate()
-        latency = self._driver.start_latency()
+        mapping = self._clock_mapping()
+        learns = self._learning
+        crystal, latency = (None, None) if learns is None else (learns.crystal_rate(), learns.start_latency())
         return ClockReply(
             controller=self._controller,
             start_classes=list(self._driver.capabilities.start_classes),

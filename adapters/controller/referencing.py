@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 
+from adapters.abilities import LimitDriver
 from adapters.contract import ControllerReading, Driver
 from adapters.controller.settling import SettlingMonitor
 from adapters.controller.status import ControllerStatus
@@ -99,4 +100,5 @@ class AxisReferencing:
 
     async def load_soft_limits(self, axes: Sequence[str]) -> None:
         """Load the controller's own soft limits, for axes with a known position."""
-        await self._driver.load_soft_limits(self._status.limits_counts(axes))
+        if isinstance(self._driver, LimitDriver):
+            await self._driver.load_soft_limits(self._status.limits_counts(axes))

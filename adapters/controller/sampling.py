@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from adapters.abilities import SamplingDriver
 from adapters.contract import Driver
 from adapters.controller.status import ControllerStatus
 from orchestrator.clock.fleet import FleetScale
@@ -19,7 +20,7 @@ class SampleCollection:
         has_step: Callable[[], bool],
         scale: Callable[[], FleetScale],
     ) -> None:
-        self._driver = driver
+        self._driver = driver if isinstance(driver, SamplingDriver) else None
         self._status = status
         self._has_step = has_step
         self._scale = scale
@@ -29,13 +30,15 @@ class SampleCollection:
         """Have the controller record. Raises `Refusal`."""
         self._require_rest()
         self._recorded_for = None
+        if self._driver is None:
+            raise Refusal("no-sampling", "this make cannot record positions by itself", "remove `record` from the step")
         plan = await self._driver.begin_sampling(request.axes, request.period_ns, request.seconds)
         self._recorded_for = request.job, request.step
         return SamplingBegun(period_ns=plan.period_ns, fetch_ns=plan.fetch_ns)
 
     async def take(self, request: TakeSamples) -> SamplesTaken:
         """Fetch what was recorded for the step. Raises `Refusal`."""
-        if self._recorded_for != (request.job, request.step):
+        if self._driver is None or self._recorded_for != (request.job, request.step):
             raise Refusal("no-samples", f"nothing was recorded for job {request.job} step {request.step}", "")
         self._require_rest()
         self._recorded_for = None

@@ -11,6 +11,7 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
+from adapters.abilities import set_output
 from adapters.contract import ControllerReading
 from adapters.controller.armed_step import ArmedStep, StepPhase
 from adapters.controller.commands import Components, ControllerCommands
@@ -504,7 +505,7 @@ class ControllerSupervisor:
             return
         for point in self._config.outputs.values():
             if point.safe is not None:
-                await self._driver.set_output(point.number, on=point.safe == (point.active == "high"))
+                await set_output(self._driver, point.number, on=point.safe == (point.active == "high"))
 
     async def handle_coordinator_loss(self, reason: str) -> None:
         """Handle a missing heartbeat of the coordinator: unload or stop, and end all leases."""

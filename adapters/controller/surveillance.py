@@ -7,6 +7,7 @@ somewhere else.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from adapters.abilities import find_differences
 from adapters.contract import AxisReading, ControllerReading, Driver, SettingDifference
 from adapters.controller.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_S, Clock
@@ -119,7 +120,7 @@ class Surveillance:
         if self._activity.moves() or self._activity.loads() or now_ns - self._checked_ns < CHECK_PERIOD_NS:
             return
         self._checked_ns = now_ns
-        self.note_differences(await self._driver.check_settings(everything=False))
+        self.note_differences(await find_differences(self._driver, everything=False))
 
     def note_differences(self, found: Sequence[SettingDifference]) -> None:
         """Keep the controller from moving while a setting differs; report each once."""
@@ -136,7 +137,7 @@ class Surveillance:
     async def recheck_settings(self) -> None:
         """Compare all settings after a reset, and forget the differences that are gone."""
         self._status.differences.clear()
-        self.note_differences(await self._driver.check_settings(everything=True))
+        self.note_differences(await find_differences(self._driver, everything=True))
 
 
 def _deadband_counts(axis: Axis) -> float:

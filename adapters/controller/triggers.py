@@ -1,7 +1,8 @@
 """What outputs with triggers did in a step, fetched from the controller after it; and positions that it latches."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
+from adapters.abilities import LatchDriver, TriggerDriver
 from adapters.contract import Driver, SwitchedOutput
 from adapters.controller.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
@@ -32,7 +33,7 @@ class TriggerCollection:
         has_step: Callable[[], bool],
         scale: Callable[[], FleetScale],
     ) -> None:
-        self._driver = driver
+        self._driver = driver if isinstance(driver, TriggerDriver) else None
         self._clock = clock
         self._status = status
         self._has_step = has_step
@@ -48,7 +49,10 @@ class TriggerCollection:
             await sleep_ns(self._clock, LOOK_NS)
         if self._has_step():
             raise Refusal("busy", "a step is loaded", "wait for its end")
-        switched, scale = await self._driver.take_triggers(), self._scale()
+        switched: Mapping[str, SwitchedOutput] = {}
+        if self._driver is not None:
+            switched = await self._driver.take_triggers()
+        scale = self._scale()
         return TriggersTaken(outputs={output: _to_fleet(each, scale) for output, each in switched.items()})
 
 
@@ -63,7 +67,7 @@ class LatchControl:
         require_idle: Callable[[LeasedRequest], None],
         scale: Callable[[], FleetScale],
     ) -> None:
-        self._driver = driver
+        self._driver = driver if isinstance(driver, LatchDriver) else None
         self._config = config
         self._require_idle = require_idle
         self._scale = scale
@@ -75,7 +79,11 @@ class LatchControl:
         if point is None:
             known = ", ".join(self._config.inputs) or "none"
             raise Refusal("unknown-input", f"no input {request.input}; inputs: {known}", "correct the name")
-        found, scale = await self._driver.latch_position(request.axes[0], point, request.within_ns), self._scale()
+        axis = request.axes[0]
+        if self._driver is None:
+            text = f"axis {axis}: this make has no position latch"
+            raise Refusal("no-latch", text, "use an axis of an SMC-4000, or of a CiA 402 drive")
+        found, scale = await self._driver.latch_position(axis, point, request.within_ns), self._scale()
         earliest_ns, latest_ns = scale.to_fleet_span(found.span.earliest_ns, found.span.latest_ns)
         return LatchReply(counts=found.counts, earliest_ns=earliest_ns, latest_ns=latest_ns)
 

@@ -5,6 +5,7 @@ from typing import Any, NoReturn
 
 from pydantic import BaseModel, ConfigDict
 
+from adapters.abilities import SharedLineDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
@@ -12,11 +13,9 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     ExamplePlace,
-    HostInterval,
-    JogMove,
     Lowered,
-    MoveOutcome,
 )
+from adapters.toolkit.connection import MoverDriver, StepMover
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -51,7 +50,7 @@ class UnusableMake:
         raise self._error
 
     def create_driver(self, setup: DriverSetup) -> Driver:
-        return _UnusableDriver(setup.controller, self._error)
+        return _UnusableDriver(setup, self._error)
 
     def stop_bytes(self, config: Controller) -> bytes:
         """Return nothing: without the make its stop is unknown."""
@@ -59,11 +58,12 @@ class UnusableMake:
         return b""
 
 
-class _UnusableDriver(Driver):
+class _UnusableDriver(MoverDriver, SharedLineDriver):
     """The driver of a controller that cannot be reached: `connect` raises the reason, everything else `LinkClosed`."""
 
-    def __init__(self, controller: str, error: PluginError) -> None:
-        self._controller = controller
+    def __init__(self, setup: DriverSetup, error: PluginError) -> None:
+        super().__init__(setup)
+        self._controller = setup.controller
         self._error = error
 
     def _raise_closed(self) -> NoReturn:
@@ -88,22 +88,8 @@ class _UnusableDriver(Driver):
     ) -> Lowered:
         raise Refusal("plug-in", self._error.text, self._error.remedy)
 
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        self._raise_closed()
-
-    async def verify_armed(self) -> None:
-        self._raise_closed()
-
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        self._raise_closed()
-
-    async def disarm_move(self) -> None:
-        self._raise_closed()
-
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        self._raise_closed()
-
-    async def wait_for_end(self) -> MoveOutcome:
+    @property
+    def mover(self) -> StepMover[Lowered]:
         self._raise_closed()
 
     async def stop(self, *, abort: bool) -> None:
@@ -116,15 +102,6 @@ class _UnusableDriver(Driver):
         self._raise_closed()
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
-        self._raise_closed()
-
-    async def jog_axis(self, axis: str, move: JogMove) -> None:
-        self._raise_closed()
-
-    async def stop_axes(self, axes: Sequence[str]) -> None:
-        self._raise_closed()
-
-    async def set_output(self, number: int, *, on: bool) -> None:
         self._raise_closed()
 
     async def clear_faults(self) -> None:

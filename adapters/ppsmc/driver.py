@@ -4,13 +4,13 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
     DriverCapabilities,
     DriverSetup,
     JogMove,
-    Lowered,
     SettingDifference,
 )
 from adapters.ppsmc import fleetaxes, startup
@@ -28,7 +28,6 @@ from adapters.ppsmc.unitstate import PpSmcState
 from adapters.ppsmc.watch import PpSmcWatch
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
-from adapters.toolkit.refusals import log_refusals
 from adapters.toolkit.watched_settings import check_watched_settings
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
@@ -52,11 +51,11 @@ class PpSmcConnection:
     watch: PpSmcWatch
 
 
-class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
+class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriver, ManualDriver, OutputDriver):
     """Drive one controller. Exchanges take turns on one connection; a stop bypasses them on another."""
 
     def __init__(self, setup: DriverSetup, options: PpSmcOptions) -> None:
-        super().__init__(setup)
+        super().__init__(setup, PpSmcLowered)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
@@ -159,11 +158,6 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection]):
         return lower_step(
             self._config, self._options, ConnectionTraits(self._char_ns, self._installed, known), profiles, start
         )
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, PpSmcLowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def stop(self, *, abort: bool) -> None:
         """Stop with `q`, which ends all motions and programs by the ramp (L2542), the fastest stop of this controller.

@@ -58,7 +58,7 @@ class PpSmcAxisMove:
 
 @dataclass(frozen=True, slots=True)
 class PpSmcLowered(Lowered):
-    """A lowered step with what `arm_move` needs: the moves, and the trigger lines. lead_ns: the end of the timed
+    """A lowered step with what loading it needs: the moves, and the trigger lines. lead_ns: the end of the timed
     command
     reaches the controller this long before T0."""
 

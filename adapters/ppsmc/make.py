@@ -13,6 +13,7 @@ from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.session import EOL, SPOILER
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
+from orchestrator.model.plugins import API_VERSION
 
 _EXAMPLE = """\
 adapter: ppsmc
@@ -36,6 +37,8 @@ class PpSmcMake:
 
     The controller cannot switch motors off: the adapter does not move a disabled axis.
     """
+
+    api_version = API_VERSION
 
     @property
     def name(self) -> str:

@@ -56,7 +56,7 @@ class PpSmcMover:
 
     # Before the start
 
-    async def arm_move(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_move(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load speeds and targets, or a program, and read everything back. Raises `Refusal`."""
         async with self._unit.loading:
             try:
@@ -91,7 +91,7 @@ class PpSmcMover:
             raise Refusal("stopped", "a stop came while arming", "")
         return {"verify": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
 
-    async def verify_armed(self) -> None:
+    async def verify_move(self) -> None:
         """Check that the move is still loaded and the axes are where the plan starts. Raises `Refusal`."""
         move = self._require_move()
         lowered = move.lowered
@@ -181,7 +181,7 @@ class PpSmcMover:
             edge_ns = move.lowered.edge_window_ns[1]
             move.output.follow_write(move.order, move.t0_ns + edge_ns + move.output.port.drive.active_ns)
 
-    async def disarm_move(self) -> None:
+    async def unload_move(self) -> None:
         """Cancel the timed write, end a waiting program, and empty the buffers. Never starts a move."""
         move, self.move = self.move, None
         fired = False

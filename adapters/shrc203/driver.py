@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver, TriggerDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
     DriverCapabilities,
     DriverSetup,
     JogMove,
-    Lowered,
     SettingDifference,
     SwitchedOutput,
 )
@@ -59,11 +59,13 @@ class ShrcConnection:
     watch: ShrcWatch
 
 
-class ShrcDriver(ConnectedDriver[ShrcConnection]):
+class ShrcDriver(
+    ConnectedDriver[ShrcConnection], SettingsDriver, LearningDriver, TriggerDriver, ManualDriver, OutputDriver
+):
     """Drive one controller over one line. Exchanges take turns; a stop bypasses them."""
 
     def __init__(self, setup: DriverSetup, options: ShrcOptions) -> None:
-        super().__init__(setup)
+        super().__init__(setup, ShrcLowered)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
@@ -180,16 +182,6 @@ class ShrcDriver(ConnectedDriver[ShrcConnection]):
         if pulsed is None:
             return lowered
         return add_trigger(lowered, self._config, self._options, wire, (start.triggers[0], profiles[pulsed]))
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, ShrcLowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_move(lowered, t0_ns)
-
-    async def arm_behind(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, ShrcLowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_behind(lowered, t0_ns)
 
     async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
         with log_refusals(self._log, "the fetching of triggers"):

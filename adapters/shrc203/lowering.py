@@ -101,7 +101,7 @@ class ShrcAxisMove:
 
 @dataclass(frozen=True, slots=True)
 class ShrcLowered(Lowered):
-    """A lowered step with what `arm_move` needs: the moves, the commands that load and start them, and the trigger
+    """A lowered step with what loading it needs: the moves, the commands that load and start them, and the trigger
     lines.
 
     lead_ns: the end of the command that starts, or switches an output, reaches the controller this long before T0.

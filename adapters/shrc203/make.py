@@ -12,6 +12,7 @@ from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.wire.decoder import Shrc203Decoder
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
+from orchestrator.model.plugins import API_VERSION
 
 _EXAMPLE = """\
 adapter: shrc203
@@ -41,6 +42,8 @@ class Shrc203Make:
 
     The direction of an origin return is set in the controller (memory switch ORG): `homing.direction` has no effect.
     """
+
+    api_version = API_VERSION
 
     @property
     def name(self) -> str:

@@ -49,7 +49,7 @@ class ShrcMover:
 
     # Before the start
 
-    async def arm_move(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_move(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load the prebuffers and read everything back. Raises `Refusal`."""
         async with self._unit.loading:
             return await self._load_and_verify(lowered, t0_ns)
@@ -97,7 +97,7 @@ class ShrcMover:
             raise Refusal("stopped", "a stop came while arming", "")
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
-    async def arm_behind(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_behind(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load a move right behind one that has just ended: its execution buffer is executed, the prebuffers are empty,
         and the last query has shown the axes at rest where this one starts. Raises `Refusal`."""
         starts = {each.motor: each.start_counts for each in lowered.moves}
@@ -105,7 +105,7 @@ class ShrcMover:
         plain = lowered.wait is None and lowered.drive is None and lowered.trigger is None
         tidy = not self._unit.untidy and not self._unit.trigger_set
         if not (plain and rests and tidy) or self.is_busy:
-            return await self.arm_move(lowered, t0_ns)
+            return await self.load_move(lowered, t0_ns)
         self.triggers.forget()
         async with self._unit.loading:
             began_ns = self._clock.now_ns()
@@ -127,7 +127,7 @@ class ShrcMover:
         """Whether a move is loaded, waiting or in progress."""
         return self.move is not None or bool(self._unit.waiting) or self._unit.chaining
 
-    async def verify_armed(self) -> None:
+    async def verify_move(self) -> None:
         """Check that the move is still loaded and the axes are where the plan starts. Raises `Refusal`."""
         move = self._require_move()
         if not move.lowered.moves or self._clock.now_ns() - move.read_back_ns < CONFIRMED_NS:
@@ -173,7 +173,7 @@ class ShrcMover:
             move.output.follow_write(move.order, move.t0_ns + edge_ns + move.output.port.drive.active_ns)
         move.pending = places[0] if places else None
 
-    async def disarm_move(self) -> None:
+    async def unload_move(self) -> None:
         """Cancel the timed write, then overwrite the queued moves. Never starts a move."""
         move, self.move = self.move, None
         if move is not None:

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver, SharedLineDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
     DriverCapabilities,
     DriverSetup,
     JogMove,
-    Lowered,
     SettingDifference,
 )
 from adapters.smc30 import startup
@@ -32,7 +32,6 @@ from adapters.smc30.unitaxis import line_address, only_axis
 from adapters.smc30.unitstate import Smc30State
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
-from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.latency import StartLatency
@@ -57,12 +56,14 @@ class Smc30Connection:
     poller: Smc30Poller
 
 
-class Smc30Driver(ConnectedDriver[Smc30Connection]):
+class Smc30Driver(
+    ConnectedDriver[Smc30Connection], SettingsDriver, LearningDriver, ManualDriver, OutputDriver, SharedLineDriver
+):
     """Drive one controller. Its exchanges take turns with those of the other controllers of its line; a stop bypasses
     them."""
 
     def __init__(self, setup: DriverSetup, options: Smc30DriverOptions) -> None:
-        super().__init__(setup)
+        super().__init__(setup, Smc30Lowered)
         self._config = setup.config
         self._options = options
         self._clock = setup.clock
@@ -172,11 +173,6 @@ class Smc30Driver(ConnectedDriver[Smc30Connection]):
         known = self._crystal.estimate_at(self._clock.now_ns())
         traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, known)
         return lower_step(self._config, self._options, traits, dict(profiles), start)
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, Smc30Lowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def stop(self, *, abort: bool) -> None:
         """Stop with Z, by the ramp of the motion; or with K, at once, after which its counter may be wrong

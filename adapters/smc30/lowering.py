@@ -76,7 +76,7 @@ class StepPoint:
 
 @dataclass(frozen=True, slots=True)
 class Smc30Lowered(Lowered):
-    """A lowered step with what `arm_move` needs.
+    """A lowered step with what loading it needs.
 
     lead_ns: the end of the starting command reaches the controller this long before T0.
     program_ns: from there to the motion or the edge, shortest and longest.

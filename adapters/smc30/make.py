@@ -13,6 +13,7 @@ from adapters.smc30.frames import CR, frame_line, line_checksum
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
+from orchestrator.model.plugins import API_VERSION
 
 _EXAMPLE = """\
 adapter: smc30
@@ -32,6 +33,8 @@ axes:
 
 class Smc30Make:
     """JVL SMC30B and SMC30C over a serial port, alone or up to seven on one, or a controller behind a TCP bridge."""
+
+    api_version = API_VERSION
 
     @property
     def name(self) -> str:

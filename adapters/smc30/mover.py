@@ -69,7 +69,7 @@ class Smc30Mover:
 
     # Before the start
 
-    async def arm_move(self, lowered: Smc30Lowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_move(self, lowered: Smc30Lowered, t0_ns: int) -> Mapping[str, int]:
         """Load the program and read it back; a program that waits for a trigger line begins to wait. Raises
         `Refusal`."""
         if self.move is not None or self._unit.doing == "home":
@@ -119,7 +119,7 @@ class Smc30Mover:
             )
         return loaded_ns
 
-    async def verify_armed(self) -> None:
+    async def verify_move(self) -> None:
         """Check that the program is still loaded at the start of the plan, or still waits for its trigger line. Raises
         `Refusal`."""
         move = self._require_step()
@@ -165,7 +165,7 @@ class Smc30Mover:
         move.running = True
         self._unit.doing = "step"
 
-    async def disarm_move(self) -> None:
+    async def unload_move(self) -> None:
         """Cancel the starting command, or stop the waiting program: nothing starts afterwards."""
         move, self.move = self.move, None
         if move is not None and move.running and not self._cancel_start(move):

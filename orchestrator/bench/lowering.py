@@ -228,16 +228,16 @@ async def _start_step(world: _LoweringBench, profiles: Mapping[str, Profile]) ->
     mapping = world.clock_mapping()
     lowered_profiles = driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + lowered_profiles.costs.arm_ns + lowered_profiles.costs.disarm_ns + 150 * NS_PER_MS
-    await driver.arm_move(lowered_profiles, t0_ns, mapping)
-    await driver.verify_armed()
-    await driver.go()
+    await driver.slots.present.load(lowered_profiles, t0_ns, mapping)
+    await driver.slots.present.verify()
+    await driver.slots.present.release()
     return lowered_profiles, mapping, t0_ns
 
 
 async def _finish_step(world: _LoweringBench) -> None:
     """Watch the step to its end, as an adapter does."""
-    await world.driver.wait_for_start()
-    outcome = await world.driver.wait_for_end()
+    await world.driver.slots.present.wait_for_start()
+    outcome = await world.driver.slots.present.wait_for_end()
     if outcome.state != "done":
         raise RuntimeError(f"a move of the benchmark ended unexpectedly: {outcome.reason}")
 

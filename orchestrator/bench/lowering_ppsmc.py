@@ -172,11 +172,11 @@ async def _measure_execution(clock: VirtualClock, driver: Driver, unit: Simulate
     """Return the true duration of the motion, s."""
     lowered_profiles = driver.lower_profiles({"a": profile}, StartOptions(), None)
     t0_ns = clock.now_ns() + lowered_profiles.costs.arm_ns + lowered_profiles.costs.disarm_ns + 50 * NS_PER_MS
-    await driver.arm_move(lowered_profiles, t0_ns, None)
-    await driver.verify_armed()
-    await driver.go()
-    await driver.wait_for_start()
-    outcome = await driver.wait_for_end()
+    await driver.slots.present.load(lowered_profiles, t0_ns, None)
+    await driver.slots.present.verify()
+    await driver.slots.present.release()
+    await driver.slots.present.wait_for_start()
+    outcome = await driver.slots.present.wait_for_end()
     motion = unit.commanded_motions[-1]
     if outcome.state != "done" or motion.end_ns is None:
         raise RuntimeError(f"a move of the benchmark ended unexpectedly: {outcome.reason}")

@@ -167,16 +167,16 @@ async def _start_together(bus: _Smc30Bus, *, line: bool) -> tuple[list[int], int
     )
     t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(bus.drivers, lowered_profiles, strict=True))
-    await asyncio.gather(*(driver.arm_move(lowering, t0_ns, None) for driver, lowering in pairs))
-    await asyncio.gather(*(driver.verify_armed() for driver in bus.drivers))
-    await asyncio.gather(*(driver.go() for driver in bus.drivers))
+    await asyncio.gather(*(driver.slots.present.load(lowering, t0_ns, None) for driver, lowering in pairs))
+    await asyncio.gather(*(driver.slots.present.verify() for driver in bus.drivers))
+    await asyncio.gather(*(driver.slots.present.release() for driver in bus.drivers))
     if line:
         await sleep_until_ns(bus.clock, t0_ns + bus.draw.randint(-EDGE_NS, EDGE_NS))
         for unit in bus.simulators:
             unit.set_input(LINE_INPUT, level=True)
-    spans = await asyncio.gather(*(driver.wait_for_start() for driver in bus.drivers))
+    spans = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in bus.drivers))
     for (driver, _), span, unit in zip(pairs, spans, bus.simulators, strict=True):
-        outcome, began_ns = await driver.wait_for_end(), unit.commanded_motions[0].start_ns
+        outcome, began_ns = await driver.slots.present.wait_for_end(), unit.commanded_motions[0].start_ns
         if outcome.state != "done" or not span["a"].earliest_ns <= began_ns <= span["a"].latest_ns:
             raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")
         await driver.close()

@@ -45,8 +45,8 @@ def require_line_start(world: World) -> None:
 async def follow_to_end(world: World) -> None:
     """Wait for the start and the end of a motion that is stopped, as every caller that has started one does."""
     with contextlib.suppress(ControllerFault, Refusal):
-        await world.driver.wait_for_start()
-        outcome = await world.driver.wait_for_end()
+        await world.driver.slots.present.wait_for_start()
+        outcome = await world.driver.slots.present.wait_for_end()
         require(outcome.state != "done", "a move that was stopped is reported as done")
 
 

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Awaitable, Callable
 from functools import partial
 
+from adapters.abilities import set_output
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.conformance.checks import ContractCheck, require_step
 from orchestrator.conformance.findings import NotApplicable, require, require_error
@@ -29,7 +30,7 @@ async def check_silence(world: World, call: str) -> None:
     lowered = driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + 3 * NS_PER_S
     if call == "verify":
-        await driver.arm_move(lowered, t0_ns, mapping)
+        await driver.slots.present.load(lowered, t0_ns, mapping)
     world.hit.wire.cut = True
     calls: dict[str, Callable[[], Awaitable[object]]] = {
         "connect": driver.connect,
@@ -37,9 +38,9 @@ async def check_silence(world: World, call: str) -> None:
         "poll": driver.poll,
         "enable": lambda: driver.set_enabled(world.axes, on=False),
         "home": lambda: driver.home_axes(world.axes, lambda _: None),
-        "arm": lambda: driver.arm_move(lowered, t0_ns, mapping),
-        "verify": driver.verify_armed,
-        "set_output": lambda: driver.set_output(1, on=True),
+        "arm": lambda: driver.slots.present.load(lowered, t0_ns, mapping),
+        "verify": driver.slots.present.verify,
+        "set_output": lambda: set_output(driver, 1, on=True),
     }
     began_ns = world.clock.now_ns()
     error = await require_error(calls[call](), f"{call} of a silent controller", *LOST)
@@ -53,7 +54,7 @@ async def check_silence(world: World, call: str) -> None:
     await world.leave()
     await driver.connect()
     await driver.configure()
-    await driver.disarm_move()
+    await driver.slots.unload()
     await world.poll(5)
     require(world.at_rest, "an axis moves after the line was cut")
 
@@ -91,8 +92,8 @@ async def check_power_cycle(world: World) -> None:
     """Switch a controller with a released move off and on."""
     await world.ready()
     await world.arm(await world.plan(world.targets()))
-    await world.driver.verify_armed()
-    await world.driver.go()
+    await world.driver.slots.present.verify()
+    await world.driver.slots.present.release()
     world.hit.controller.set_power(on=False)
     await sleep_ns(world.clock, OFF_NS)
     world.hit.controller.set_power(on=True)
@@ -148,8 +149,8 @@ async def check_moving_controller(world: World) -> None:
     """Connect to a controller that moves."""
     await world.ready()
     _, t0_ns = await world.arm(await world.plan(world.targets(2)))
-    await world.driver.verify_armed()
-    await world.driver.go()
+    await world.driver.slots.present.verify()
+    await world.driver.slots.present.release()
     await world.until(t0_ns + 200 * NS_PER_MS)
     await world.leave()
     try:

@@ -23,7 +23,7 @@ async def command_jog(world: World) -> None:
     axis = world.axis(world.axes[0])
     velocity, acceleration = (float(limit * axis.scale) for limit in (axis.limits.velocity, axis.limits.acceleration))
     end = world.case.base_counts + world.case.short_counts // 2
-    await world.driver.jog_axis(world.axes[0], JogMove(-velocity / 4, acceleration / 2, end))
+    await world.manual.jog_axis(world.axes[0], JogMove(-velocity / 4, acceleration / 2, end))
 
 
 async def command_homing(world: World) -> None:

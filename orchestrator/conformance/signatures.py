@@ -1,19 +1,22 @@
 """Checks of the form of a driver: its methods take the parameters that the contract names."""
 
 import inspect
+from collections.abc import Sequence
 from functools import partial
 
+from adapters.abilities import ABILITIES
 from adapters.contract import Driver
 from orchestrator.conformance.findings import require
 from orchestrator.conformance.worlds import Case, World, run_case
 
 
-def find_wrong_signatures(driver: type[Driver]) -> list[str]:
+def find_wrong_signatures(driver: type[Driver], contract: Sequence[type] = (Driver, *ABILITIES)) -> list[str]:
     """Return what is wrong with the parameters of each method of a driver's class, which callers of the contract could
     not call."""
     found: list[str] = []
-    for name, member in vars(Driver).items():
-        if name.startswith("_") or not inspect.isfunction(member):
+    methods = [each for offered in contract for each in vars(offered).items()]
+    for name, member in methods:
+        if name.startswith("_") or not inspect.isfunction(member) or not hasattr(driver, name):
             continue
         own = inspect.signature(getattr(driver, name)).parameters
         takes_any = any(each.kind is inspect.Parameter.VAR_KEYWORD for each in own.values())

@@ -106,9 +106,12 @@ async def check_sooner_start(world: World) -> None:
             raise NotApplicable("this make begins when it was armed to")
         tick_ns = lowered.tick_ns or 1.0
         sooner_ns = round(100 * NS_PER_MS // tick_ns * tick_ns)
-        await world.driver.verify_armed()
-        await world.driver.go(0, sooner_ns)
-        started, outcome = await world.driver.wait_for_start(), await world.driver.wait_for_end()
+        await world.driver.slots.present.verify()
+        await world.driver.slots.present.release(0, sooner_ns)
+        started, outcome = (
+            await world.driver.slots.present.wait_for_start(),
+            await world.driver.slots.present.wait_for_end(),
+        )
         made = _require_done(world, before, started, outcome)
         earliest_ns, latest_ns = lowered.window_ns
         for axis, motion in made.items():
@@ -156,15 +159,15 @@ async def check_line_start(world: World) -> None:
         profiles = await world.plan(world.targets(factor))
         lowered, t0_ns = await world.arm(profiles, how)
         require(lowered.start_class == "line", f"a start by line is lowered as a start by {lowered.start_class}")
-        await world.driver.verify_armed()
-        await world.driver.go()
+        await world.driver.slots.present.verify()
+        await world.driver.slots.present.release()
         require(world.at_rest, "the step started before its line")
         edge_ns = t0_ns + world.draw.randrange(-window_ns, window_ns)
         await world.until(edge_ns)
         require(world.at_rest, "the step started before its line")
         world.line(active=True)
-        started = await world.driver.wait_for_start()
-        outcome = await world.driver.wait_for_end()
+        started = await world.driver.slots.present.wait_for_start()
+        outcome = await world.driver.slots.present.wait_for_end()
         made = _require_done(world, before, started, outcome)
         earliest_ns, latest_ns = sum_terms(term for term in lowered.terms if term.name != "line")
         for axis, motion in made.items():
@@ -187,16 +190,16 @@ async def check_active_line(world: World) -> None:
     world.line(active=True)
     error = await require_error(world.arm(profiles, how), "arming with an active line", Refusal)
     require(error.code == "line-level" and error.remedy, f"the refusal has code {error.code}, remedy {error.remedy!r}")
-    await world.driver.disarm_move()
+    await world.driver.slots.unload()
     world.line(active=False)
     for released in (False, True):
         await sleep_ns(world.clock, 2 * NS_PER_MS)  # the input's optocoupler
         await world.arm(profiles, how)
-        await world.driver.verify_armed()
+        await world.driver.slots.present.verify()
         if released:
-            await world.driver.go()
+            await world.driver.slots.present.release()
             await world.driver.stop(abort=False)
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         world.line(active=True)
         await sleep_ns(world.clock, NS_PER_S)
         require(not world.motions, "a disarmed move was started by its line")
@@ -225,12 +228,12 @@ async def check_driven_line(world: World) -> None:
         profiles = await world.plan(world.targets()) if moves else {}
         lowered, t0_ns = await world.arm(profiles, how)
         require(lowered.edge, "the lowered step declares no interval of the edge")
-        await world.driver.verify_armed()
-        await world.driver.go()
+        await world.driver.slots.present.verify()
+        await world.driver.slots.present.release()
         require(not changes, "the output changed before T0")
-        started = await world.driver.wait_for_start()
+        started = await world.driver.slots.present.wait_for_start()
         require(started.keys() == profiles.keys(), f"started axes: {list(started)}, expected {list(profiles)}")
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
         await world.until(t0_ns + 4 * HOLD_NS)
         require([level for _, level in changes] == [True, False], f"the output changed so: {changes}")
@@ -245,10 +248,10 @@ async def check_driven_line(world: World) -> None:
         require(moved == len(profiles), f"{moved} axes moved, expected {len(profiles)}")
     changes.clear()
     await world.arm({}, how)
-    await world.driver.disarm_move()
+    await world.driver.slots.unload()
     _, t0_ns = await world.arm({}, how)
-    await world.driver.verify_armed()
-    await world.driver.go()
+    await world.driver.slots.present.verify()
+    await world.driver.slots.present.release()
     await world.driver.stop(abort=False)
     await world.until(t0_ns + NS_PER_S)
     require(not any(level for _, level in changes), "an output became active after a disarm or a stop")
@@ -259,8 +262,8 @@ async def check_polls_in_motion(world: World) -> None:
     await world.ready()
     profiles = await world.plan(world.targets(3))
     _, t0_ns = await world.arm(profiles)
-    await world.driver.verify_armed()
-    await world.driver.go()
+    await world.driver.slots.present.verify()
+    await world.driver.slots.present.release()
 
     async def poll() -> None:
         await world.until(t0_ns + NS_PER_MS)  # nothing polls a member just before T0
@@ -268,8 +271,8 @@ async def check_polls_in_motion(world: World) -> None:
             await world.poll(1)
 
     polling = world.start_task(poll())
-    started = await world.driver.wait_for_start()
-    outcome = await world.driver.wait_for_end()
+    started = await world.driver.slots.present.wait_for_start()
+    outcome = await world.driver.slots.present.wait_for_end()
     polling.cancel()
     seldom = {name: times for name, times in world.polled_beside.items() if times <= 20}
     require(not seldom, f"controllers on the same line were hardly polled: {seldom}")

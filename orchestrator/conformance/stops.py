@@ -19,12 +19,12 @@ async def check_disarm(world: World, stage: str) -> None:
     before = world.positions()
     lowered, t0_ns = await world.arm(await world.plan(world.targets()))
     if stage != "arm":
-        await world.driver.verify_armed()
+        await world.driver.slots.present.verify()
     if stage == "go":
-        await world.driver.go()
+        await world.driver.slots.present.release()
     await world.until(min(t0_ns - lowered.costs.disarm_ns, world.clock.now_ns() + 30 * NS_PER_MS))
-    await world.driver.disarm_move()
-    await world.driver.disarm_move()
+    await world.driver.slots.unload()
+    await world.driver.slots.unload()
     await world.until(t0_ns + 3 * NS_PER_S)
     require(world.positions() == before and world.at_rest, "a disarmed move has started")
     await require_step(world)
@@ -35,10 +35,10 @@ async def check_nothing_without_go(world: World) -> None:
     await world.ready()
     before = world.positions()
     _, t0_ns = await world.arm(await world.plan(world.targets()))
-    await world.driver.verify_armed()
+    await world.driver.slots.present.verify()
     await world.until(t0_ns + 3 * NS_PER_S)
     require(world.positions() == before, "an armed move has started without `go`")
-    await world.driver.disarm_move()
+    await world.driver.slots.unload()
     await require_step(world)
 
 
@@ -47,8 +47,8 @@ async def check_stop(world: World, when_ms: int) -> None:
     await world.ready()
     for abort, factor in ((False, 1.0), (True, -0.4)):
         lowered, t0_ns = await world.arm(await world.plan(world.targets(4)))
-        await world.driver.verify_armed()
-        await world.driver.go()
+        await world.driver.slots.present.verify()
+        await world.driver.slots.present.release()
         following = world.start_task(follow_to_end(world))
         await world.until(max(world.clock.now_ns(), t0_ns + when_ms * NS_PER_MS))
         await world.driver.stop(abort=abort)
@@ -102,7 +102,7 @@ async def check_jog(world: World) -> None:
     config = world.axis(axis)
     speed, ramp = config.limits.velocity * float(config.scale) / 4, config.limits.acceleration * float(config.scale)
     end = round(speed)
-    await world.driver.jog_axis(axis, JogMove(speed, ramp, end))
+    await world.manual.jog_axis(axis, JogMove(speed, ramp, end))
     fastest = 0.0
     for _ in range(300):
         await sleep_ns(world.clock, 10 * NS_PER_MS)
@@ -111,15 +111,15 @@ async def check_jog(world: World) -> None:
     # As fast as its crystal is.
     require(0.8 * speed < fastest <= speed * (1 + 1e-4), f"the jog had {fastest:g} counts/s, requested {speed:g}")
     require(world.position(axis) == end, f"the jog ended at {world.position(axis)}, not at {end}")
-    await world.driver.jog_axis(axis, JogMove(-speed, ramp, None))
+    await world.manual.jog_axis(axis, JogMove(-speed, ramp, None))
     try:
         for other in others:
-            await world.driver.jog_axis(other, JogMove(speed, ramp, None))
+            await world.manual.jog_axis(other, JogMove(speed, ramp, None))
     except Refusal as error:
         require(not world.case.jogs_together, f"a second axis cannot be jogged: {error}")
         others = []
     await sleep_ns(world.clock, 300 * NS_PER_MS)
-    await world.driver.stop_axes([axis])
+    await world.manual.stop_axes([axis])
     await sleep_ns(world.clock, 400 * NS_PER_MS)
     require(not world.moving(axis), f"{axis} still jogs after `stop_axes`")
     require(all(world.moving(other) for other in others), "`stop_axes` of one axis has stopped another one")

@@ -5,6 +5,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from adapters.abilities import LimitDriver, ManualDriver, set_output
 from adapters.contract import (
     AxisReading,
     ControllerIdentity,
@@ -13,8 +14,11 @@ from adapters.contract import (
     DriverCapabilities,
     HostInterval,
     JogMove,
+    LoadPlace,
     Lowered,
     MoveOutcome,
+    MoveSlot,
+    MoveSlots,
 )
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -49,6 +53,43 @@ class LoweredTogether(Lowered):
     parts: Mapping[int, Lowered]
 
 
+class MoverTogether:
+    """The move of several drivers: each call goes to the present slots of all that it concerns."""
+
+    def __init__(self, drivers: Sequence[Driver]) -> None:
+        self._drivers = drivers
+        self._members: list[MoveSlot] = []
+
+    async def load(
+        self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None, place: LoadPlace
+    ) -> Mapping[str, int]:
+        assert isinstance(lowered, LoweredTogether)
+        parts = {self._drivers[number].slots.present: part for number, part in lowered.parts.items()}
+        self._members = list(parts)
+        stages = await at_once(slot.load(part, t0_ns, mapping, place) for slot, part in parts.items())
+        return {name: max(each.get(name, 0) for each in stages) for name in stages[0]}
+
+    async def verify(self) -> None:
+        await at_once(each.verify() for each in self._members)
+
+    async def release(self, start_tolerance_ns: int, advance_ns: int) -> None:
+        await at_once(each.release(start_tolerance_ns, advance_ns) for each in self._members)
+
+    async def unload(self) -> None:
+        await at_once(each.slots.unload() for each in self._drivers)
+
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        started = await at_once(each.wait_for_start() for each in self._members)
+        return {axis: span for each in started for axis, span in each.items()}
+
+    async def wait_for_end(self) -> MoveOutcome:
+        """As one that failed, if there is one."""
+        outcomes = await at_once(each.wait_for_end() for each in self._members)
+        worst = next((each for each in outcomes if each.state != "done"), outcomes[0])
+        ended = {axis: at for each in outcomes for axis, at in each.ended.items()}
+        return MoveOutcome(worst.state, ended, worst.reason)
+
+
 class Together(Driver):
     """Drivers of the same make whose clock cannot be read: no mapping would apply to all. Each call goes to all
     drivers that it concerns, at the same instant. Inputs and outputs are those of the first one."""
@@ -57,7 +98,7 @@ class Together(Driver):
         """drivers: with their axes, which are no other's."""
         self._drivers = list(drivers)
         self._axes = [set(axes) for axes in drivers.values()]
-        self._members: list[Driver] = []
+        self._slots = MoveSlots(MoveSlot(MoverTogether(self._drivers)))
 
     def _of(self, axes: Sequence[str]) -> list[tuple[Driver, list[str]]]:
         """The drivers of some axes, each with its own."""
@@ -127,32 +168,9 @@ class Together(Driver):
             can_advance=all(each.can_advance for each in every),
         )
 
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, LoweredTogether)
-        self._members = [self._drivers[number] for number in lowered.parts]
-        stages = await at_once(
-            self._drivers[number].arm_move(part, t0_ns, mapping) for number, part in lowered.parts.items()
-        )
-        return {name: max(each.get(name, 0) for each in stages) for name in stages[0]}
-
-    async def verify_armed(self) -> None:
-        await at_once(each.verify_armed() for each in self._members)
-
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        await at_once(each.go(start_tolerance_ns, advance_ns) for each in self._members)
-
-    async def disarm_move(self) -> None:
-        await at_once(each.disarm_move() for each in self._drivers)
-
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        found = await at_once(each.wait_for_start() for each in self._members)
-        return {axis: span for each in found for axis, span in each.items()}
-
-    async def wait_for_end(self) -> MoveOutcome:
-        """As one that failed, if there is one."""
-        found = await at_once(each.wait_for_end() for each in self._members)
-        worst = next((each for each in found if each.state != "done"), found[0])
-        return MoveOutcome(worst.state, {axis: at for each in found for axis, at in each.ended.items()}, worst.reason)
+    @property
+    def slots(self) -> MoveSlots:
+        return self._slots
 
     async def stop(self, *, abort: bool) -> None:
         await at_once(each.stop(abort=abort) for each in self._drivers)
@@ -165,16 +183,20 @@ class Together(Driver):
         return {axis: reason for each in missed for axis, reason in each.items()}
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
-        await at_once(one.jog_axis(axis, move) for one, _ in self._of([axis]))
+        await at_once(one.jog_axis(axis, move) for one, _ in self._of([axis]) if isinstance(one, ManualDriver))
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        await at_once(one.stop_axes(own) for one, own in self._of(axes))
+        await at_once(one.stop_axes(own) for one, own in self._of(axes) if isinstance(one, ManualDriver))
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        await at_once(one.load_soft_limits({axis: limits[axis] for axis in own}) for one, own in self._of(list(limits)))
+        await at_once(
+            one.load_soft_limits({axis: limits[axis] for axis in own})
+            for one, own in self._of(list(limits))
+            if isinstance(one, LimitDriver)
+        )
 
     async def set_output(self, number: int, *, on: bool) -> None:
-        await self._drivers[0].set_output(number, on=on)
+        await set_output(self._drivers[0], number, on=on)
 
     async def clear_faults(self) -> None:
         await at_once(each.clear_faults() for each in self._drivers)

@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from random import Random
 
+from adapters.abilities import find_differences
 from adapters.controller.readings import require_sound_reading
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.conformance.findings import require
@@ -101,22 +102,22 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
     try:
         await driver.connect()
         await driver.configure()
-        await driver.load_soft_limits({axis: draw.choice((None, (-100_000, 100_000))) for axis in world.axes})
+        await world.load_soft_limits({axis: draw.choice((None, (-100_000, 100_000))) for axis in world.axes})
         mutator.is_active = mutator.is_active or draw.random() < 0.7
         await driver.set_enabled(world.axes, on=True)
         for _ in range(draw.choice((2, 4, 25))):
             require_sound_reading(await driver.poll())
             await sleep_ns(world.clock, NS_PER_S // 20)
-        await driver.check_settings(everything=True)
+        await find_differences(driver, everything=True)
         mutator.is_active = True
         far = {axis: draw.choice((1.5, -3)) for axis in world.axes}
         profiles = await world.plan({axis: world.short_targets(factor)[axis] for axis, factor in far.items()})
         await world.arm(profiles)
-        await driver.verify_armed()
+        await driver.slots.present.verify()
         released = True
-        await driver.go()
-        await driver.wait_for_start()
-        await driver.wait_for_end()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
+        await driver.slots.present.wait_for_end()
         require_sound_reading(await driver.poll())
     except EXPECTED as error:
         ended = f"{type(error).__name__}: {error}"

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Any
 
+from adapters.abilities import LimitDriver, ManualDriver
 from adapters.contract import Driver, DriverSetup, HostInterval, Lowered, MoveOutcome, TimedWriter
 from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.conformance.findings import require
+from orchestrator.conformance.findings import NotApplicable, require
 from orchestrator.conformance.together import Together
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.link.memory import LAN, MemoryWire, can_wire, serial_wire
@@ -155,9 +156,21 @@ class World:
         """Connected, compared, enabled, and its clock estimated."""
         await self.driver.connect()
         await self.driver.configure()
-        await self.driver.load_soft_limits(dict.fromkeys(self.axes))
+        await self.load_soft_limits(dict.fromkeys(self.axes))
         await self.driver.set_enabled(self.axes, on=True)
         await self.poll(polls)
+
+    async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
+        """Load soft limits where the controller keeps some."""
+        if isinstance(self.driver, LimitDriver):
+            await self.driver.load_soft_limits(limits)
+
+    @property
+    def manual(self) -> ManualDriver:
+        """The driver, for jogs. Raises `NotApplicable` for a make that has none."""
+        if not isinstance(self.driver, ManualDriver):
+            raise NotApplicable("this make cannot jog an axis")
+        return self.driver
 
     async def leave(self) -> None:
         """Close the driver, and wait until the other side has detected it."""
@@ -192,7 +205,7 @@ class World:
         if mapping is not None:
             ahead = how.model_copy(update={"lead_ns": t0_ns - mapping.host_at_ns})
             lowered = self.driver.lower_profiles(profiles, ahead, mapping)
-        await self.driver.arm_move(lowered, t0_ns, mapping)
+        await self.driver.slots.present.load(lowered, t0_ns, mapping)
         return lowered, t0_ns
 
     async def move(
@@ -201,10 +214,10 @@ class World:
         """A whole step."""
         profiles = await self.plan(targets)
         lowered, t0_ns = await self.arm(profiles)
-        await self.driver.verify_armed()
-        await self.driver.go()
-        started = await self.driver.wait_for_start()
-        return lowered, started, await self.driver.wait_for_end(), t0_ns, profiles
+        await self.driver.slots.present.verify()
+        await self.driver.slots.present.release()
+        started = await self.driver.slots.present.wait_for_start()
+        return lowered, started, await self.driver.slots.present.wait_for_end(), t0_ns, profiles
 
     def was_line_late(self, start_ns: int) -> bool:
         """Return whether a start may be later than declared because of the line."""

@@ -4,6 +4,7 @@ A plug-in that cannot be used, for whatever reason, is a `PluginError` that name
 is imported before it is used: a broken plug-in concerns only what uses it.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -11,12 +12,18 @@ from typing import Any, Literal
 
 from orchestrator.model.errors import TuttiError
 
-API_VERSION = 1
-"""Version of the contract for makes and simulators. A plug-in states the one that it was written for in its attribute
-`api_version`; without this attribute it is 1. It rises when a plug-in has to be changed."""
+API_VERSION = 2
+"""Version of the contract for makes. A plug-in states the one that it was written for in its attribute `api_version`;
+without this attribute it is 1. It rises when a plug-in has to be changed. The one before still loads, for one release,
+with a warning."""
+
+SIMULATOR_API_VERSION = 1
+"""The same for simulators."""
 
 PluginGroup = Literal["tutti.adapters", "tutti.simulators"]
 _KINDS = {"tutti.adapters": "adapter", "tutti.simulators": "simulator"}
+_VERSIONS = {"tutti.adapters": API_VERSION, "tutti.simulators": SIMULATOR_API_VERSION}
+_OLDEST = {"tutti.adapters": API_VERSION - 1, "tutti.simulators": SIMULATOR_API_VERSION}
 _KNOWN = {"tutti.adapters": "known adapters", "tutti.simulators": "known models"}
 
 
@@ -77,10 +84,15 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
         raise PluginError(
             f"{origin} cannot be imported: {reason}", "repair or uninstall this package; `tutti adapter ls` lists all"
         ) from None
-    _require_version(plugin, origin, _package_of(entry))
+    _require_version(plugin, group, origin, _package_of(entry))
     missing_members = [member for member in members if not hasattr(plugin, member)]
     if missing_members:
         raise PluginError(f"{origin} has no {', '.join(missing_members)}", "see the contract in `tutti.adapter`")
+    version = getattr(plugin, "api_version", 1)
+    if version < _VERSIONS[group]:
+        remedy = f"install a newer release of {_package_of(entry).partition(' ')[0]}"
+        text = f"{origin} was written for version {version} of the contract (api_version)"
+        warnings.warn(f"{text}; the next release of Tutti does not load it: {remedy}", FutureWarning, stacklevel=2)
     return plugin
 
 
@@ -97,15 +109,15 @@ def list_plugins(group: PluginGroup, members: Sequence[str]) -> list[PluginListi
     return plugins
 
 
-def _require_version(plugin: Any, place: str, package: str) -> None:
-    """Raise `PluginError` for a plug-in that was written for another version of the contract."""
-    version = getattr(plugin, "api_version", 1)
+def _require_version(plugin: Any, group: PluginGroup, place: str, package: str) -> None:
+    """Raise `PluginError` for a plug-in that was written for a version of the contract that is not loaded."""
+    version, present = getattr(plugin, "api_version", 1), _VERSIONS[group]
     if type(version) is not int:
-        raise PluginError(f"{place}: api_version is {version!r}", f"it must be a whole number, now {API_VERSION}")
-    if version != API_VERSION:
-        older = version < API_VERSION
+        raise PluginError(f"{place}: api_version is {version!r}", f"it must be a whole number, now {present}")
+    if not _OLDEST[group] <= version <= present:
+        older = version < present
         raise PluginError(
-            f"{place} was written for version {version} of the contract (api_version); this Tutti has {API_VERSION}",
+            f"{place} was written for version {version} of the contract (api_version); this Tutti has {present}",
             f"install a newer release of {package.partition(' ')[0]}"
             if older
             else f"install a newer Tutti, or an older release of {package.partition(' ')[0]}",

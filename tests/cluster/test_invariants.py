@@ -19,7 +19,7 @@ from adapters.controller.next_step import PreparedMove
 from adapters.controller.participant import StepParticipant
 from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
-from adapters.shrc203.driver import ShrcDriver
+from adapters.shrc203.moves import ShrcMover
 from adapters.yaskawa.common import device
 from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.common.course_refill import ContourRefill
@@ -64,7 +64,7 @@ def opens_its_gate_when_armed(patch: Patch) -> None:
 
     async def eager(self: StepParticipant, request: ArmRequest) -> Any:
         armed = await honest(self, request)
-        await self._driver.go()
+        await self._driver.slots.present.release()
         return armed
 
     patch.setattr(StepParticipant, "arm_step", eager)
@@ -131,12 +131,12 @@ def stops_all_members(patch: Patch) -> None:
 
 def claims_too_much(patch: Patch) -> None:
     """An interval that is narrowed to its earliest end misses the truth."""
-    honest = ShrcDriver.wait_for_start
+    honest = ShrcMover.wait_for_start
 
-    async def narrowed(self: ShrcDriver) -> Any:
+    async def narrowed(self: ShrcMover) -> Any:
         return {axis: type(span)(span.earliest_ns, span.earliest_ns) for axis, span in (await honest(self)).items()}
 
-    patch.setattr(ShrcDriver, "wait_for_start", narrowed)
+    patch.setattr(ShrcMover, "wait_for_start", narrowed)
 
 
 def ignores_other_coordinators(patch: Patch) -> None:
@@ -209,7 +209,7 @@ def opens_its_gate_behind_a_step(patch: Patch) -> None:
     async def eager(self: StepParticipant, move: PreparedMove) -> Any:
         armed = await honest(self, move)
         if not armed.waits:
-            await self._driver.release_next()
+            await self._slots.following.release()
         return armed
 
     patch.setattr(StepParticipant, "_load_behind", eager)

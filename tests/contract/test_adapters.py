@@ -46,11 +46,21 @@ def test_the_make_of_the_live_tests_has_them_too() -> None:
 
 
 def test_a_parameter_that_is_missing_or_required_is_found() -> None:
+    class Contract:
+        async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None: ...
+
     class Older(FakeDriver):
-        async def go(self, start_tolerance_ns: int) -> None:  # type: ignore[override]
+        async def go(self, start_tolerance_ns: int) -> None:
             raise NotImplementedError
 
-    assert find_wrong_signatures(Older) == [
+        async def stop(self) -> None:  # type: ignore[override]
+            raise NotImplementedError
+
+        async def jog_axis(self, axis: str) -> None:  # type: ignore[override]
+            raise NotImplementedError
+
+    assert find_wrong_signatures(Older) == ["stop has no parameter abort", "jog_axis has no parameter move"]
+    assert find_wrong_signatures(Older, [Contract]) == [
         "go requires start_tolerance_ns, which callers may leave out",
         "go has no parameter advance_ns",
     ]

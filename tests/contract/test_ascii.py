@@ -116,7 +116,7 @@ def test_a_line_behind_a_hold_waits_for_its_start() -> None:
         assert "Hold:0" in state
         await sleep_ns(world.clock, NS_PER_S)
         assert not world.motions
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         assert "Idle" in await world.driver.send_raw("?")
 
     run_case(grbl_case(), main)
@@ -226,12 +226,12 @@ def test_a_move_that_never_ends_is_stopped_and_reported(tmp_path: Path) -> None:
         await world.ready()
         profiles = await world.plan(world.targets())
         await world.arm(profiles)
-        await world.driver.verify_armed()
-        await world.driver.go()
-        started = await world.driver.wait_for_start()
+        await world.driver.slots.present.verify()
+        await world.driver.slots.present.release()
+        started = await world.driver.slots.present.wait_for_start()
         assert started
         world.hit.wire.to_near = lambda data: data.replace(b";0,0\n", b";1,0\n")
-        outcome = asyncio.ensure_future(world.driver.wait_for_end())
+        outcome = asyncio.ensure_future(world.driver.slots.present.wait_for_end())
         async with asyncio.timeout(60):
             while not outcome.done():
                 await sleep_ns(world.clock, NS_PER_S // 10)

@@ -15,9 +15,12 @@ from adapters.contract import (
     ExamplePlace,
     HostInterval,
     JogMove,
+    LoadPlace,
     Lowered,
     Make,
     MoveOutcome,
+    MoveSlot,
+    MoveSlots,
 )
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import Link, LinkClosed
@@ -33,10 +36,35 @@ class Options(BaseModel):
     pass
 
 
+class FakeMover:
+    """It holds no move."""
+
+    async def load(
+        self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None, place: LoadPlace
+    ) -> Mapping[str, int]:
+        raise NotImplementedError
+
+    async def verify(self) -> None:
+        raise NotImplementedError
+
+    async def release(self, start_tolerance_ns: int, advance_ns: int) -> None:
+        raise NotImplementedError
+
+    async def unload(self) -> None:
+        pass
+
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        raise NotImplementedError
+
+    async def wait_for_end(self) -> MoveOutcome:
+        raise NotImplementedError
+
+
 class FakeDriver(Driver):
     def __init__(self, setup: DriverSetup) -> None:
         self._setup = setup
         self._link: Link | None = None
+        self._slots = MoveSlots(MoveSlot(FakeMover()))
 
     async def connect(self) -> ControllerIdentity:
         self._link = await self._setup.open_link()
@@ -57,23 +85,9 @@ class FakeDriver(Driver):
     def lower_profiles(self, profiles: object, start: object, mapping: TickMapping | None) -> Lowered:
         raise NotImplementedError
 
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        raise NotImplementedError
-
-    async def verify_armed(self) -> None:
-        raise NotImplementedError
-
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        raise NotImplementedError
-
-    async def disarm_move(self) -> None:
-        pass
-
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        raise NotImplementedError
-
-    async def wait_for_end(self) -> MoveOutcome:
-        raise NotImplementedError
+    @property
+    def slots(self) -> MoveSlots:
+        return self._slots
 
     async def stop(self, *, abort: bool) -> None:
         if self._link is None:

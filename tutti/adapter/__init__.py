@@ -6,24 +6,49 @@ check` checks them. A `Make` and a `Simulator` state the version of the contract
 `api_version`.
 """
 
+from adapters.abilities import (
+    LatchDriver,
+    LearningDriver,
+    LimitDriver,
+    ManualDriver,
+    OutputDriver,
+    PathDriver,
+    SamplingDriver,
+    SettingsDriver,
+    SharedLineDriver,
+    TriggerDriver,
+)
+from adapters.compat.version1 import PluginConnectedDriver as ConnectedDriver
+from adapters.compat.version1 import PluginDriver as Driver
+from adapters.compat.version1 import PluginMoverDriver as MoverDriver
 from adapters.contract import (
     NULL_LOG,
     AxisReading,
+    ChunkFit,
     ConfigError,
     ControllerIdentity,
     ControllerReading,
     ControllerRestarted,
-    Driver,
     DriverCapabilities,
     DriverLog,
     DriverSetup,
     ExamplePlace,
     HostInterval,
     JogMove,
+    LatchedPosition,
+    LoadPlace,
     Lowered,
     Make,
     MoveOutcome,
+    MoveSlot,
+    MoveSlots,
+    PathChunk,
+    SampledPositions,
+    SamplingPlan,
     SettingDifference,
+    SlotMover,
+    SlotState,
+    SwitchedOutput,
     TimedWrite,
     TimedWriter,
     WriteResult,
@@ -32,7 +57,7 @@ from adapters.contract import (
     require_start_class,
     validate_options,
 )
-from adapters.toolkit.connection import ConnectedDriver, MoverDriver, StepMover
+from adapters.toolkit.connection import MoverBehind, StepMover
 from adapters.toolkit.firing import FiringOptions, learned_terms, missed_write_fault
 from adapters.toolkit.frames import DecodedFrame, FrameDecoder, FrameDirection, TextDecoder
 from adapters.toolkit.host_start import (
@@ -55,7 +80,7 @@ from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.link.base import Link, LinkClosed, LinkRefused, OpenLink, ReceivedBytes
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
-from orchestrator.model.fleet import Axis, Controller
+from orchestrator.model.fleet import Axis, Controller, DigitalInput
 from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive, TriggerWait
 from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile, Segment
@@ -70,6 +95,7 @@ __all__ = [
     "Axis",
     "AxisReading",
     "BudgetTerm",
+    "ChunkFit",
     "Clock",
     "ConfigError",
     "ConnectedDriver",
@@ -80,6 +106,7 @@ __all__ = [
     "ControllerRestarted",
     "CrystalRate",
     "DecodedFrame",
+    "DigitalInput",
     "Driver",
     "DriverCapabilities",
     "DriverLog",
@@ -92,32 +119,53 @@ __all__ = [
     "HostInterval",
     "InferredClock",
     "JogMove",
+    "LatchDriver",
+    "LatchedPosition",
+    "LearningDriver",
+    "LimitDriver",
     "Link",
     "LinkClosed",
     "LinkRefused",
+    "LoadPlace",
     "Lowered",
     "Make",
+    "ManualDriver",
     "MoveOutcome",
+    "MoveSlot",
+    "MoveSlots",
+    "MoverBehind",
     "MoverDriver",
     "MoverTools",
     "OpenLink",
+    "OutputDriver",
+    "PathChunk",
+    "PathDriver",
     "PendingReply",
     "Profile",
     "ReceivedBytes",
     "Refusal",
+    "SampledPositions",
+    "SamplingDriver",
+    "SamplingPlan",
     "Segment",
     "SettingDifference",
+    "SettingsDriver",
+    "SharedLineDriver",
+    "SlotMover",
+    "SlotState",
     "StartClass",
     "StartLatency",
     "StartOptions",
     "StepCosts",
     "StepMover",
     "StopCounter",
+    "SwitchedOutput",
     "TextDecoder",
     "TickMapping",
     "TimedWrite",
     "TimedWriter",
     "TriggerDrive",
+    "TriggerDriver",
     "TriggerWait",
     "TuttiError",
     "WriteResult",

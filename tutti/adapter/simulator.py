@@ -4,7 +4,7 @@ lines. A simulator never imports its adapter: both are independent readings of t
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock
 from orchestrator.link.supply import PowerSupply
 from orchestrator.model.fleet import Axis, Controller
-from orchestrator.model.plugins import API_VERSION
+from orchestrator.model.plugins import SIMULATOR_API_VERSION as API_VERSION
 from sim.core.commissioning import search_distance, span_counts
 from sim.core.controller import (
     CommandedMotion,

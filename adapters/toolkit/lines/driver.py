@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from adapters.abilities import ManualDriver, OutputDriver
 from adapters.contract import (
     AxisReading,
     ControllerIdentity,
@@ -13,7 +14,6 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     JogMove,
-    Lowered,
 )
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.lines.dialect import LineDialect, LineStep, LineTarget
@@ -29,7 +29,6 @@ from adapters.toolkit.lines.mover import LineMover
 from adapters.toolkit.lines.options import LineOptions
 from adapters.toolkit.lines.session import LineSession
 from adapters.toolkit.lines.unit import LineTools, LineUnit, LineUnitState
-from adapters.toolkit.refusals import log_refusals
 from adapters.toolkit.stop_counter import send_or_brake
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.estimator import TickMapping
@@ -53,13 +52,13 @@ class LineConnection:
     mover: LineMover
 
 
-class LineDriver(ConnectedDriver[LineConnection]):
+class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
     """Drive one controller in the language of `dialect`. scales: by axis."""
 
     def __init__(
         self, setup: DriverSetup, options: LineOptions, dialect: LineDialect, scales: Mapping[str, CountScale]
     ) -> None:
-        super().__init__(setup)
+        super().__init__(setup, LineLowered)
         self._config = setup.config
         self._options = options
         self._dialect = dialect
@@ -217,11 +216,6 @@ class LineDriver(ConnectedDriver[LineConnection]):
         ramps_s = [each.velocity / each.acceleration for each in moves if each.distance]
         costs = self._step_costs(max([self._ramp_s, *ramps_s]))
         return make_lowered(moves, targets, profiles, self._options, costs)
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        assert isinstance(lowered, LineLowered)
-        with log_refusals(self._log, "arming"):
-            return await self.connection.mover.arm_move(lowered, t0_ns)
 
     async def stop(self, *, abort: bool) -> None:
         """Stop by the ramp; an abort as well: nothing faster keeps the position."""

@@ -49,7 +49,7 @@ class LineMover:
 
     # Before the start
 
-    async def arm_move(self, lowered: LineLowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_move(self, lowered: LineLowered, t0_ns: int) -> Mapping[str, int]:
         """Load a move. Raises `Refusal`; then nothing is loaded."""
         unit, began_ns = self._unit, self._clock.now_ns()
         since = unit.stops
@@ -82,7 +82,7 @@ class LineMover:
                     "plan again from the present position",
                 )
 
-    async def verify_armed(self) -> None:
+    async def verify_move(self) -> None:
         """Check that the controller still holds the move, and stands where it starts. Raises `Refusal`."""
         move = self._require_move()
         if not move.lowered.targets:
@@ -131,7 +131,7 @@ class LineMover:
             except ControllerFault:
                 return fired, None  # lost, but it may move
 
-    async def disarm_move(self) -> None:
+    async def unload_move(self) -> None:
         """Unload the move; nothing starts. Idempotent."""
         move, self.move = self.move, None
         if move is None:

@@ -7,6 +7,8 @@ The program reads record after record up to XN, and then the tail at XTB. A chun
 whose value the controller itself computes from what it plays at that moment: too late, and XN stays as it is.
 """
 
+from collections.abc import Mapping, Sequence
+
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.course_records import SPARE_RECORDS, ChunkRecords, RingRoom
 from adapters.yaskawa.common.device import SmcDevice
@@ -23,6 +25,10 @@ class ContourRefill:
     def __init__(self, device: SmcDevice) -> None:
         self._device = device
         self._loads = 0
+
+    async def load_arrays(self, contents: Mapping[str, Sequence[int]], packets: arrays.ArrayTransfer) -> None:
+        """Allocate arrays, fill them, and verify their contents. Raises `Refusal`."""
+        await arrays.load_arrays(self._device.session, contents, packets)
 
     async def load_first(self, records: ChunkRecords, room: RingRoom) -> None:
         """Allocate the arrays, and load the first chunk. Raises `Refusal`."""

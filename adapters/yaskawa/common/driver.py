@@ -4,27 +4,36 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
+from adapters.abilities import (
+    LimitDriver,
+    ManualDriver,
+    OutputDriver,
+    PathDriver,
+    SamplingDriver,
+    SettingsDriver,
+    TriggerDriver,
+)
 from adapters.contract import (
     ChunkFit,
     ControllerIdentity,
+    Driver,
     DriverSetup,
     JogMove,
-    Lowered,
+    MoveSlots,
     PathChunk,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
     SwitchedOutput,
 )
-from adapters.toolkit.connection import MoverDriver
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common import homing
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.jogging import YaskawaJogging
-from adapters.yaskawa.common.lowering import YaskawaLowered
 from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from adapters.yaskawa.common.sampling import DeviceSampling
 from adapters.yaskawa.common.settings import load_soft_limits
+from adapters.yaskawa.common.slots import SampleMover, make_slots
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SettingsWatch
 from adapters.yaskawa.language.dialect import send_raw
@@ -44,7 +53,17 @@ LIMITS: dict[tuple[bool, bool], Literal["none", "forward", "reverse", "both"]] =
 _Device = TypeVar("_Device", bound=SmcDevice)
 
 
-class YaskawaDriver(MoverDriver, Generic[_Device]):
+class YaskawaDriver(
+    Driver,
+    SettingsDriver,
+    PathDriver,
+    SamplingDriver,
+    TriggerDriver,
+    ManualDriver,
+    LimitDriver,
+    OutputDriver,
+    Generic[_Device],
+):
     """One controller of either model.
 
     motors: motor index by axis. watch: its settings.
@@ -61,7 +80,7 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         start: SampleStart,
         watch: SettingsWatch,
     ) -> None:
-        super().__init__(setup)
+        self._log = setup.log
         self._config = setup.config
         self._clock = setup.clock
         self._motors = motors
@@ -70,6 +89,7 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
         self._start = start
         self._watch = watch
         self._jogging = YaskawaJogging(device, setup.clock, motors)
+        self._slots = make_slots(start, self._make_mover)
         self._steppers: set[str] = set()
         self._sampling: DeviceSampling
 
@@ -119,29 +139,11 @@ class YaskawaDriver(MoverDriver, Generic[_Device]):
     # Steps
 
     @property
-    def mover(self) -> SampleStart:
-        return self._start
+    def slots(self) -> MoveSlots:
+        return self._slots
 
-    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        if not isinstance(lowered, YaskawaLowered):
-            raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
-        # In no turn of its own: the controllers on its line move, and their watchdogs must be extended meanwhile.
-        with log_refusals(self._log, "arming"):
-            return await self._start.load_next(lowered, t0_ns, mapping)
-
-    async def verify_next(self) -> None:
-        with log_refusals(self._log, "the check before the commit"):
-            await self._start.verify_next()
-
-    async def release_next(self, advance_ns: int = 0) -> None:
-        with log_refusals(self._log, "the start"):
-            await self._start.release_next(advance_ns)
-
-    async def unload_next(self) -> None:
-        await self._start.unload_next()
-
-    def take_next(self) -> None:
-        self._start.take_next()
+    def _make_mover(self) -> SampleMover:
+        return SampleMover(self._start, self._jogging, self._log)
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         with log_refusals(self._log, "the loading of a chunk"):

@@ -8,29 +8,35 @@ of trapezoids either, the registers execute it all the same, and its durations s
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
-from adapters.contract import Lowered, PathChunk, require_start_class
+from adapters.contract import PathChunk, require_start_class
 from adapters.yaskawa.common import arrays, lines
 from adapters.yaskawa.common.contour import (
     Contour,
     ContourLimits,
-    axis_increments,
     fit_contour,
     least_interval,
     require_record_range,
     require_speed_range,
 )
 from adapters.yaskawa.common.course_records import (
-    ChunkRecords,
     RecordMaker,
     find_chunk_s,
     find_room,
 )
 from adapters.yaskawa.common.gate import GateTiming
-from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT, ModelTraits
+from adapters.yaskawa.common.loads import (
+    ContourLoad,
+    CourseLoad,
+    MoveLoad,
+    RegisterLoad,
+    YaskawaAxisMove,
+    YaskawaLowered,
+)
+from adapters.yaskawa.common.model import SMC4000, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import LOOP_COMMANDS, TAIL, TAIL_LENGTH, array_name, axis_letters, entry_label
+from adapters.yaskawa.common.program import LOOP_COMMANDS, TAIL_LENGTH
 from adapters.yaskawa.common.registers import exact_ramp
 from adapters.yaskawa.common.trapezoid import RegisterTrapezoid, SampleAlignment, YaskawaBounds, fit_registers
 from orchestrator.clock.base import NS_PER_US
@@ -43,137 +49,14 @@ from orchestrator.model.state import StartClass, StepCosts
 
 START_CLASSES: tuple[StartClass, ...] = ("clock", "line")
 STOP_EXCHANGES = 3  # a stop of motion is three commands
-CONTOUR_EXCHANGES = 8  # DC, XN, XM, XDT, their verification and the short array, in addition to an independent move
 DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's duration from the plan
 STRETCH = 1e-3  # or longer by this fraction, where a limit restricts it: the plan is stretched to it
 SKEW_SAMPLES = 10.0  # allowed path deviation, at its peak speed,
 NEAR_COUNTS = 2.0  # or this number of counts
 SHORTEST_COURSE = 8  # records
-WHOLE_MASK = (1 << 14) - 1  # of an array as large as they can be
 LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
 HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
 LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state what expressions add (L1626)
-
-
-@dataclass(frozen=True, slots=True)
-class YaskawaAxisMove:
-    """One axis's move.
-
-    index: 0 is X.
-    start, end: absolute commanded positions, counts.
-    samples: from the begin to the last commanded position, 0 for an axis at rest."""
-
-    axis: str
-    index: int
-    start: int
-    end: int
-    samples: int
-
-
-@dataclass(frozen=True, slots=True)
-class YaskawaLowered(Lowered):
-    """A lowered step with what arming needs beyond the contract."""
-
-    moves: tuple[YaskawaAxisMove, ...]
-    mask: int
-    load: "RegisterLoad | ContourLoad"
-    waits: lines.ProgramWait | None = None
-    drives: lines.ProgramOutput | None = None
-    switches: lines.ProgramTriggers | None = None
-
-    @property
-    def moving_axes(self) -> tuple[YaskawaAxisMove, ...]:
-        """The axes that move."""
-        return tuple(move for move in self.moves if move.samples)
-
-
-@dataclass(frozen=True, slots=True)
-class RegisterLoad:
-    """Independent moves. ends, shapes: by index of the axis."""
-
-    ends: Mapping[int, int]
-    shapes: Mapping[int, RegisterTrapezoid]
-
-    @property
-    def register_values(self) -> dict[str, dict[int, int]]:
-        """Return the values of axes by command, for verification."""
-        shapes = self.shapes.items()
-        return {
-            "SP": {index: shape.speed for index, shape in shapes},
-            "AC": {index: shape.up for index, shape in shapes},
-            "DC": {index: shape.down for index, shape in shapes},
-        }
-
-    @property
-    def load_commands(self) -> tuple[str, ...]:
-        """Return the commands that load the registers; axes without motion are not touched."""
-        if not self.ends:
-            return ()
-        return tuple(
-            f"{command} {format_fields(values)}"
-            for command, values in {"PA": self.ends, **self.register_values}.items()
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class ContourLoad:
-    """A contour. profiles: by index of the axis. brakes: its DC, for a stop. packets: how its arrays are
-    transferred."""
-
-    contour: Contour
-    profiles: Mapping[int, Profile]
-    ends: Mapping[int, int]
-    brakes: Mapping[int, int]
-    packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
-
-    @property
-    def register_values(self) -> dict[str, dict[int, int]]:
-        """Return the values of axes by command, for verification."""
-        return {"DC": dict(self.brakes)}
-
-    def array_contents(self, phase: float, tick_ns: float) -> dict[str, list[int]]:
-        """Return the contents of the arrays for a start `phase` samples after T0, with samples of `tick_ns`."""
-        filled = {
-            array_name(index): axis_increments(profile, self.ends[index], self.contour, phase, tick_ns)
-            for index, profile in self.profiles.items()
-        }
-        return filled | ({TAIL: list(self.contour.tail)} if self.contour.tail else {})
-
-    @property
-    def program_variables(self) -> dict[str, int]:
-        contour = self.contour
-        # The last record of full length begins the end; the mask keeps every index.
-        variables = {"XN": contour.records - 1, "XTB": contour.records - 1, "XV": contour.records}
-        return {**variables, "XM": contour.record_count, "XDT": contour.interval, "XW": WHOLE_MASK}
-
-    @property
-    def load_commands(self) -> tuple[str, ...]:
-        names = ", ".join(array_name(index) for index in self.profiles)
-        tail = f", then one each of {', '.join(str(1 << n) for n in self.contour.tail)}" if self.contour.tail else ""
-        return (
-            f"contour: {self.contour.records} records of {1 << self.contour.interval} samples{tail}",
-            f"DC {format_fields(self.brakes)}",
-            f"QD {names}: {self.contour.record_count} increments each",
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class CourseLoad(ContourLoad):
-    """The first chunk of a path. Its contour is as for a start at T0 exactly; the records are made for the sample in
-    which it begins."""
-
-    chunk: PathChunk = field(kw_only=True)
-    maker: RecordMaker = field(kw_only=True)
-
-    def ring_variables(self, records: ChunkRecords) -> dict[str, int]:
-        """The program's variables of a chunk."""
-        ring = {"XN": records.end, "XDT": self.maker.interval, "XW": self.maker.room.ring - 1}
-        return {**ring, **records.tail_variables(self.maker.room)}
-
-
-def format_fields(values: Mapping[int, int]) -> str:
-    """Format values by axis index as the fields of a command: `100,,-5`."""
-    return ",".join(str(values[index]) if index in values else "" for index in range(max(values) + 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +104,7 @@ def lower_moves(
     way = {axis: profile for axis, profile in profiles.items() if not profile.is_still}
     places = _sample_alignments(way, mapping, start) if start.exact and start.wait is None else {}
     shapes, why = _lower_to_registers(way, bounds, tick_ns, model, places)
-    load: RegisterLoad | ContourLoad
+    load: MoveLoad
     note: tuple[str, ...] = ()
     slow = isinstance(context.packets, arrays.SlowArrayTransfer)
     if shapes is not None and (slow or not why):
@@ -368,25 +251,7 @@ def _lower_to_course(
         {context.motors[axis]: exact_ramp(axis, bounds[axis].acceleration, tick_s) for axis in profiles},
         chunk=chunk,
         maker=maker,
-    )
-
-
-def follow_records(lowered: YaskawaLowered, records: ChunkRecords) -> YaskawaLowered:
-    """The lowered path as far as it is released: to the end of the tail of `records`."""
-    load = lowered.load
-    assert isinstance(load, CourseLoad)
-    samples = records.samples(load.maker.interval)
-    contour = replace(
-        load.contour,
-        records=records.end + records.full,
-        tail=records.short,
-        ends=dict.fromkeys(load.contour.ends, samples),
-    )
-    return replace(
-        lowered,
-        durations_s=dict.fromkeys(lowered.durations_s, records.stop_s),
-        moves=tuple(replace(move, end=records.targets[move.index], samples=samples) for move in lowered.moves),
-        load=replace(load, contour=contour),
+        records=records,
     )
 
 
@@ -487,37 +352,17 @@ def _limit_upload(
 
 def _make_lowered(
     context: LoweringContext,
-    load: RegisterLoad | ContourLoad,
+    load: MoveLoad,
     profiles: Mapping[str, Profile],
     start: StartOptions,
     mapping: TickMapping,
 ) -> YaskawaLowered:
     config, motors, options, costs = context.config, context.motors, context.options, context.costs
     tick_ns = mapping.tick_ns
-    lengths: dict[str, float] = {}
-    samples: dict[str, int] = {}
-    errors: dict[str, float] = {}
-    brakes_ns = [0.0]
-    loading_ns = 0
-    for axis, profile in profiles.items():
-        index = motors[axis]
-        lengths[axis], samples[axis], errors[axis] = 0.0, 0, 0.0
-        if isinstance(load, RegisterLoad) and index in load.shapes:
-            shape = load.shapes[index]
-            lengths[axis], samples[axis], errors[axis] = shape.length, shape.whole_samples, shape.path_error_counts
-            # A stop brakes with the move's own DC, which a gentle move sets below the axis's limit.
-            brakes_ns.append(shape.speed / shape.down * RAMP_UNIT / SPEED_UNIT * tick_ns)
-        elif isinstance(load, ContourLoad) and index in load.ends:
-            planned = profile.duration_s * 1e9 / tick_ns
-            samples[axis] = load.ends[index]
-            # The path is that of the plan; only its last count is delayed to the end of a record.
-            lengths[axis] = planned if abs(samples[axis] - planned) <= 1.0 else samples[axis]
-            errors[axis] = 1.0 + load.contour.sag_counts[axis]
-            brakes_ns.append(profile.peak_velocity * tick_ns / load.brakes[index] * RAMP_UNIT * tick_ns * 1e-9)
-    if isinstance(load, ContourLoad):
-        loading_ns = _loading_ns(load, options, tick_ns)
+    timings = {axis: load.timing(axis, motors[axis], profile, tick_ns) for axis, profile in profiles.items()}
+    loading_ns = load.loading_ns(options, tick_ns)
     moves = tuple(
-        YaskawaAxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, samples[axis])
+        YaskawaAxisMove(axis, motors[axis], profile.start_counts, profile.end_counts, timings[axis].samples)
         for axis, profile in profiles.items()
     )
     # An axis at rest is not started; its duration has no meaning.
@@ -525,17 +370,15 @@ def _make_lowered(
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns)
     waits = None if start.wait is None else lines.resolve_wait_input(config, start.wait)
     drives = None if start.drive is None else lines.resolve_driven_output(config, start.drive, tick_ns)
-    contour = isinstance(load, ContourLoad)
     gap_ns, disarm_ns = None, costs.disarm_ns
-    if start.follows and context.gate is not None and not contour and waits is None and drives is None:
+    if start.follows and context.gate is not None and load.fits_beside and waits is None and drives is None:
         # T0 of both steps is rounded to a sample.
         gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
         disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + context.release_ns
-    begin = f"CD of {axis_letters(mask)}" if contour else f"BG{axis_letters(mask)}"
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
-        durations_s={axis: length * tick_ns * 1e-9 for axis, length in lengths.items()},
-        path_error_counts=errors,
+        durations_s={axis: timing.length * tick_ns * 1e-9 for axis, timing in timings.items()},
+        path_error_counts={axis: timing.error_counts for axis, timing in timings.items()},
         terms=lines.clock_terms(
             bound_ns, options, mapping, start, drives_line=drives is not None or bool(start.triggers)
         )
@@ -553,14 +396,15 @@ def _make_lowered(
                 # Uploads of controllers on one line add up.
                 "interleaved": costs.interleaved and not loading_ns,
                 "disarm_ns": disarm_ns,
-                "stop_ns": math.ceil(max(brakes_ns)) + STOP_EXCHANGES * options.exchange_ns,
+                "stop_ns": math.ceil(max((timing.brake_ns for timing in timings.values()), default=0.0))
+                + STOP_EXCHANGES * options.exchange_ns,
             }
         ),
         commands=(
-            *load.load_commands,
+            *load.display,
             *([] if drives is None else [f"XQ #EDGE,3  (waits for T0, then OB{drives.number},{drives.level})"]),
-            f"XQ {entry_label(mask, contour=contour)},0  "
-            f"(waits for {'T0' if waits is None else f'AI {waits.number}'}, then {begin})",
+            f"XQ {load.label(mask)},0  "
+            f"(waits for {'T0' if waits is None else f'AI {waits.number}'}, then {load.begin_words(mask)})",
         ),
         moves=moves,
         mask=mask,
@@ -568,15 +412,3 @@ def _make_lowered(
         waits=waits,
         drives=drives,
     )
-
-
-def _loading_ns(load: ContourLoad, options: YaskawaOptions, tick_ns: float) -> int:
-    """Return how much longer arming takes than for an independent move."""
-    if isinstance(load.packets, arrays.SlowArrayTransfer):
-        return (
-            load.packets.load_duration_ns(load.array_contents(0.0, tick_ns))
-            + CONTOUR_EXCHANGES * load.packets.exchange_ns
-        )
-    longest_s = tick_ns * 1e-9 * (1 << load.contour.interval)
-    digits = [len(str(round(profile.peak_velocity * longest_s) + 2)) for profile in load.profiles.values()]
-    return (arrays.count_exchanges(load.contour.record_count, digits) + CONTOUR_EXCHANGES) * options.exchange_ns

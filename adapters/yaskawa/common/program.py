@@ -49,13 +49,13 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
 
 from collections.abc import Iterable, Sequence
 
-from adapters.yaskawa.common.gate import GateTiming
-from adapters.yaskawa.common.program_turns import (
+from adapters.yaskawa.common.gate import (
     BEGIN_TICKS,
     FOLLOWING_STEP_TICKS,
     LAST_LOOK_TICKS,
     SHORT_CHECK_AXES,
     STEP_TICKS,
+    GateTiming,
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS
 

@@ -4,20 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
-from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.course_records import BegunPath, ChunkRecords
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lines import OutputPlayer
-from adapters.yaskawa.common.lowering import (
-    ContourLoad,
-    CourseLoad,
-    RegisterLoad,
-    YaskawaAxisMove,
-    YaskawaLowered,
-    follow_records,
-    format_fields,
-)
+from adapters.yaskawa.common.loads import CourseLoad, SamplePlace, YaskawaAxisMove, YaskawaLowered
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
@@ -25,7 +16,6 @@ from adapters.yaskawa.common.program import (
     REGISTER_VARIABLES,
     STEP_THREAD,
     WATCHDOG_THREAD,
-    entry_label,
     following_label,
 )
 from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord
@@ -44,10 +34,10 @@ LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then it
 
 
 @dataclass(slots=True)
-class _LoadedMove:
+class LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
     another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
-    present step. records: of a path, the chunk that is released; loaded: the one behind it."""
+    present step. loaded: of a path, the chunk behind the released one."""
 
     lowered: YaskawaLowered
     ticks: int
@@ -58,7 +48,6 @@ class _LoadedMove:
     follows: bool = False
     released: bool = False
     taken: bool = True
-    records: ChunkRecords | None = None
     loaded: ChunkRecords | None = None
 
     @property
@@ -83,16 +72,16 @@ class SampleStart:
         self._device = device
         self._clock = clock
         self._options = options
-        self._loaded: _LoadedMove | None = None
-        self._next: _LoadedMove | None = None
+        self._loaded: LoadedMove | None = None
+        self._next: LoadedMove | None = None
         self._refill = ContourRefill(device)
         self.player = player
 
     # Before T0
 
-    async def arm_move(self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        """Load the registers, read them back, and start the program, which runs to its gate; `verify_armed` confirms
-        that.
+    async def load_at_rest(self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+        """Load the registers, read them back, and start the program, which runs to its gate; `verify_move` confirms
+        that. Raises `Refusal`.
 
         All commands are sent without waiting for replies: whatever these are, the program does not pass its gate.
         """
@@ -105,7 +94,7 @@ class SampleStart:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
         if mapping.to_ticks(began_ns) > ticks - self._device.gate.release_before:
             raise Refusal("late", "T0 is too near to arm", "increase the lead time")
-        loaded = _LoadedMove(lowered, ticks, t0_ns, mapping, {})
+        loaded = LoadedMove(lowered, ticks, t0_ns, mapping, {})
         await self._device.wait_for_stops()
         self._require_ready(await self._device.read_record(), lowered)
         session, drives = self._device.session, lowered.drives
@@ -116,18 +105,13 @@ class SampleStart:
         # started (L10305).
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", "XLO=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
-        if isinstance(lowered.load, CourseLoad):
-            maker = lowered.load.maker
-            records = loaded.records = maker.make_first(lowered.load.chunk, phase, mapping.tick_ns)
-            lowered = loaded.lowered = follow_records(lowered, records)
-            await self._refill.load_first(records, maker.room)
-        elif isinstance(lowered.load, ContourLoad):
-            await arrays.load_arrays(session, lowered.load.array_contents(phase, mapping.tick_ns), lowered.load.packets)
+        place = SamplePlace(phase, mapping.tick_ns)
+        lowered = loaded.lowered = await lowered.load.upload(self._refill, lowered, place)
         self._loaded = loaded
         await self._load_move(
             lowered,
             gate,
-            f"XQ {entry_label(lowered.mask, contour=isinstance(lowered.load, ContourLoad))},{STEP_THREAD}",
+            f"XQ {lowered.load.label(lowered.mask)},{STEP_THREAD}",
         )
         if drives is not None:
             await session.send_settings((f"XLO={drives.number}", f"XLV={drives.level}", f"XLH={drives.active_ticks}"))
@@ -141,24 +125,14 @@ class SampleStart:
         """Load the move and the variables in `gate`, read back what was loaded, and send `then` after it. Raises
         `Refusal` if a value differs."""
         load = lowered.load
-        commands, variables = load.load_commands, dict[str, int]()
-        if isinstance(load, ContourLoad):
-            records = self._require_loaded().records
-            variables = load.program_variables
-            if isinstance(load, CourseLoad) and records is not None:
-                variables = load.ring_variables(records)
-            commands = (
-                f"DC {format_fields(load.brakes)}",
-                *(f"{name}={value}" for name, value in variables.items()),
-            )
         wanted = {
             f"_{command}{AXIS_LETTERS[index]}": value
             for command, values in self._verified_registers(lowered).items()
             for index, value in values.items()
         }
-        wanted |= variables
+        wanted |= load.variables
         wanted["XLI"] = _wait_input_number(lowered)
-        held = await self._device.session.set_and_read((*gate, *commands), list(wanted), then)
+        held = await self._device.session.set_and_read((*gate, *load.commands), list(wanted), then)
         for (operand, value), found in zip(wanted.items(), held, strict=True):
             if found != value:
                 raise Refusal("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
@@ -194,12 +168,13 @@ class SampleStart:
                     "plan again from the present position",
                 )
 
-    async def verify_armed(self) -> None:
-        """Wait, before the commit, until the program is at its gate."""
-        loaded, asked = self._require_loaded(), ("XARM", f"_HX{STEP_THREAD}", "XLATE")
+    async def verify_move(self, loaded: LoadedMove) -> None:
+        """Wait, before the commit, until the program is at its gate; check that a program which waits for the end of
+        the move before still does. Raises `Refusal`."""
         if loaded.follows:
             await self._verify_following(loaded)
             return
+        asked = ("XARM", f"_HX{STEP_THREAD}", "XLATE")
         record, (armed, running, late) = await self._device.read_record_with(*asked)
         self._require_ready(record, loaded.lowered)
         while True:
@@ -214,17 +189,14 @@ class SampleStart:
         if int(armed) != loaded.ticks:
             raise Refusal("not-armed", "the controller waits for another start", "arm it again")
 
-    async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
+    async def release_move(self, loaded: LoadedMove, advance_ns: int) -> None:
         """Open the gate, and verify that the program passed it. The gate and the following wait read XT0 each time: an
-        earlier T0 is sent before the release.
-
-        start_tolerance_ns: ignored, because the controller starts by its own clock.
-        """
-        del start_tolerance_ns
-        loaded, session = self._require_loaded(), self._device.session
+        earlier T0 is sent before the release. The program of a move behind another one begins it at its sample if that
+        has ended as planned. Raises `Refusal`."""
         if loaded.follows:
             await self._release_following(loaded, advance_ns)
             return
+        session = self._device.session
         sent, asked = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
         if advance_ns:
             loaded.ticks -= round(advance_ns / loaded.mapping.tick_ns)
@@ -247,7 +219,7 @@ class SampleStart:
                 return
             await sleep_ns(self._clock, round(self._device.gate.longest_delay * loaded.mapping.tick_ns / 4))
 
-    async def disarm_move(self) -> None:
+    async def unload_moves(self) -> None:
         """Ensure that the program starts nothing, now or later."""
         self._loaded = self._next = None
         session = self._device.session
@@ -261,20 +233,28 @@ class SampleStart:
         """Drop the loaded moves: the controller no longer has them."""
         self._loaded = self._next = None
 
-    def _require_loaded(self) -> _LoadedMove:
+    def require_move(self, *, following: bool) -> LoadedMove:
+        """Return the present move, or the following one. Raises `Refusal` (code `not-armed`)."""
+        if not following:
+            return self._require_loaded()
+        if self._next is None:
+            raise Refusal("not-armed", "no move is loaded behind the present one", "arm it first")
+        return self._next
+
+    def _require_loaded(self) -> LoadedMove:
         if self._loaded is None:
             raise Refusal("not-armed", "no move is loaded", "arm it first")
         return self._loaded
 
     # A move behind the present one
 
-    async def load_next(self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
+    async def load_beside(self, lowered: YaskawaLowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
         """Load the registers of the following move into variables, read them back, and start its program, which waits
         for the end of the present move. Raises `Refusal`."""
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known yet", "wait a second")
         present, load, began_ns = self._require_loaded(), lowered.load, self._clock.now_ns()
-        if not isinstance(load, RegisterLoad) or isinstance(present.lowered.load, ContourLoad):
+        if not (load.fits_beside and present.lowered.load.fits_beside):
             raise Refusal("no-room", "the program holds one contour at a time", "")
         first_thread, second_thread = self._device.STEP_THREADS
         if second_thread == EDGE_THREAD and (present.lowered.drives or present.lowered.switches):
@@ -293,9 +273,9 @@ class SampleStart:
                 raise Refusal("other-start", text, "plan again from the present position")
         wanted = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
         wanted |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
-        for command, values in {"PA": load.ends, **load.register_values}.items():
+        for command, values in load.registers.items():
             wanted |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
-        following = _LoadedMove(
+        following = LoadedMove(
             lowered,
             ticks,
             t0_ns,
@@ -316,11 +296,11 @@ class SampleStart:
                 raise Refusal("read-back", f"{name} reads back as {found:.0f}, not {value}", "try again")
         return {"wire": self._clock.now_ns() - began_ns}
 
-    def _gap_ticks(self, move: _LoadedMove) -> int:
+    def _gap_ticks(self, move: LoadedMove) -> int:
         axes, moved = len(self._device.program_axes), len(move.lowered.moving_axes)
         return self._device.gate.gap_ticks(moved, axes, move.mapping.tick_ns)
 
-    async def _wait_until_taken(self, present: _LoadedMove) -> None:
+    async def _wait_until_taken(self, present: LoadedMove) -> None:
         """Wait until the program no longer uses the variables of the following move for the present one."""
         until_ns = present.t0_ns + EVIDENCE_WAIT_NS
         while not present.taken:
@@ -331,7 +311,7 @@ class SampleStart:
                     raise Refusal("not-begun", "the present step has not begun", "")
                 await sleep_ns(self._clock, SETTLE_NS)
 
-    async def _end_positions(self, present: _LoadedMove) -> list[int]:
+    async def _end_positions(self, present: LoadedMove) -> list[int]:
         """Return where each axis is when the present move has ended, counts."""
         record = await self._device.read_record()
         positions = [axis.commanded for axis in record.axes]
@@ -339,22 +319,14 @@ class SampleStart:
             positions[move.index] = move.end
         return positions
 
-    async def verify_next(self) -> None:
-        """Check, before the commit, that the following move waits. Raises `Refusal`."""
-        await self._verify_following(self._require_next())
-
-    async def _verify_following(self, following: _LoadedMove) -> None:
+    async def _verify_following(self, following: LoadedMove) -> None:
         (armed, running, missed), _ = await self._device.session.read_numbers("XFARM", f"_HX{following.thread}", "XFL")
         if missed or self._clock.now_ns() > following.t0_ns:
             raise Refusal("late", "the step before has not ended in time", "increase the lead time")
         if not running or int(armed) != following.ticks:
             raise Refusal("not-armed", "the controller does not wait for this start", "arm it again")
 
-    async def release_next(self, advance_ns: int) -> None:
-        """Release the following move; its program begins it at its sample if the present one has ended as planned."""
-        await self._release_following(self._require_next(), advance_ns)
-
-    async def _release_following(self, following: _LoadedMove, advance_ns: int) -> None:
+    async def _release_following(self, following: LoadedMove, advance_ns: int) -> None:
         session, sent = self._device.session, list[str]()
         if advance_ns:
             following.ticks -= round(advance_ns / following.mapping.tick_ns)
@@ -372,7 +344,7 @@ class SampleStart:
         if int(ticks) != following.ticks or not released:
             raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
 
-    async def unload_next(self) -> None:
+    async def unload_beside(self) -> None:
         """Unload the following move; the present one continues."""
         following, self._next = self._next, None
         if following is not None:
@@ -381,25 +353,20 @@ class SampleStart:
             if running:
                 raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
 
-    def take_next(self) -> None:
+    def take_over(self) -> None:
         """The present move has ended: the following one is the present one."""
-        self._loaded, self._next = self._require_next(), None
-
-    def _require_next(self) -> _LoadedMove:
-        if self._next is None:
-            raise Refusal("not-armed", "no move is loaded behind the present one", "arm it first")
-        return self._next
+        self._loaded, self._next = self.require_move(following=True), None
 
     # A path in chunks
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         """Load the next chunk of the present path. Raises `Refusal`."""
-        present, load, before = self._require_course()
+        present, load = self._require_course()
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known", "wait a second")
         first, _ = self._options.begin_ticks(present.mapping.tick_ns, interleaved=True)
         begun = BegunPath(present.ticks + first, present.t0_ns)
-        records = load.maker.make_next(chunk, before, mapping, begun)
+        records = load.maker.make_next(chunk, load.records, mapping, begun)
         played = max(0, round(mapping.to_ticks(self._clock.now_ns())) - begun.tick) >> load.maker.interval
         present.loaded = None
         await self._refill.load(records, load.maker.room, played)
@@ -408,20 +375,20 @@ class SampleStart:
 
     async def release_chunk(self, number: int) -> None:
         """Change over to the loaded chunk. Raises `Refusal`."""
-        present, load, before = self._require_course()
+        present, load = self._require_course()
         records = present.loaded
         if records is None or records.number != number:
             raise Refusal("not-loaded", f"chunk {number} of the path is not loaded", "load it first")
         present.loaded = None
-        await self._refill.release(records, before, load.maker.room)
-        present.records, present.lowered = records, follow_records(present.lowered, records)
+        await self._refill.release(records, load.records, load.maker.room)
+        present.lowered = load.follow_records(present.lowered, records)
 
-    def _require_course(self) -> tuple[_LoadedMove, CourseLoad, ChunkRecords]:
+    def _require_course(self) -> tuple[LoadedMove, CourseLoad]:
         present = self._require_loaded()
-        load = present.lowered.load
-        if not isinstance(load, CourseLoad) or present.records is None:
+        load = present.lowered.load.course
+        if load is None:
             raise Refusal("not-a-path", "the controller executes no path that can be continued", "")
-        return present, load, present.records
+        return present, load
 
     # After T0
 
@@ -523,7 +490,7 @@ class SampleStart:
         """The sample at which a released following move begins, which the watchdog must outlast; 0 without one."""
         return self._next.ticks if self._next is not None and self._next.released else 0
 
-    async def _followed_outcome(self, loaded: _LoadedMove) -> MoveOutcome:
+    async def _followed_outcome(self, loaded: LoadedMove) -> MoveOutcome:
         """Return how a move ended behind which another one has begun: at its target, or that one had not begun."""
         way, mapping = loaded.lowered.moving_axes, self._device.samples.current_mapping() or loaded.mapping
         ticks, *values = await self._device.session.read_many(["XZT", *(f"XZ{move.index + 1}" for move in way)])
@@ -546,7 +513,7 @@ class SampleStart:
             return "fault", f"is at {axis.commanded} counts, not at {move.end}"
         return code.state, code.text
 
-    async def _narrow_ends(self, loaded: _LoadedMove, ended: dict[str, HostInterval]) -> str:
+    async def _narrow_ends(self, loaded: LoadedMove, ended: dict[str, HostInterval]) -> str:
         """Narrow the ends by the program's own stamps; return a message if a contour was fed too slowly.
 
         XEn is read after AM of axis n, or WC after a contour's last record, has passed: the axis had ended by then, but
@@ -555,7 +522,7 @@ class SampleStart:
         they ended earlier by the records that they do not use.
         """
         way, load = loaded.lowered.moving_axes, loaded.lowered.load
-        contour = load.contour if isinstance(load, ContourLoad) else None
+        contour = load.contour
         # A contour has one stamp for all its axes. A command line for all stamps would be too long (L12254).
         names = [f"XE{move.index + 1}" for move in way]
         asked = names if contour is None else [names[0], "XACT"]

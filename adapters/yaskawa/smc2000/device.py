@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from adapters.contract import ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.gate import SINGLE_CONDITIONS
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import OUTPUT_PASSIVE, TABLE
-from adapters.yaskawa.common.program_turns import SINGLE_CONDITIONS
 from adapters.yaskawa.common.record import (
     MOTOR_OFF,
     MOVING,

@@ -1,12 +1,12 @@
 """The SMC-2000: its driver, and the check of its part of the fleet file."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
 from pydantic import BaseModel
 
+from adapters.abilities import SharedLineDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -19,7 +19,6 @@ from adapters.contract import (
     validate_options,
 )
 from adapters.toolkit.frames import FrameDecoder
-from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.decoder import YaskawaDecoder
@@ -28,9 +27,7 @@ from adapters.yaskawa.common.lowering import (
     LOOP_COMMANDS,
     START_CLASSES,
     STOP_EXCHANGES,
-    ContourLoad,
     LoweringContext,
-    YaskawaLowered,
     lower_moves,
 )
 from adapters.yaskawa.common.model import SMC2000
@@ -38,6 +35,7 @@ from adapters.yaskawa.common.program import PULSE_LABEL
 from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
+from adapters.yaskawa.common.slots import SampleMover
 from adapters.yaskawa.common.watch import SMC2000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.smc2000 import program as smc2000_program
@@ -46,15 +44,17 @@ from adapters.yaskawa.smc2000.line import SHARED, SharedSerialLine
 from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
 from adapters.yaskawa.smc2000.program import AXES_MOST, INPUTS_OF_WORD, LETTERS, OUTPUTS_OF_WORD
 from adapters.yaskawa.smc2000.replies import parse_serial_reply
+from adapters.yaskawa.smc2000.slots import SerialMover
 from adapters.yaskawa.smc2000.start import SerialStart
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, add_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import TriggerTraits
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, DigitalInput, DigitalOutput, SerialLink
 from orchestrator.model.messages import StartOptions
+from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
@@ -75,7 +75,6 @@ SETTINGS_CHARACTERS = 95
 SETTINGS_AXES = 2
 RELEASE_EXCHANGES = 2  # of a step that follows another one
 DISARM_EXCHANGES = 8  # exchanges that must fit in before the start: commit, release, and the withdrawal of both
-AFTER_START_NS = 3 * NS_PER_MS  # for the program to record its start
 NAMES = (LETTERS, SECOND_LETTERS)
 # Of the controller with eight axes (L742, L746).
 TERMINALS = Terminals(NAMES, "X, Y, Z, W (or A, B, C, D), E, F, G, H", inputs=24, outputs=16)
@@ -102,7 +101,7 @@ def _make_trigger_traits(axes: int, char_ns: int) -> TriggerTraits:
     )
 
 
-class SMC2000Driver(YaskawaDriver[SerialDevice]):
+class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
     """One SMC-2000, alone on its port or in a daisy chain."""
 
     # After the first ones the controller accepts no commands; the others select controllers of a chain.
@@ -245,39 +244,13 @@ class SMC2000Driver(YaskawaDriver[SerialDevice]):
             context = replace(context, gate=self._device.gate, axes=len(axes), release_ns=release_ns)
         return add_triggers(lower_moves(context, profiles, start, mapping), context, self._triggers, start, mapping)
 
-    async def load_next(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        stages = await super().load_next(lowered, t0_ns, mapping)
-        self._device.session.suspend_polls(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
-        return stages
-
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        if not isinstance(lowered, YaskawaLowered):
-            raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
-        self._jogging.drop_jogs(move.axis for move in lowered.moves)
-        # In one turn, or the other controllers' polls would come in between; but not for the duration of an upload.
-        long = isinstance(lowered.load, ContourLoad) or lowered.switches is not None
-        async with nullcontext() if long else self._device.exclusive_turn():
-            with log_refusals(self._log, "arming"):
-                stages = await self._start.arm_move(lowered, t0_ns, mapping)
-        self._device.session.suspend_polls(t0_ns - self._poll_ns(), t0_ns + AFTER_START_NS)
-        return stages
+    def _make_mover(self) -> SampleMover:
+        return SerialMover(self._start, self._jogging, self._log, self._device, self._poll_ns)
 
     def _poll_ns(self) -> int:
         """Return the longest duration of a poll."""
         characters = POLL_CHARACTERS[0] + POLL_CHARACTERS[1] * len(self._motors)
         return characters * self._char_ns + self._options.decode_us * NS_PER_US * (len(self._motors) + 2)
-
-    async def verify_armed(self) -> None:
-        async with self._device.exclusive_turn():
-            await super().verify_armed()
-
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        async with self._device.exclusive_turn():
-            await super().go(start_tolerance_ns, advance_ns)
-
-    async def disarm_move(self) -> None:
-        self._device.session.suspend_polls(0, 0)
-        await super().disarm_move()
 
     async def stop_before_connect(self) -> bool:
         return await self._device.stop_before_connect()
@@ -306,6 +279,7 @@ axes:
 class SMC2000Make:
     """The make for the entry point."""
 
+    api_version = API_VERSION
     name = "smc2000"
     options_model: type[BaseModel] = Smc2000DriverOptions
 

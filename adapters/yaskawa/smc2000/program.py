@@ -12,7 +12,7 @@ all when one is off.
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
-from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.gate import BEGIN_TICKS, FOLLOWING_STEP_TICKS, LAST_LOOK_TICKS, STEP_TICKS, GateTiming
 from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
@@ -38,7 +38,6 @@ from adapters.yaskawa.common.program import (
     sum_of_distances,
     take_lines,
 )
-from adapters.yaskawa.common.program_turns import BEGIN_TICKS, FOLLOWING_STEP_TICKS, LAST_LOOK_TICKS, STEP_TICKS
 from adapters.yaskawa.smc2000.session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048

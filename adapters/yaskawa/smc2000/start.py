@@ -3,7 +3,7 @@ digit."""
 
 from collections.abc import Mapping
 
-from adapters.yaskawa.common.lowering import ContourLoad, YaskawaAxisMove, YaskawaLowered
+from adapters.yaskawa.common.loads import YaskawaAxisMove, YaskawaLowered
 from adapters.yaskawa.common.record import DataRecord
 from adapters.yaskawa.common.start import SampleStart
 
@@ -20,7 +20,7 @@ class SerialStart(SampleStart):
         """Return the registers to read back, ends included: PA reads as the present position of the axis, but PR as the
         remaining distance (L10760, L10845)."""
         registers = super()._verified_registers(lowered)
-        if isinstance(lowered.load, ContourLoad):
+        if lowered.load.contour is not None:
             return registers
         return {**registers, "PR": {move.index: move.end - move.start for move in lowered.moving_axes}}
 

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
+from adapters.abilities import LatchDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -27,7 +28,6 @@ from adapters.yaskawa.common.lowering import (
     START_CLASSES,
     STOP_EXCHANGES,
     LoweringContext,
-    YaskawaLowered,
     find_chunk_times,
     lower_moves,
 )
@@ -53,9 +53,9 @@ from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink
 from orchestrator.model.messages import StartOptions
+from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
@@ -76,7 +76,7 @@ LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
-class SMC4000Driver(YaskawaDriver[SmcDevice]):
+class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
     """One SMC-4000."""
 
     # After the first ones the controller accepts no commands; QR is answered by a record.
@@ -217,13 +217,6 @@ class SMC4000Driver(YaskawaDriver[SmcDevice]):
             beside_elements=needs.elements,
         )
 
-    async def arm_move(self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None) -> Mapping[str, int]:
-        if not isinstance(lowered, YaskawaLowered):
-            raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
-        self._jogging.drop_jogs(move.axis for move in lowered.moves)
-        with log_refusals(self._log, "arming"):
-            return await self._start.arm_move(lowered, t0_ns, mapping)
-
 
 _EXAMPLE = """\
 adapter: smc4000
@@ -254,6 +247,7 @@ outputs:
 class SMC4000Make:
     """The make for the entry point."""
 
+    api_version = API_VERSION
     name = "smc4000"
     options_model: type[BaseModel] = YaskawaOptions
 

@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from adapters.yaskawa.common import lines
-from adapters.yaskawa.common.lowering import LOOP_COMMANDS, ContourLoad, LoweringContext, YaskawaLowered
+from adapters.yaskawa.common.contour import Contour
+from adapters.yaskawa.common.loads import YaskawaLowered
+from adapters.yaskawa.common.lowering import LOOP_COMMANDS, LoweringContext
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import TABLE
 from adapters.yaskawa.triggers.table import STAMP_DIGITS
@@ -65,7 +67,7 @@ def add_triggers(
         text = f"output {trigger.output} is number {output.number}; triggers switch outputs 1 to {lines.LOCAL_POINTS}"
         raise Refusal("trigger-output", text, "connect the device to one of these outputs")
     _require_room(trigger, options)
-    pace = TriggerPace(options, traits, mapping.tick_ns, contour=find_contour(lowered))
+    pace = TriggerPace(options, traits, mapping.tick_ns, contour=lowered.load.contour)
     _require_rate(trigger, pace)
     loading_ns = _find_loading_ns(trigger, options, traits)
     entry = traits.pulse_label if trigger.pulse_ns else traits.level_label
@@ -99,7 +101,7 @@ class TriggerPace:
     options: YaskawaOptions
     traits: TriggerTraits
     tick_ns: float
-    contour: ContourLoad | None
+    contour: Contour | None
 
     def find_round_ns(self, trigger: OutputTrigger) -> int:
         """The longest time from one instant to the next that is played in time: the commands of its own thread, and
@@ -109,7 +111,7 @@ class TriggerPace:
         pulse_ns = math.ceil(trigger.pulse_ns / self.tick_ns) * self.tick_ns
         alone_ns = needs_ns = own * command_ns + pulse_ns
         if self.contour is not None:
-            record_ns = self.tick_ns * (1 << self.contour.contour.interval)
+            record_ns = self.tick_ns * (1 << self.contour.interval)
             for _ in range(ROUNDS):
                 records = math.ceil(needs_ns / record_ns)
                 longer_ns = alone_ns + records * CONTOUR_COMMANDS * command_ns
@@ -117,11 +119,6 @@ class TriggerPace:
                     break
                 needs_ns = longer_ns
         return math.ceil(needs_ns)
-
-
-def find_contour(lowered: YaskawaLowered) -> ContourLoad | None:
-    """The contour that a step loads, if it does."""
-    return lowered.load if isinstance(lowered.load, ContourLoad) else None
 
 
 def _require_rate(trigger: OutputTrigger, pace: TriggerPace) -> None:

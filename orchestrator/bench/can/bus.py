@@ -92,13 +92,13 @@ async def _run_step(world: CanBusBench, begin: int, end: int) -> _CanRound:
     t0_ns = clock.now_ns() + lead_ns + 100 * NS_PER_MS + world.draw.randrange(10 * NS_PER_MS)
     began_ns, ordered_ns = clock.now_ns(), world.command_ns
     pairs = list(zip(drivers, lowered_profiles, strict=True))
-    await asyncio.gather(*(driver.arm_move(lowering, t0_ns, None) for driver, lowering in pairs))
+    await asyncio.gather(*(driver.slots.present.load(lowering, t0_ns, None) for driver, lowering in pairs))
     arm_ms, frames_ms = (clock.now_ns() - began_ns) * 1e-6, (world.command_ns - ordered_ns) * 1e-6
-    await asyncio.gather(*(driver.verify_armed() for driver in drivers))
-    await asyncio.gather(*(driver.go() for driver in drivers))
-    spans = await asyncio.gather(*(driver.wait_for_start() for driver in drivers))
+    await asyncio.gather(*(driver.slots.present.verify() for driver in drivers))
+    await asyncio.gather(*(driver.slots.present.release() for driver in drivers))
+    spans = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in drivers))
     busy_ns, moving_ns = world.segment.bus.busy_ns, clock.now_ns()
-    outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in drivers))
+    outcomes = await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in drivers))
     load_in_motion = (world.segment.bus.busy_ns - busy_ns) / (clock.now_ns() - moving_ns)
     starts = world.find_starts()
     for span, began, outcome in zip(spans, starts, outcomes, strict=True):

@@ -168,16 +168,16 @@ async def _start_moves(world: CanBusBench, profiles: Mapping[int, Profile]) -> i
     lead_ns = max(lowering.costs.arm_ns + lowering.costs.disarm_ns for lowering in lowered_profiles.values())
     t0_ns = world.clock.now_ns() + lead_ns + world.draw.randrange(10 * NS_PER_MS)
     pairs = list(zip(world.drivers, lowered_profiles.values(), strict=True))
-    await asyncio.gather(*(driver.arm_move(lowering, t0_ns, None) for driver, lowering in pairs))
-    await asyncio.gather(*(driver.verify_armed() for driver in world.drivers))
-    await asyncio.gather(*(driver.go() for driver in world.drivers))
+    await asyncio.gather(*(driver.slots.present.load(lowering, t0_ns, None) for driver, lowering in pairs))
+    await asyncio.gather(*(driver.slots.present.verify() for driver in world.drivers))
+    await asyncio.gather(*(driver.slots.present.release() for driver in world.drivers))
     return t0_ns
 
 
 async def _wait_for_ends(world: CanBusBench) -> bool:
     """Wait for the ends; return whether all drivers report a start and a completed move."""
-    await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
-    outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
+    await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in world.drivers))
+    outcomes = await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in world.drivers))
     return all(outcome.state == "done" for outcome in outcomes)
 
 

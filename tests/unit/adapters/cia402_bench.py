@@ -89,15 +89,15 @@ class Drives:
         """Armed and verified."""
         driver = self.drivers[number]
         lowered = driver.lower_profiles(profiles(begin, target), StartOptions(), None)
-        await driver.arm_move(lowered, t0_ns, None)
-        await driver.verify_armed()
+        await driver.slots.present.load(lowered, t0_ns, None)
+        await driver.slots.present.verify()
         return lowered
 
     async def go(self, target: int = 40_000, after_ms: int = 200) -> int:
         """The first drive armed and released; T0."""
         t0_ns = self.clock.now_ns() + after_ms * NS_PER_MS
         await self.arm(0, target, t0_ns)
-        await self.driver.go()
+        await self.driver.slots.present.release()
         return t0_ns
 
     def fresh(self) -> Cia402Driver:

@@ -111,19 +111,19 @@ class Bench:
         lowered = await self.lowered(targets, how)
         t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 300 * NS_PER_MS
         began_ns = self.clock.now_ns()
-        await self.driver.arm_move(lowered, t0_ns, None)
+        await self.driver.slots.present.load(lowered, t0_ns, None)
         assert self.clock.now_ns() - began_ns <= lowered.costs.arm_ns
         return t0_ns, lowered
 
     async def start(self, targets: Mapping[str, int], how: StartOptions | None = None) -> tuple[int, PpSmcLowered]:
         found = await self.arm(targets, how)
-        await self.driver.verify_armed()
-        await self.driver.go()
+        await self.driver.slots.present.verify()
+        await self.driver.slots.present.release()
         return found
 
     async def followed(self) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
-        started = await self.driver.wait_for_start()
-        return started, await self.driver.wait_for_end()
+        started = await self.driver.slots.present.wait_for_start()
+        return started, await self.driver.slots.present.wait_for_end()
 
     async def move(self, targets: Mapping[str, int]) -> MoveOutcome:
         await self.start(targets)

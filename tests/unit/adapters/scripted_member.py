@@ -4,7 +4,17 @@ import asyncio
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Literal, cast
 
-from adapters.contract import Driver, DriverCapabilities, HostInterval, Lowered, MoveOutcome, SettingDifference
+from adapters.contract import (
+    Driver,
+    DriverCapabilities,
+    HostInterval,
+    LoadPlace,
+    Lowered,
+    MoveOutcome,
+    MoveSlot,
+    MoveSlots,
+    SettingDifference,
+)
 from adapters.controller.armed_step import ArmedStep
 from adapters.controller.participant import StepParticipant, StepServices
 from adapters.controller.settling import SettlingResult
@@ -12,7 +22,6 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest, CommittedReply, GoRequest
 from orchestrator.model.state import EventKind, StepCosts
 
@@ -22,6 +31,55 @@ MOVE_S = 1.0  # duration of each move
 MOVE_NS = round(MOVE_S * NS_PER_S)
 FOLLOWING_T0_NS = T0_NS + MOVE_NS + NS_PER_S // 20  # of a step behind the first one
 COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
+
+
+class ScriptedMover:
+    """The mover of one slot of a driver. follows: its move is the following one."""
+
+    def __init__(self, driver: "Scripted", *, follows: bool) -> None:
+        self._driver = driver
+        self._told = driver.told
+        self.follows = follows
+
+    async def load(self, lowered: Lowered, t0_ns: int, mapping: object, place: LoadPlace) -> dict[str, int]:
+        if place == "at rest":
+            self._told.append("arm")
+            return {}
+        assert self.follows == (place == "beside")
+        self._told.append("load next" if self.follows else "arm behind")
+        await self._driver.load()
+        if self.follows:
+            return {"wire": 5}
+        self._driver.expect_another()
+        return {"wire": 7}
+
+    async def verify(self) -> None:
+        self._told.append("verify next" if self.follows else "verify")
+
+    async def release(self, start_tolerance_ns: int, advance_ns: int) -> None:
+        driver, word = self._driver, "release next" if self.follows else "go"
+        refused = driver.refuses_release if self.follows else driver.refuses_go
+        self._told.append(f"{word} {advance_ns} ns sooner" if advance_ns else word)
+        await driver.may_go.wait()
+        if refused is not None:
+            raise refused
+
+    async def unload(self) -> None:
+        """Like a real driver, which forgets the move first."""
+        if self.follows:
+            self._told.append("unload next")
+            await self._driver.may_unload.wait()
+            return
+        if self._driver.closed:
+            raise LinkClosed("the port is closed")
+        self._told.append("disarm")
+
+    async def wait_for_start(self) -> Mapping[str, HostInterval]:
+        return await asyncio.shield(self._driver.begun)
+
+    async def wait_for_end(self) -> MoveOutcome:
+        self._told.append("outcome")
+        return await asyncio.shield(self._driver.rested)
 
 
 class Scripted:
@@ -47,10 +105,18 @@ class Scripted:
         self.sooner = True
         self.closed = False
         self.gap_ns: int | None = None
-        self.has_next = False
         self.compared = 0
         self.checks_while_moving = False
         self.differences: list[SettingDifference] = []
+        self.movers = ScriptedMover(self, follows=False), ScriptedMover(self, follows=True)
+        self.slots = MoveSlots(MoveSlot(self.movers[0]), MoveSlot(self.movers[1]), self.take_over)
+
+    async def load(self) -> None:
+        await self.may_load.wait()
+        if self.closed:
+            raise LinkClosed("the port is closed")
+        if self.refuses_load is not None:
+            raise self.refuses_load
 
     def clock_mapping(self) -> None:
         return None
@@ -69,82 +135,20 @@ class Scripted:
             "clock", {"x": MOVE_S}, {"x": 0.0}, (), 0, COSTS, (), can_advance=self.sooner, gap_ns=self.gap_ns
         )
 
-    async def arm_move(self, *_: object) -> dict[str, int]:
-        self.told.append("arm")
-        return {}
-
-    async def verify_armed(self) -> None:
-        self.told.append("verify")
-
-    async def go(self, start_tolerance_ns: int = 0, advance_ns: int = 0) -> None:
-        self.told.append(f"go {advance_ns} ns sooner" if advance_ns else "go")
-        await self.may_go.wait()
-        if self.refuses_go is not None:
-            raise self.refuses_go
-
     async def stop(self, abort: bool) -> None:
         if self.closed:
             raise LinkClosed("the port is closed")
         self.told.append("abort" if abort else "stop")
 
-    async def disarm_move(self) -> None:
-        if self.closed:
-            raise LinkClosed("the port is closed")
-        self.told.append("disarm")
-
-    # A move behind the present one
-
-    async def arm_behind(self, *_: object) -> dict[str, int]:
-        self.told.append("arm behind")
-        await self._load()
-        self._expect_another()
-        return {"wire": 7}
-
-    async def load_next(self, *_: object) -> dict[str, int]:
-        self.told.append("load next")
-        await self._load()
-        self.has_next = True
-        return {"wire": 5}
-
-    async def _load(self) -> None:
-        await self.may_load.wait()
-        if self.closed:
-            raise LinkClosed("the port is closed")
-        if self.refuses_load is not None:
-            raise self.refuses_load
-
-    async def verify_next(self) -> None:
-        self.told.append("verify next")
-
-    async def release_next(self, advance_ns: int = 0) -> None:
-        self.told.append(f"release next {advance_ns} ns sooner" if advance_ns else "release next")
-        await self.may_go.wait()
-        if self.refuses_release is not None:
-            raise self.refuses_release
-
-    async def unload_next(self) -> None:
-        """Like a real driver, which forgets the move first."""
-        self.told.append("unload next")
-        self.has_next = False
-        await self.may_unload.wait()
-
-    def take_next(self) -> None:
-        if not self.has_next:
-            raise Refusal("not-armed", "no move is loaded behind the present one", "")
-        self.told.append("take next")
-        self.has_next = False
-        self._expect_another()
-
-    def _expect_another(self) -> None:
+    def expect_another(self) -> None:
         loop = asyncio.get_running_loop()
         self.begun, self.rested = loop.create_future(), loop.create_future()
 
-    async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        return await asyncio.shield(self.begun)
-
-    async def wait_for_end(self) -> MoveOutcome:
-        self.told.append("outcome")
-        return await asyncio.shield(self.rested)
+    def take_over(self) -> None:
+        self.told.append("take next")
+        for each in self.movers:
+            each.follows = not each.follows
+        self.expect_another()
 
     def begins(self, seen: bool = True, at_ns: int = T0_NS) -> None:
         self.begun.set_result({"x": HostInterval(at_ns, at_ns, seen)})

@@ -92,10 +92,10 @@ def test_an_abort_of_any_access_while_arming_is_reported_and_nothing_moves(strea
         for at in range(6):
             world.wire.to_near = aborting(code, lambda number, at=at: number == at)
             with pytest.raises((ControllerFault, Refusal)):
-                await world.driver.arm_move(lowered, world.clock.now_ns() + 300 * NS_PER_MS, None)
+                await world.driver.slots.present.load(lowered, world.clock.now_ns() + 300 * NS_PER_MS, None)
                 raise Refusal("armed", "there were not so many accesses")
             world.wire.to_near = None
-            await world.driver.disarm_move()
+            await world.driver.slots.unload()
         await world.rest(600)
         assert not world.unit.commanded_motions
         await another(world, 0)
@@ -164,11 +164,11 @@ def test_another_client_stops_a_stream_with_the_makes_stop_bytes() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(config(1)))
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "another master" in outcome.reason
         await world.rest(300)

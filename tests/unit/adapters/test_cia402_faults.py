@@ -18,10 +18,10 @@ def test_a_following_error_in_a_move_is_reported_in_words_and_can_be_reset() -> 
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         world.unit.set_stalled("1", stalled=True)
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "following error (8611h)" in outcome.reason
         reading = await world.driver.poll()
@@ -46,10 +46,10 @@ def test_a_drive_that_is_switched_off_by_its_enable_input_is_reported_so() -> No
         world.unit.set_input(2, level=True)
         await world.ready()
         t0_ns = await world.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         world.unit.set_input(2, level=False)
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "enable input" in outcome.reason
         with pytest.raises(Refusal) as caught:
@@ -69,9 +69,9 @@ def test_a_drive_that_was_switched_off_and_on_is_detected(stage: str) -> None:
         t0_ns = world.clock.now_ns() + 500 * NS_PER_MS
         await world.arm(0, 40_000, t0_ns)
         if stage != "armed":
-            await world.driver.go()
+            await world.driver.slots.present.release()
         if stage == "moving":
-            await world.driver.wait_for_start()
+            await world.driver.slots.present.wait_for_start()
             await world.until(t0_ns + 200 * NS_PER_MS)
         world.unit.set_power(on=False)
         await world.rest(20)
@@ -79,13 +79,13 @@ def test_a_drive_that_was_switched_off_and_on_is_detected(stage: str) -> None:
         if stage == "armed":
             await world.rest(300)
             with pytest.raises(Refusal):
-                await world.driver.verify_armed()
+                await world.driver.slots.present.verify()
         elif stage == "released":
             with pytest.raises(ControllerFault) as caught:
-                await world.driver.wait_for_start()
+                await world.driver.slots.present.wait_for_start()
             assert "switched off and on" in caught.value.text
         else:
-            outcome = await world.driver.wait_for_end()
+            outcome = await world.driver.slots.present.wait_for_end()
             assert outcome.state == "fault"
             assert "switched off and on" in outcome.reason
         await world.rest(300)
@@ -95,9 +95,9 @@ def test_a_drive_that_was_switched_off_and_on_is_detected(stage: str) -> None:
         here = (await world.driver.poll()).axes["a"].commanded_counts
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         await world.arm(0, here + 5000, t0_ns, begin=here)
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
 
     run(main)
 
@@ -106,9 +106,9 @@ def test_a_burst_of_error_frames_disturbs_no_move() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         world.bus.disturb_frames(10)
-        assert (await world.driver.wait_for_end()).state == "done"
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
         assert world.unit.position("1") == 40_000
 
     run(main)
@@ -118,14 +118,14 @@ def test_bus_off_in_a_move_is_reported_and_a_stop_is_sent_again_afterwards() -> 
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         # Only the frames of this computer are destroyed: the drives stay on the bus.
         node = world.bus._nodes[-1]
         node.transmit_errors = 255
         node.queue_frames(CanFrame(0x201, bytes([0x0F, 0])))
         world.bus.disturb_frames(1)
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "bus-off" in outcome.reason
         with pytest.raises(ControllerFault) as caught:
@@ -258,9 +258,9 @@ def test_an_emergency_between_arming_and_the_promise_is_detected() -> None:
         world.unit.station.drive.enter_fault(0x4310, 0)
         await world.rest(5)
         with pytest.raises(Refusal) as caught:
-            await world.driver.verify_armed()
+            await world.driver.slots.present.verify()
         assert "excess temperature of the drive (4310h)" in caught.value.text
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         await world.until(t0_ns + 200 * NS_PER_MS)
         assert not world.unit.commanded_motions
 
@@ -274,7 +274,7 @@ def test_a_fault_just_before_the_start_is_reported_by_its_emergency() -> None:
         await world.until(t0_ns - 10 * NS_PER_MS)
         world.unit.station.drive.enter_fault(0x3210, 0)
         with pytest.raises(ControllerFault) as caught:
-            await world.driver.wait_for_start()
+            await world.driver.slots.present.wait_for_start()
         assert "DC link over-voltage (3210h)" in caught.value.text
         assert not world.unit.commanded_motions
 
@@ -341,8 +341,8 @@ def test_a_drive_that_accepts_a_mapping_only_pre_operational_is_switched_to_it()
         await world.ready()
         assert commands == [0x80, 0x01]
         await world.go()
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
 
     run(main)
 
@@ -351,7 +351,7 @@ def test_a_new_connection_stops_a_moving_drive_before_it_queries_anything() -> N
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         fresh = world.fresh()
         assert await fresh.stop_before_connect()
@@ -386,7 +386,7 @@ def test_a_halt_that_was_not_completed_is_no_motion_of_the_next_step(how: str) -
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 700 * NS_PER_MS)
         await world.driver.stop(abort=False)
         if how == "closed":
@@ -405,9 +405,9 @@ def test_a_halt_that_was_not_completed_is_no_motion_of_the_next_step(how: str) -
         begin = (await world.driver.poll()).axes["a"].commanded_counts
         await world.arm(0, begin + 3000, world.clock.now_ns() + 400 * NS_PER_MS, begin)
         assert world.unit.position("1") == here
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
 
     run(main)
 
@@ -416,7 +416,7 @@ def test_a_stop_reaches_a_moving_drive_that_seems_to_be_disabled() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         world.unit.set_input(3, level=True)
         world.wire.to_near = replace_status(DISABLED)
@@ -443,7 +443,7 @@ def test_a_stop_of_an_earlier_connection_stops_no_later_motion(lost: bool) -> No
         await driver.close()
         await world.ready()
         await world.go(target=40_000)
-        await driver.wait_for_start()
+        await driver.slots.present.wait_for_start()
         bus._handle_bus_state(ERROR_BUS_OFF)
         bus._handle_bus_state(ERROR_RESTARTED)
         await world.rest(50)

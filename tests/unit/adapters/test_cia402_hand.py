@@ -33,9 +33,9 @@ def test_the_reference_is_found_by_its_method(method: str, place: float | None) 
         here = (await world.driver.poll()).axes["a"].commanded_counts
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         await world.arm(0, here + 3000, t0_ns, begin=here)
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
 
     run(main, simulate=SWITCH, homing={"method": method, "speed": 8000})
 
@@ -49,9 +49,9 @@ def test_a_drive_that_has_found_its_reference_is_at_rest(method: str, inhibit_ms
         await world.ready()
         here = (await world.driver.poll()).axes["a"].commanded_counts
         await world.arm(0, here + 3000, world.clock.now_ns() + 200 * NS_PER_MS, begin=here)
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
         assert await world.driver.home_axes(["a"], lambda _: None) == {}
         reading = (await world.driver.poll()).axes["a"]
         assert not reading.moving and not world.unit.is_moving("1")
@@ -201,11 +201,11 @@ def test_a_stop_clears_the_target_and_leaves_the_motor_on(abort: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=200_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 700 * NS_PER_MS)
         begun_ns = world.clock.now_ns()
         await world.driver.stop(abort=abort)
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "stopped"
         took_ms = (world.unit.commanded_motions[-1].end_ns - begun_ns) / NS_PER_MS
         # By the ramp of the profile, or by the quick stop ramp of the fleet file.

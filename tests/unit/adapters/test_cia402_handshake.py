@@ -46,9 +46,9 @@ def test_a_drive_whose_acknowledge_stands_after_enabling_is_moved() -> None:
             t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
             await world.arm(0, target, t0_ns, begin=begin)
             assert world.unit.position("1") == begin
-            await world.driver.go()
-            await world.driver.wait_for_start()
-            assert (await world.driver.wait_for_end()).state == "done"
+            await world.driver.slots.present.release()
+            await world.driver.slots.present.wait_for_start()
+            assert (await world.driver.slots.present.wait_for_end()).state == "done"
             assert world.unit.position("1") == target
             await world.driver.set_enabled(["a"], on=False)
             await world.driver.set_enabled(["a"], on=True)
@@ -105,7 +105,7 @@ def test_an_acknowledge_that_rises_before_the_commit_is_detected() -> None:
         drive.handle_controlword(0x3F)
         await world.rest(5)
         with pytest.raises(Refusal) as caught:
-            await world.driver.verify_armed()
+            await world.driver.slots.present.verify()
         assert caught.value.code == "not-taken"
         assert not world.unit.is_moving("1")
 
@@ -121,7 +121,7 @@ def test_a_bit_of_another_mode_does_not_show_that_a_drive_interpolates(monkeypat
         await world.ready()
         lowered = world.driver.lower_profiles(smooth(0, 20_000), StartOptions(), None)
         with pytest.raises(Refusal) as caught:
-            await world.driver.arm_move(lowered, world.clock.now_ns() + 500 * NS_PER_MS, None)
+            await world.driver.slots.present.load(lowered, world.clock.now_ns() + 500 * NS_PER_MS, None)
         assert caught.value.code == "wrong-mode"
 
     run(main, simulate={"modes": [1, 6, 7]}, **SMOOTH)

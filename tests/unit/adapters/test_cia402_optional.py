@@ -35,17 +35,17 @@ def test_a_drive_without_optional_objects_is_homed_moved_and_stopped(without: tu
         await driver.load_soft_limits({"a": (-50_000, 60_000)})
         assert await driver.home_axes(["a"], lambda _: None) == {}
         await world.go(target=20_000)
-        await driver.wait_for_start()
-        assert (await driver.wait_for_end()).state == "done"
+        await driver.slots.present.wait_for_start()
+        assert (await driver.slots.present.wait_for_end()).state == "done"
         for abort in (False, True):
             here = (await driver.poll()).axes["a"].commanded_counts
             t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
             await world.arm(0, here + 20_000, t0_ns, begin=here)
-            await driver.go()
-            await driver.wait_for_start()
+            await driver.slots.present.release()
+            await driver.slots.present.wait_for_start()
             await world.until(t0_ns + 300 * NS_PER_MS)
             await driver.stop(abort=abort)
-            assert (await driver.wait_for_end()).state == "stopped"
+            assert (await driver.slots.present.wait_for_end()).state == "stopped"
             await world.rest(200)
             # Its quick stop has switched it off (605Ah = 2): it is enabled again.
             axis = (await driver.poll()).axes["a"]
@@ -64,11 +64,11 @@ def test_a_drive_that_its_enable_input_switches_off_in_a_stop_stays_off() -> Non
         world.unit.set_input(2, level=True)
         await world.ready()
         t0_ns = await world.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         await world.driver.stop(abort=True)
         world.unit.set_input(2, level=False)
-        await world.driver.wait_for_end()
+        await world.driver.slots.present.wait_for_end()
         await world.rest(300)
         assert not (await world.driver.poll()).axes["a"].enabled
 

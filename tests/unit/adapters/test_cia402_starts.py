@@ -20,10 +20,10 @@ def test_one_sync_starts_all_drives_of_a_step() -> None:
         for number in range(4):
             await world.arm(number, 20_000, t0_ns)
         for driver in world.drivers:
-            await driver.go()
+            await driver.slots.present.release()
         before_ns = world.clock.now_ns()
-        spans = await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
-        outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
+        spans = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in world.drivers))
+        outcomes = await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in world.drivers))
         assert [each.state for each in outcomes] == ["done"] * 4
         assert world.syncs(before_ns) == 1
         starts = [unit.commanded_motions[-1].start_ns for unit in world.units]
@@ -41,21 +41,21 @@ def test_a_disarmed_drive_does_not_start_with_the_others(released: bool) -> None
         t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
         for number in range(2):
             await world.arm(number, 20_000, t0_ns)
-        await world.drivers[1].go()
+        await world.drivers[1].slots.present.release()
         if released:
-            await world.drivers[0].go()
+            await world.drivers[0].slots.present.release()
             await world.rest(5)
-        await world.drivers[0].disarm_move()
-        await world.drivers[1].wait_for_start()
-        assert (await world.drivers[1].wait_for_end()).state == "done"
+        await world.drivers[0].slots.unload()
+        await world.drivers[1].slots.present.wait_for_start()
+        assert (await world.drivers[1].slots.present.wait_for_end()).state == "done"
         assert not world.units[0].commanded_motions
         assert world.units[1].position("1") == 20_000
         # Nor with a later SYNC of others.
         t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
         await world.arm(1, 0, t0_ns, begin=20_000)
-        await world.drivers[1].go()
-        await world.drivers[1].wait_for_start()
-        assert (await world.drivers[1].wait_for_end()).state == "done"
+        await world.drivers[1].slots.present.release()
+        await world.drivers[1].slots.present.wait_for_start()
+        assert (await world.drivers[1].slots.present.wait_for_end()).state == "done"
         assert not world.units[0].commanded_motions
 
     run(main, count=2)
@@ -66,7 +66,7 @@ def test_a_released_step_that_is_disarmed_alone_leaves_nothing_waiting() -> None
         await world.ready()
         t0_ns = await world.go(after_ms=300)
         await world.rest(5)
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         await world.until(t0_ns + 500 * NS_PER_MS)
         # A SYNC from any sender now starts nothing.
         link = await world.wire.open_link()
@@ -88,10 +88,10 @@ def test_steps_of_one_bus_start_one_after_another_each_with_its_own_sync() -> No
         assert caught.value.remedy
         await world.arm(1, 20_000, t0_ns + 50 * NS_PER_MS)
         # The later one is released first: its set-point must not be taken by the earlier SYNC.
-        await world.drivers[1].go()
-        await world.drivers[0].go()
-        spans = await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers))
-        await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers))
+        await world.drivers[1].slots.present.release()
+        await world.drivers[0].slots.present.release()
+        spans = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in world.drivers))
+        await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in world.drivers))
         starts = [unit.commanded_motions[-1].start_ns for unit in world.units]
         assert 48 * NS_PER_MS < starts[1] - starts[0] < 52 * NS_PER_MS
         for span, start_ns in zip(spans, starts, strict=True):
@@ -106,19 +106,19 @@ def test_a_lost_sync_is_reported_and_nothing_moves() -> None:
         await world.go()
         world.wire.to_far = lambda data: b"" if data[:4] == bytes.fromhex("80000000") else data
         with pytest.raises(ControllerFault) as caught:
-            await world.driver.wait_for_start()
+            await world.driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started"
         assert "SYNC" in caught.value.text
         assert caught.value.remedy
         await world.driver.stop(abort=False)
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         world.wire.to_far = None
         assert not world.unit.commanded_motions
         # The next start does not make up for the lost one.
         await world.rest(200)
         await world.go(target=-10_000)
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
         assert [motion.end_counts for motion in world.unit.commanded_motions] == [-10_000]
 
     run(main)
@@ -128,14 +128,14 @@ def test_another_client_stops_a_moving_drive_with_the_makes_stop_bytes() -> None
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=400_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 1000 * NS_PER_MS)
         assert world.unit.is_moving("1")
         link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(config(1)))
         await world.rest(300)
         assert not world.unit.is_moving("1")
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "another master" in outcome.reason
 
@@ -150,7 +150,7 @@ def test_stop_bytes_overwrite_setpoints_that_wait_for_a_sync() -> None:
         link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(config(1)))
         with pytest.raises(ControllerFault):
-            await world.driver.wait_for_start()
+            await world.driver.slots.present.wait_for_start()
         assert not world.unit.commanded_motions
 
     run(main)
@@ -163,7 +163,7 @@ def test_a_drive_that_is_stopped_before_the_start_of_others_is_not_halted_by_the
         for number in range(2):
             await world.arm(number, 20_000, t0_ns)
         for driver in world.drivers:
-            await driver.go()
+            await driver.slots.present.release()
         await world.rest(5)
         with pytest.raises(Refusal) as caught:
             await world.drivers[0].set_output(1, on=True)
@@ -171,8 +171,8 @@ def test_a_drive_that_is_stopped_before_the_start_of_others_is_not_halted_by_the
         await world.drivers[0].stop(abort=False)
         await world.rest(50)
         await world.drivers[0].jog_axis("a", JogMove(10_000, 100_000, None))
-        await world.drivers[1].wait_for_start()
-        await world.drivers[1].wait_for_end()
+        await world.drivers[1].slots.present.wait_for_start()
+        await world.drivers[1].slots.present.wait_for_end()
         # It had received a halt, in a controlword that may still have waited for that SYNC.
         assert world.units[0].velocity("1") == pytest.approx(10_000, rel=1e-3)
         await world.drivers[0].stop(abort=False)
@@ -189,20 +189,20 @@ def test_the_end_of_a_move_from_between_two_counts_is_known_no_better_than_half_
             here = (await world.driver.poll()).axes["a"].commanded_counts
             t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
             await world.arm(0, here + 40_000, t0_ns, here)
-            await world.driver.go()
+            await world.driver.slots.present.release()
             await world.until(t0_ns + stopped_ms * NS_PER_MS)
             await world.driver.stop(abort=False)
             await world.rest(500)
-            await world.driver.disarm_move()
+            await world.driver.slots.unload()
             here = (await world.driver.poll()).axes["a"].commanded_counts
             assert 0.05 < abs(world.unit.position("1") - here) <= 0.5
             slow = dict(plan_step([AxisMove("a", here, here + 20, 20.0, 4000.0)]).profiles)
             t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
-            await world.driver.arm_move(world.driver.lower_profiles(slow, StartOptions(), None), t0_ns, None)
-            await world.driver.verify_armed()
-            await world.driver.go()
-            await world.driver.wait_for_start()
-            ended = (await world.driver.wait_for_end()).ended["a"]
+            await world.driver.slots.present.load(world.driver.lower_profiles(slow, StartOptions(), None), t0_ns, None)
+            await world.driver.slots.present.verify()
+            await world.driver.slots.present.release()
+            await world.driver.slots.present.wait_for_start()
+            ended = (await world.driver.slots.present.wait_for_end()).ended["a"]
             assert ended.earliest_ns <= world.unit.commanded_motions[-1].end_ns <= ended.latest_ns
 
     run(main)

@@ -35,17 +35,17 @@ async def released(world: Drives, moves: dict[int, dict[str, Profile]], after_ms
     t0_ns = world.clock.now_ns() + after_ms * NS_PER_MS
     for number, planned in moves.items():
         driver = world.drivers[number]
-        await driver.arm_move(driver.lower_profiles(planned, StartOptions(), None), t0_ns, None)
-        await driver.verify_armed()
+        await driver.slots.present.load(driver.lower_profiles(planned, StartOptions(), None), t0_ns, None)
+        await driver.slots.present.verify()
     for number in moves:
-        await world.drivers[number].go()
+        await world.drivers[number].slots.present.release()
     return t0_ns
 
 
 async def followed(world: Drives, number: int = 0) -> tuple[HostInterval, MoveOutcome]:
     driver = world.drivers[number]
-    span = (await driver.wait_for_start())["a"]
-    return span, await driver.wait_for_end()
+    span = (await driver.slots.present.wait_for_start())["a"]
+    return span, await driver.slots.present.wait_for_end()
 
 
 @pytest.mark.parametrize(("mode", "simulate"), [(8, {}), (7, {"modes": [1, 6, 7]})])
@@ -264,7 +264,7 @@ def test_a_drive_that_is_disarmed_before_its_stream_does_not_start_with_others()
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000), 1: smooth(0, 40_000)})
         await world.until(t0_ns - 20 * NS_PER_MS)
-        await world.drivers[0].disarm_move()
+        await world.drivers[0].slots.unload()
         _, outcome = await followed(world, 1)
         assert outcome.state == "done"
         assert not world.units[0].commanded_motions
@@ -309,8 +309,8 @@ def test_a_drive_that_follows_no_positions_is_refused_with_a_remedy() -> None:
         assert caught.value.code == "jerk"
         assert "6502h" in caught.value.text and "remove `jerk`" in caught.value.remedy
         await world.go()
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
 
     run(main, simulate={"modes": [1, 3, 6]}, **SMOOTH)
 
@@ -341,11 +341,11 @@ def test_a_host_that_dies_leaves_drives_that_brake_by_themselves() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await released(world, {0: smooth(0, 40_000)})
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 300 * NS_PER_MS)
         world.wire.links[0].hang_up()
         with pytest.raises(LinkClosed):
-            await world.driver.wait_for_end()
+            await world.driver.slots.present.wait_for_end()
         await world.rest(400)
         assert world.unit.at_rest()
         assert 0 < world.unit.position("1") < 40_000

@@ -43,10 +43,10 @@ async def released(world: Drives, *numbers: int, start: StartOptions = WITH_PULS
     t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
     for number in numbers:
         driver = world.drivers[number]
-        await driver.arm_move(driver.lower_profiles(smooth(0, 40_000), start, None), t0_ns, None)
-        await driver.verify_armed()
+        await driver.slots.present.load(driver.lower_profiles(smooth(0, 40_000), start, None), t0_ns, None)
+        await driver.slots.present.verify()
     for number in numbers:
-        await world.drivers[number].go()
+        await world.drivers[number].slots.present.release()
     return t0_ns
 
 
@@ -96,7 +96,7 @@ def test_no_output_is_switched_after_any_other_end(way: str) -> None:
         following = [asyncio.get_running_loop().create_task(followed(world, number)) for number in (0, 1)]
         await world.until(t0_ns - 3 * NS_PER_MS if way == "disarmed" else t0_ns + 279 * NS_PER_MS)
         if way == "disarmed":
-            await world.driver.disarm_move()
+            await world.driver.slots.unload()
         elif way == "alone":
             await world.driver.stop(abort=False)
         elif way == "both":
@@ -130,21 +130,21 @@ def test_other_outputs_and_trigger_lines_go_with_the_positions(modes: list[int])
         line, valve = Edges(world, 0), Edges(world, 0, 2)
         drives = StartOptions(drive=TriggerDrive(output="lamp", active_ns=45 * NS_PER_MS))
         t0_ns = await released(world, 0, start=StartOptions())
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 203 * NS_PER_MS)
         await world.driver.set_output(2, on=True)
-        assert (await world.driver.wait_for_end()).state == "done"
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
         assert [level for _, level in valve.all] == [True]
         # A drive that does not move drives its line by the same frames.
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
-        await world.driver.arm_move(world.driver.lower_profiles({}, drives, None), t0_ns, None)
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        await world.driver.wait_for_end()
+        await world.driver.slots.present.load(world.driver.lower_profiles({}, drives, None), t0_ns, None)
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        await world.driver.slots.present.wait_for_end()
         t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
         lowered = world.driver.lower_profiles(smooth(40_000, 0), drives, None)
-        await world.driver.arm_move(lowered, t0_ns, None)
-        await world.driver.go()
+        await world.driver.slots.present.load(lowered, t0_ns, None)
+        await world.driver.slots.present.release()
         with pytest.raises(Refusal, match="a step switches an output"):
             await world.driver.set_output(2, on=False)
         assert (await followed(world))[1].state == "done"

@@ -38,8 +38,8 @@ def test_a_drive_that_nothing_has_changed_has_no_differences() -> None:
         assert await world.driver.home_axes(["a"], lambda _: None) == {}
         assert not await check_round(world.driver)
         await world.go(target=5000)
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
         await world.driver.stop(abort=False)
         await world.rest(200)
         await world.driver.load_soft_limits({"a": None})
@@ -105,8 +105,8 @@ def test_settings_that_another_master_has_changed_are_found_and_written_again() 
         # And it moves as planned.
         await driver.set_enabled(["a"], on=True)
         await world.go(target=5000)
-        await driver.wait_for_start()
-        assert (await driver.wait_for_end()).state == "done"
+        await driver.slots.present.wait_for_start()
+        assert (await driver.slots.present.wait_for_end()).state == "done"
 
     run(main, options={"watchdog_ms": 500})
 
@@ -124,8 +124,8 @@ def test_a_changed_pdo_is_mapped_again(index: int, sub: int, value: int) -> None
         await world.driver.clear_faults()
         assert not await check_round(world.driver)
         await world.go(target=5000)
-        await world.driver.wait_for_start()
-        assert (await world.driver.wait_for_end()).state == "done"
+        await world.driver.slots.present.wait_for_start()
+        assert (await world.driver.slots.present.wait_for_end()).state == "done"
 
     run(main)
 
@@ -243,8 +243,8 @@ def test_a_motion_of_another_master_is_shown_as_one_from_its_begin() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         await world.go(target=100)
-        await world.driver.wait_for_start()
-        await world.driver.wait_for_end()
+        await world.driver.slots.present.wait_for_start()
+        await world.driver.slots.present.wait_for_end()
         await world.rest(200)
         drive, dictionary = world.unit.station.drive, world.unit.station.dictionary
         for target in (30_000, 100, 9000):

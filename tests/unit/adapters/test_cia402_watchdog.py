@@ -15,12 +15,12 @@ def test_drives_with_a_watchdog_stop_when_the_host_dies(watching: bool) -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=200_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 1000 * NS_PER_MS)
         assert not (await world.driver.poll()).faults
         world.wire.links[0].hang_up()
         with pytest.raises(LinkClosed):
-            await world.driver.wait_for_end()
+            await world.driver.slots.present.wait_for_end()
         await world.rest(400)
         assert world.unit.at_rest() == watching
         if watching:
@@ -39,7 +39,7 @@ def test_a_host_that_disconnects_does_not_trip_the_watchdog() -> None:
     async def main(world: Drives) -> None:
         await world.ready()
         t0_ns = await world.go(target=100_000)
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
         await world.until(t0_ns + 500 * NS_PER_MS)
         await world.driver.close()
         await world.rest(4000)

@@ -186,7 +186,7 @@ def test_a_move_that_did_not_start_is_not_disarmed_while_the_next_step_is_armed(
             desk.driver.told.append("arm")
             return {}
 
-        desk.driver.arm_move = arm  # type: ignore[method-assign]
+        desk.driver.movers[0].load = arm  # type: ignore[method-assign]
         arming = asyncio.ensure_future(desk.arm(1, NEXT_T0_NS))
         await desk.later()
         desk.driver.begun.set_exception(ControllerFault("not-started", "the program was halted", ""))

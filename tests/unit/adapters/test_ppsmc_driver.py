@@ -134,8 +134,8 @@ def test_a_stop_at_any_moment_leaves_nothing_that_moves(when_ms: int, abort: boo
 
 async def _follow(bench: Bench) -> None:
     with contextlib.suppress(ControllerFault, Refusal):
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "stopped"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "stopped"
 
 
 def test_a_stop_does_not_wait_for_a_blocked_first_connection() -> None:
@@ -175,9 +175,9 @@ def test_a_blocked_controller_is_reported_and_a_reset_unblocks_it(stage: str) ->
         await bench.send_as_other_client("block")
         if stage == "armed":
             with pytest.raises(Refusal) as refused:
-                await bench.driver.verify_armed()
+                await bench.driver.slots.present.verify()
             assert refused.value.code == "blocked" and "unblock" in refused.value.remedy
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
         if following is not None:
             _, outcome = await following
             assert outcome.state == "fault" and "not at its target" in outcome.reason
@@ -186,7 +186,7 @@ def test_a_blocked_controller_is_reported_and_a_reset_unblocks_it(stage: str) ->
         assert reading.axes["x"].commanded_counts == bench.steps("x")
         lowered = bench.driver.lower_profiles({}, StartOptions(), None)
         with pytest.raises((Refusal, ControllerFault), match="blocked"):
-            await bench.driver.arm_move(lowered, bench.clock.now_ns() + NS_PER_S, None)
+            await bench.driver.slots.present.load(lowered, bench.clock.now_ns() + NS_PER_S, None)
         # Reconnected while it is blocked, it is not taken for another make, and is not unblocked by that.
         await bench.driver.close()
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
@@ -209,7 +209,7 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
             await bench.start({"x": 90_000})
         elif stage == "moving":
             t0_ns, _ = await bench.start({"x": 90_000})
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
             await bench.until(t0_ns + 200 * NS_PER_MS)
         if restart == "power":
             bench.unit.set_power(on=False)
@@ -219,7 +219,7 @@ def test_a_restart_is_noticed_and_leaves_nothing_armed(restart: str, stage: str)
             await bench.send_as_other_client(restart)
         if stage == "moving":
             with contextlib.suppress(ControllerFault, LinkClosed):
-                assert (await bench.driver.wait_for_end()).state == "fault"
+                assert (await bench.driver.slots.present.wait_for_end()).state == "fault"
         noticed = False
         for _ in range(12):
             try:

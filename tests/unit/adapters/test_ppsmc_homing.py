@@ -93,8 +93,8 @@ def test_a_limit_stop_loses_the_reference_and_homing_restores_it(clears: bool) -
         assert await bench.driver.home_axes(["x"], lambda _: None) == {}
         assert not (await bench.driver.poll()).axes["x"].position_lost
         await bench.start({"x": 60_000})
-        await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "limit switch" in outcome.reason
         reading = await bench.driver.poll()
         assert reading.axes["x"].position_lost and reading.axes["x"].limit == "forward"
@@ -102,7 +102,7 @@ def test_a_limit_stop_loses_the_reference_and_homing_restores_it(clears: bool) -
         with pytest.raises(Refusal) as caught:
             await bench.arm({"x": reading.axes["x"].commanded_counts + 100})
         assert caught.value.code == "limit"
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await bench.driver.clear_faults()
         # Off the switch, though it is active when the move begins (tbg:iel).
         assert (await bench.move({"x": reading.axes["x"].commanded_counts - 5000})).state == "done"

@@ -68,7 +68,7 @@ def test_an_input_that_is_active_already_is_refused() -> None:
         with pytest.raises(Refusal) as caught:
             await bench.arm({"x": 3000}, StartOptions(wait=WINDOW))
         assert caught.value.code == "line-level" and "start" in caught.value.text
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         assert not bench.moved()
 
     run(case, config=CONFIG)
@@ -80,15 +80,15 @@ def test_before_go_and_after_disarm_no_edge_starts_anything(stage: str) -> None:
         await bench.ready()
         if stage == "released":
             await bench.start({"x": 9000, "y": 100}, StartOptions(wait=WINDOW))
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
         else:
             await bench.arm({"x": 9000, "y": 100}, StartOptions(wait=WINDOW))
             if stage == "verified":
-                await bench.driver.verify_armed()
+                await bench.driver.slots.present.verify()
         bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, 2 * NS_PER_S)
         assert not bench.moved() and bench.unit.at_rest()
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         bench.unit.set_input(2, level=False)
         assert (await bench.move({"x": 50})).state == "done"
 
@@ -99,11 +99,11 @@ def test_an_edge_between_the_promise_and_go_is_refused() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 9000}, StartOptions(wait=WINDOW))
-        await bench.driver.verify_armed()
+        await bench.driver.slots.present.verify()
         bench.unit.set_input(2, level=True)
         with pytest.raises(Refusal, match="active"):
-            await bench.driver.go()
-        await bench.driver.disarm_move()
+            await bench.driver.slots.present.release()
+        await bench.driver.slots.unload()
         assert not bench.moved()
 
     run(case, config=CONFIG)
@@ -129,7 +129,7 @@ def test_a_stop_at_any_moment_leaves_no_program_waiting(when_ms: int, abort: boo
         with contextlib.suppress(ControllerFault, Refusal):
             await bench.followed()
         await bench.driver.clear_faults()
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         assert (await bench.move({"x": 0 if rest else 10})).state == "done"
 
     run(case, config=CONFIG, seed=when_ms)
@@ -140,7 +140,7 @@ def test_a_missing_trigger_edge_is_reported_and_a_late_one_moves_nothing() -> No
         await bench.ready()
         await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         with pytest.raises(ControllerFault) as caught:
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started" and "start" in caught.value.text
         await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, NS_PER_S)
@@ -165,7 +165,7 @@ def test_a_controller_that_is_reset_before_the_start_reports_none(before_ms: int
         await bench.until(t0_ns - before_ms * NS_PER_MS)
         bench.wire.links[-1].write(b"reset\r")
         with pytest.raises(ControllerFault, match="restarted before its start"):
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
         assert len(bench.moved()) == moves
 
     run(case, config=CONFIG)
@@ -177,7 +177,7 @@ def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
         t0_ns, _ = await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns - 300 * NS_PER_MS)
         with pytest.raises(ControllerFault, match="too early"):
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
         await bench.driver.stop(abort=False)
 
     run(case, config=CONFIG)
@@ -191,9 +191,9 @@ def test_a_program_that_may_not_start_is_refused_by_go() -> None:
         bench.unit.set_limit("3", "forward")
         await bench.arm({"x": 9000}, StartOptions(wait=WINDOW))
         with pytest.raises(Refusal) as caught:
-            await bench.driver.go()
+            await bench.driver.slots.present.release()
         assert caught.value.code == "not-waiting" and "iel1" in caught.value.remedy
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await bench.send_as_other_client("iel1")
         t0_ns, _ = await bench.start({"x": 9000}, StartOptions(wait=WINDOW))
         raise_at(bench, t0_ns)
@@ -286,12 +286,12 @@ def test_disarmed_or_stopped_the_output_is_passive(when_ms: int, by_stop: bool, 
         how = StartOptions(drive=DRIVE.model_copy(update={"hold_ns": 20 * NS_PER_S}))
         t0_ns, lowered = await bench.start(targets, how)
         await bench.until(t0_ns + when_ms * NS_PER_MS)
-        await (bench.driver.stop(abort=False) if by_stop else bench.driver.disarm_move())
+        await (bench.driver.stop(abort=False) if by_stop else bench.driver.slots.unload())
         await sleep_ns(bench.clock, lowered.costs.stop_ns)
         assert not bench.unit.output_level(3) and not bench.moving
         with contextlib.suppress(ControllerFault, Refusal):
             await bench.followed()
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         assert not bench.unit.output_level(3)
 
     run(case, config=CONFIG)

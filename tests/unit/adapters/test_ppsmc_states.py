@@ -169,10 +169,10 @@ def test_changes_by_others_between_arming_and_the_promise_are_detected(lines: Se
         await bench.send_as_other_client(*lines)
         await bench.rest()
         with pytest.raises(Refusal) as caught:
-            await bench.driver.verify_armed()
+            await bench.driver.slots.present.verify()
         assert caught.value.code == code
         await bench.send_as_other_client("q")
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         assert (await bench.move({"x": 20})).state == "done"
 
     run(case)
@@ -184,7 +184,7 @@ def test_a_speed_that_the_controller_rejects_is_refused_while_arming() -> None:
         with pytest.raises(Refusal) as caught:
             await bench.arm({"x": 50_000})
         assert caught.value.code == "not-loaded" and "ffast1" in caught.value.text
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         assert not bench.moved()
 
     run(case, simulate={"fmax_hz": 10_000})
@@ -198,7 +198,7 @@ def test_a_start_that_the_controller_ignores_is_reported() -> None:
         await bench.ready()
         await bench.start({"x": 5000, "y": 5000})
         with pytest.raises(ControllerFault) as caught:
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started" and caught.value.axis == "y"
         assert "emips" in caught.value.remedy
         await bench.driver.stop(abort=False)
@@ -222,8 +222,8 @@ def test_a_limit_that_changes_after_arming_is_detected() -> None:
         await bench.arm({"x": 5000})
         bench.unit.set_limit("3", "reverse")
         with pytest.raises(Refusal, match="limit switch"):
-            await bench.driver.verify_armed()
-        await bench.driver.disarm_move()
+            await bench.driver.slots.present.verify()
+        await bench.driver.slots.unload()
 
     run(case)
 
@@ -318,7 +318,7 @@ def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
                 with contextlib.suppress(ControllerFault):
                     await bench.driver.stop(abort=False)
                 await sleep_ns(bench.clock, 3 * NS_PER_S)
-                await bench.driver.disarm_move()
+                await bench.driver.slots.unload()
             bench.wire.to_near = bench.wire.to_far = None
             await bench.rest(30 * NS_PER_S)
             moved = {motion.axis for motion in bench.moved()[before:]}
@@ -374,16 +374,16 @@ def test_a_poll_in_progress_never_delays_a_start(lead_ms: int) -> None:
         await bench.ready()
         lowered = await bench.lowered({"x": 3000})
         t0_ns = bench.clock.now_ns() + lowered.costs.arm_ns
-        await bench.driver.arm_move(lowered, t0_ns, None)
-        await bench.driver.verify_armed()
+        await bench.driver.slots.present.load(lowered, t0_ns, None)
+        await bench.driver.slots.present.verify()
         await bench.until(t0_ns - lead_ms * NS_PER_MS)
         polling = asyncio.get_running_loop().create_task(bench.driver.poll())
         await sleep_ns(bench.clock, NS_PER_MS)
         try:
-            await bench.driver.go()
+            await bench.driver.slots.present.release()
         except Refusal as error:
             assert error.code == "late" and lead_ms < 200
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
             assert not bench.moved()
         else:
             await bench.followed()

@@ -66,7 +66,7 @@ def test_a_changed_setting_is_found_and_written_again(
             with pytest.raises(Refusal) as caught:
                 await bench.arm({"x": 3000, "y": 3000, "z": 3000})
             assert caught.value.code in ("setting-changed", "other-start")
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
         else:
             found = list(await bench.driver.check_settings(everything=True))
             assert [(each.item, each.moves_reference) for each in found] == [(setting, moves_reference)]

@@ -62,8 +62,8 @@ def test_every_move_is_executed_once_in_order_and_without_a_gap(axes: str, seed:
         for axis, each in moves.items():
             assert reading.axes[axis].commanded_counts == sum(move.distance for move in each)
         await bench.start({"x": 0})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, seed=seed, config=CONFIG, ppm=90.0)
 
@@ -148,8 +148,8 @@ def test_a_stop_ends_the_chain_and_leaves_nothing_queued(simulate: dict[str, Any
         assert all(each.start_ns < stopped_ns + 40 * NS_PER_MS for each in bench.moved())
         assert reason == "stopped on request" or not bench.moved()
         await bench.start({"x": 0})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, config=CONFIG, simulate=simulate)
 
@@ -176,8 +176,8 @@ def test_an_empty_chain_is_refused_and_leaves_the_controller_free(moves: dict[st
             await bench.driver.run_chain(moves)
         assert caught.value.code == "bad-chain" and caught.value.remedy
         await bench.start({"x": 100})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, config=CONFIG)
 
@@ -308,7 +308,7 @@ def test_on_a_noisy_line_a_chain_reports_where_it_broke_or_has_made_every_move(s
         if not reason:
             executed_once(bench, moves)
         assert bench.unit.at_rest()
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         before = len(bench.unit.commanded_motions)
         await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)

@@ -67,13 +67,13 @@ class Bench:
         ]
         lowered = self.driver.lower_profiles(plan_step(moves).profiles, StartOptions(), None)
         t0_ns = self.clock.now_ns() + lead_ns
-        await self.driver.arm_move(lowered, t0_ns, None)
+        await self.driver.slots.present.load(lowered, t0_ns, None)
         return t0_ns
 
     async def start(self, targets: Mapping[str, int]) -> int:
         t0_ns = await self.arm(targets)
-        await self.driver.verify_armed()
-        await self.driver.go()
+        await self.driver.slots.present.verify()
+        await self.driver.slots.present.release()
         return t0_ns
 
     def moved(self) -> list[CommandedMotion]:
@@ -137,10 +137,10 @@ def test_starts_and_ends_are_within_the_reported_intervals(seed: int) -> None:
             targets = {name: draw.randrange(-60_000, 60_000) for name in draw.sample("xyz", draw.randint(1, 3))}
             seen = len(bench.unit.commanded_motions)
             t0_ns = await bench.start(targets)
-            started = await bench.driver.wait_for_start()
+            started = await bench.driver.slots.present.wait_for_start()
             if draw.random() < 0.5:
                 await bench.driver.poll()
-            outcome = await bench.driver.wait_for_end()
+            outcome = await bench.driver.slots.present.wait_for_end()
             assert outcome.state == "done", outcome
             truth = {each.axis: each for each in bench.unit.commanded_motions[seen:]}
             assert set(truth) == {NAMES[name] for name in targets}
@@ -163,11 +163,11 @@ def test_the_answer_to_a_poll_is_not_taken_for_the_completion_of_a_move_that_is_
             await bench.arm({"x": 0 if number % 2 else 400})
             poll = asyncio.ensure_future(bench.driver.poll())
             await sleep_ns(bench.clock, after_ms * NS_PER_MS)
-            await bench.driver.go()
+            await bench.driver.slots.present.release()
             assert (await poll).inputs[1]
-            started = await bench.driver.wait_for_start()
+            started = await bench.driver.slots.present.wait_for_start()
             assert started["x"].earliest_ns <= bench.unit.commanded_motions[-1].start_ns <= started["x"].latest_ns
-            assert (await bench.driver.wait_for_end()).state == "done"
+            assert (await bench.driver.slots.present.wait_for_end()).state == "done"
             assert len(bench.moved()) == number + 1
 
     run(case, config=controller(inputs={"start": {"number": 1}}))
@@ -177,8 +177,8 @@ def test_a_disarmed_move_never_runs() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.arm({"x": 5000, "z": -4000})
-        await bench.driver.disarm_move()
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
+        await bench.driver.slots.unload()
         await bench.driver.send_raw("G")  # regardless of what others do now
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
@@ -194,12 +194,12 @@ def test_a_cancelled_fire_never_moves(before_ms: int) -> None:
         await sleep_ns(bench.clock, max(0, t0_ns - before_ms * NS_PER_MS - bench.clock.now_ns()))
         if bench.clock.now_ns() > t0_ns - 3 * NS_PER_MS:
             return  # the starting line is on the wire
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
         await bench.start({"x": 3000})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)
 
@@ -220,10 +220,10 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": -70_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         await bench.driver.stop(abort=abort)
-        outcome = await bench.driver.wait_for_end()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == ("fault" if abort else "stopped"), outcome
         for motion in bench.unit.commanded_motions:
             name = "x" if motion.axis == "1" else "y"
@@ -237,8 +237,8 @@ def test_a_stop_ends_the_move_and_leaves_nothing_queued(abort: bool, simulate: d
         if "repeat_executed" not in simulate:  # there the controller itself repeats its executed moves
             assert not [each for each in bench.unit.commanded_motions[count:] if each.end_counts != each.start_counts]
         await bench.start({"x": 0})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, simulate=simulate)
 
@@ -259,10 +259,10 @@ def test_a_limit_in_motion_is_a_fault() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": 10_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         bench.unit.set_limit("1", "forward")
-        outcome = await bench.driver.wait_for_end()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "limit" in outcome.reason
         reading = await bench.driver.poll()
         assert reading.axes["x"].limit == "forward" and reading.axes["y"].limit == "none"
@@ -278,7 +278,7 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
             await bench.arm({"x": 5000})
         elif when == "moving":
             await bench.start({"x": 80_000})
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
             await sleep_ns(bench.clock, 200 * NS_PER_MS)
         bench.unit.set_power(on=False)
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
@@ -290,11 +290,11 @@ def test_a_power_cycle_is_noticed(when: str) -> None:
             return
         if when == "armed":
             with pytest.raises(Refusal):
-                await bench.driver.verify_armed()
+                await bench.driver.slots.present.verify()
         await sees_the_restart(bench.driver)
         await bench.start({"x": 1000})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)
 
@@ -317,7 +317,7 @@ def test_a_refusal_while_arming_leaves_nothing_armed(nth: int) -> None:
         except (Refusal, ControllerFault) as error:
             assert "NG" in str(error) or "load" in str(error) or "understood" in str(error)
         bench.wire.to_near = None
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
@@ -367,8 +367,8 @@ def test_a_lost_answer_or_completion_does_not_lose_the_move(lose: bytes) -> None
         await bench.ready()
         await bench.start({"x": 60_000})
         bench.wire.to_near = lambda data: b"" if data == lose else data
-        started = await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        started = await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         bench.wire.to_near = None
         assert outcome.state == "done"
         (motion,) = bench.unit.commanded_motions

@@ -44,8 +44,8 @@ def test_axes_of_different_methods_are_all_homed(simulate: dict[str, Any]) -> No
         assert len(starts) == 3
         assert (starts[2] - starts[0] < 200 * NS_PER_MS) != ("busy_anywhere" in simulate)
         await bench.start({"x": 500, "y": 500})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, config=mixed("orgs", "mini", "default"), simulate=simulate)
 
@@ -225,8 +225,8 @@ def test_a_closed_loop_keeps_its_position_and_returns_the_stage() -> None:
         reading = (await bench.driver.poll()).axes["x"]
         assert (reading.commanded_counts, reading.actual_counts) == (0, 0.0)
         await bench.start({"x": 1000})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
         assert (await bench.driver.poll()).axes["x"].actual_counts == 1000.0
 
     run(case, options={"loop": "closed"}, simulate={"scales": True})

@@ -213,7 +213,7 @@ def test_an_armed_step_is_not_started_by_a_jog() -> None:
         await bench.arm({"x": 5000})
         with pytest.raises(Refusal, match="loaded"):
             await bench.driver.jog_axis("x", jog(1000.0))
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await bench.driver.jog_axis("x", jog(-1000.0, -100))
         assert await rested(bench) == -100
 
@@ -251,8 +251,8 @@ def test_after_jogs_a_step_and_homing_work_as_before(simulate: dict[str, Any]) -
             start = round(await rested(bench))
             seen = len(bench.unit.commanded_motions)
             await bench.start({"x": start - 2000, "y": 500 + start})
-            await bench.driver.wait_for_start()
-            outcome = await bench.driver.wait_for_end()
+            await bench.driver.slots.present.wait_for_start()
+            outcome = await bench.driver.slots.present.wait_for_end()
             assert outcome.state == "done", outcome
             assert bench.unit.position("1") == start - 2000
             assert len(bench.unit.commanded_motions) == seen + 2

@@ -52,8 +52,8 @@ def test_leftovers_never_move_and_are_gone_after_connecting(lines: tuple[str, ..
         await sleep_ns(bench.clock, 2 * NS_PER_S)
         assert not bench.moved()
         await bench.start({"x": 2000, "y": -3000})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
         assert [each.end_counts for each in bench.moved()] in ([2000, -3000], [-3000, 2000])
 
     run(
@@ -69,8 +69,8 @@ def test_an_incomplete_line_does_no_harm() -> None:
         await bench.driver.send_raw("G")
         await sleep_ns(bench.clock, NS_PER_S)
         await bench.start({"x": 2000})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)
 
@@ -123,8 +123,8 @@ def test_the_queue_of_an_axis_in_an_error_is_emptied_after_the_reset(anew: bool)
         await bench.start({"x": 5000})
         bench.unit.set_limit("1", "both")
         with pytest.raises(ControllerFault):
-            await bench.driver.wait_for_start()
-        await bench.driver.disarm_move()
+            await bench.driver.slots.present.wait_for_start()
+        await bench.driver.slots.unload()
         if anew:
             await bench.driver.close()
             await bench.driver.connect()
@@ -139,8 +139,8 @@ def test_the_queue_of_an_axis_in_an_error_is_emptied_after_the_reset(anew: bool)
         assert not bench.unit.is_moving("1") and not any(each.end_counts for each in bench.unit.commanded_motions)
         await bench.driver.poll()
         await bench.start({"x": 1234})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)
 
@@ -154,23 +154,23 @@ def test_a_restart_on_an_open_line_is_noticed(when: str) -> None:
         elif when != "idle":
             t0_ns = await bench.start({"x": 80_000})
             if when == "moving":
-                await bench.driver.wait_for_start()
+                await bench.driver.slots.present.wait_for_start()
                 await sleep_ns(bench.clock, t0_ns + 200 * NS_PER_MS - bench.clock.now_ns())
         bench.wire.links[-1].write(b"RESET:\r\n")
         if when == "armed":
             await sleep_ns(bench.clock, 3500 * NS_PER_MS)
             with pytest.raises(Refusal):
-                await bench.driver.verify_armed()
+                await bench.driver.slots.present.verify()
         elif when == "released":
             with pytest.raises(ControllerFault):
-                await bench.driver.wait_for_start()
-                await bench.driver.wait_for_end()
+                await bench.driver.slots.present.wait_for_start()
+                await bench.driver.slots.present.wait_for_end()
         await sleep_ns(bench.clock, 3500 * NS_PER_MS)
         await sees_the_restart(bench.driver)
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await bench.start({"x": 1234})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)
 
@@ -184,9 +184,9 @@ def test_controllers_with_fewer_controllable_axes(names: str, fixed: int | None)
         for _ in range(4):
             targets = {name: draw.randrange(-9000, 9000) for name in names}
             await bench.start(targets)
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
             await bench.driver.poll()
-            assert (await bench.driver.wait_for_end()).state == "done"
+            assert (await bench.driver.slots.present.wait_for_end()).state == "done"
             reading = await bench.driver.poll()
             assert {name: axis.commanded_counts for name, axis in reading.axes.items()} == targets
         await bench.driver.home_axes(list(names), lambda _: None)
@@ -229,11 +229,11 @@ def test_inputs_and_outputs() -> None:
         assert reading.outputs[1] and not reading.outputs[4]
         assert bench.unit.output_level(1) and not bench.unit.output_level(4)
         await bench.start({"x": 40_000, "y": 8_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         for _ in range(6):  # the input word is 2 while completions 1 and 2 are expected
             reading = await bench.driver.poll()
             assert reading.inputs[2] and not reading.inputs[1]
-        assert (await bench.driver.wait_for_end()).state == "done"
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, config=config)
 
@@ -243,8 +243,8 @@ def test_a_closed_loop(settle_ms: int) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 20_000})
-        await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "done"
         (motion,) = bench.moved()
         assert motion.end_ns is not None
@@ -258,12 +258,12 @@ def test_a_stop_with_one_motor_off_stops_the_others() -> None:
         await bench.ready()
         await bench.driver.set_enabled(["z"], on=False)
         await bench.start({"x": 90_000, "y": 80_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         await bench.driver.stop(abort=False)
-        assert (await bench.driver.wait_for_end()).state == "stopped"
+        assert (await bench.driver.slots.present.wait_for_end()).state == "stopped"
         with pytest.raises(Refusal):
             await bench.arm({"z": 100})
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
 
     run(case)
 
@@ -272,12 +272,12 @@ def test_a_stop_from_a_link_of_its_own() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 90_000, "y": 80_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         link = await bench.wire.open_link()
         link.write(MAKE.stop_bytes(bench.config))
         await sleep_ns(bench.clock, 500 * NS_PER_MS)
         assert bench.unit.at_rest()
-        assert (await bench.driver.wait_for_end()).state == "fault"
+        assert (await bench.driver.slots.present.wait_for_end()).state == "fault"
 
     run(case)
 
@@ -291,7 +291,7 @@ def test_stops_at_any_moment_leave_nothing_that_moves(seed: int) -> None:
             t0_ns = await bench.start({"x": draw.randrange(5_000), "y": draw.randrange(-5_000, 0)})
             await sleep_ns(bench.clock, max(0, t0_ns - bench.clock.now_ns()) + draw.randrange(-5, 8) * NS_PER_MS)
             await bench.driver.stop(abort=False)
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
             await sleep_ns(bench.clock, NS_PER_S)
             count = len(bench.moved())
             await bench.driver.send_raw("G")
@@ -311,7 +311,7 @@ def test_a_stop_while_armed_is_cleaned_up_by_the_next_poll() -> None:
         await sleep_ns(bench.clock, NS_PER_S)
         assert not bench.moved()
         with pytest.raises(Refusal):
-            await bench.driver.go()
+            await bench.driver.slots.present.release()
 
     run(case)
 
@@ -330,8 +330,8 @@ def test_concurrent_polls_disturb_nothing() -> None:
             targets = {name: draw.randrange(-20_000, 20_000) for name in "xyz"}
             seen = len(bench.unit.commanded_motions)
             t0_ns = await bench.start(targets)
-            started = await bench.driver.wait_for_start()
-            assert (await bench.driver.wait_for_end()).state == "done"
+            started = await bench.driver.slots.present.wait_for_start()
+            assert (await bench.driver.slots.present.wait_for_end()).state == "done"
             for motion in bench.unit.commanded_motions[seen:]:
                 assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
                 assert -1 * NS_PER_MS < motion.start_ns - t0_ns < 2.3 * NS_PER_MS
@@ -344,7 +344,7 @@ def test_a_withdrawn_start_is_not_waited_for() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 5000})
-        waiting = asyncio.get_running_loop().create_task(bench.driver.wait_for_start())
+        waiting = asyncio.get_running_loop().create_task(bench.driver.slots.present.wait_for_start())
         await sleep_ns(bench.clock, NS_PER_MS)
         await bench.driver.stop(abort=False)
         with pytest.raises(ControllerFault, match="cancelled"):
@@ -357,8 +357,8 @@ def test_an_axis_that_does_not_settle_is_a_fault() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 20_000})
-        await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "does not settle" in outcome.reason
 
     run(case, simulate={"scales": True, "settle_ms": 10_000}, options={"loop": "closed"})
@@ -382,11 +382,11 @@ def test_a_noisy_line_moves_nothing_but_what_was_armed(seed: int) -> None:
             bench.wire.to_far = bench.wire.to_near = garble
             try:
                 await bench.start(targets)
-                await bench.driver.wait_for_start()
-                await bench.driver.wait_for_end()
+                await bench.driver.slots.present.wait_for_start()
+                await bench.driver.slots.present.wait_for_end()
             except (Refusal, ControllerFault):
                 bench.wire.to_far = bench.wire.to_near = None
-                await bench.driver.disarm_move()
+                await bench.driver.slots.unload()
             bench.wire.to_far = bench.wire.to_near = None
             await sleep_ns(bench.clock, 3 * NS_PER_S)
         assert {each.end_counts for each in bench.unit.commanded_motions} <= allowed

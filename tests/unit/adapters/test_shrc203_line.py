@@ -34,14 +34,14 @@ async def armed(
     moves = [AxisMove(name, now[name].commanded_counts, to, 100_000.0, 500_000.0) for name, to in targets.items()]
     lowered = bench.driver.lower_profiles(plan_step(moves).profiles if moves else {}, how, None)
     t0_ns = bench.clock.now_ns() + lead_ns
-    await bench.driver.arm_move(lowered, t0_ns, None)
+    await bench.driver.slots.present.load(lowered, t0_ns, None)
     return t0_ns, lowered.window_ns
 
 
 async def released(bench: Bench, targets: Mapping[str, int], how: StartOptions) -> tuple[int, tuple[int, int]]:
     found = await armed(bench, targets, how)
-    await bench.driver.verify_armed()
-    await bench.driver.go()
+    await bench.driver.slots.present.verify()
+    await bench.driver.slots.present.release()
     return found
 
 
@@ -50,8 +50,8 @@ def raise_at(bench: Bench, at_ns: int, number: int = 2, level: bool = True) -> N
 
 
 async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
-    started = await bench.driver.wait_for_start()
-    return started, await bench.driver.wait_for_end()
+    started = await bench.driver.slots.present.wait_for_start()
+    return started, await bench.driver.slots.present.wait_for_end()
 
 
 @pytest.mark.parametrize("other_inputs", [(), (1, 6)])
@@ -136,7 +136,7 @@ def test_a_power_cycle_before_the_start_is_no_start(before_ms: int, off_ms: int,
         await sleep_ns(bench.clock, off_ms * NS_PER_MS)
         bench.unit.set_power(on=True)
         with pytest.raises((ControllerFault, LinkClosed)):
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
         assert len(bench.moved()) == 1
 
     run(case, config=CONFIG)
@@ -150,7 +150,7 @@ def test_an_input_that_is_active_already_is_refused_and_nothing_waits() -> None:
             await armed(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         assert caught.value.code == "line-level"
         assert "start" in caught.value.text and caught.value.remedy
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         assert bench.unit.at_rest()
 
     run(case, config=CONFIG)
@@ -162,9 +162,9 @@ def test_another_input_that_changes_before_the_promise_is_refused() -> None:
         t0_ns, _ = await armed(bench, {"x": 3000}, StartOptions(wait=WINDOW))
         bench.unit.set_input(4, level=True)
         with pytest.raises(Refusal) as caught:
-            await bench.driver.verify_armed()
+            await bench.driver.slots.present.verify()
         assert caught.value.code == "other-inputs" and "IN4" in caught.value.text
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         bench.unit.set_input(2, level=True)
         bench.unit.set_input(4, level=False)
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
@@ -184,12 +184,12 @@ def test_a_disarmed_move_never_starts_on_any_trigger_edge(stage: str, simulate: 
         await bench.ready()
         t0_ns, _ = await armed(bench, {"x": 5000, "z": -4000}, StartOptions(wait=WINDOW))
         if stage != "arm":
-            await bench.driver.verify_armed()
+            await bench.driver.slots.present.verify()
         if stage == "go":
-            await bench.driver.go()
+            await bench.driver.slots.present.release()
         assert not (await bench.driver.poll()).axes["x"].moving
-        await bench.driver.disarm_move()
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
+        await bench.driver.slots.unload()
         assert bench.unit.at_rest()
         raise_at(bench, t0_ns)
         await sleep_until_ns(bench.clock, t0_ns + NS_PER_S)
@@ -247,7 +247,7 @@ def test_a_missing_trigger_edge_is_reported_and_a_late_one_moves_nothing_after_t
         await bench.ready()
         await released(bench, {"x": 5000}, StartOptions(wait=WINDOW))
         with pytest.raises(ControllerFault) as caught:
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started" and "IN2" in caught.value.text
         await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, 100 * NS_PER_MS)
@@ -262,12 +262,12 @@ def test_an_edge_long_before_t0_is_not_taken_for_the_start() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await armed(bench, {"x": 50_000}, StartOptions(wait=WINDOW))
-        await bench.driver.verify_armed()
+        await bench.driver.slots.present.verify()
         bench.unit.set_input(2, level=True)
         await sleep_ns(bench.clock, 5 * NS_PER_MS)
-        await bench.driver.go()
+        await bench.driver.slots.present.release()
         with pytest.raises(ControllerFault, match="before T0"):
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
 
     run(case, config=CONFIG)
 
@@ -361,11 +361,11 @@ def test_the_output_is_switched_within_the_reported_interval_and_back(
             plan_step(moves).profiles if moves else {}, StartOptions(drive=drive), None
         )
         t0_ns = bench.clock.now_ns() + LEAD_NS
-        await bench.driver.arm_move(lowered, t0_ns, None)
-        await bench.driver.verify_armed()
+        await bench.driver.slots.present.load(lowered, t0_ns, None)
+        await bench.driver.slots.present.verify()
         await sleep_ns(bench.clock, 50 * NS_PER_MS)
         assert not edges.seen
-        await bench.driver.go()
+        await bench.driver.slots.present.release()
         started, outcome = await followed(bench)
         assert outcome.state == "done", outcome
         (on, on_ns), (off, off_ns) = edges.seen
@@ -406,7 +406,7 @@ def test_disarmed_or_stopped_the_output_is_passive_at_once(when_ms: int, by_stop
         if by_stop or when_ms > -10:
             await bench.driver.stop(abort=False)
         if not by_stop:
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
         with contextlib.suppress(ControllerFault, Refusal):
             await following
         await sleep_ns(bench.clock, 20 * NS_PER_MS)
@@ -467,8 +467,8 @@ def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
             bench.wire.to_far = bench.wire.to_near = garble
             try:
                 t0_ns, _ = await armed(bench, targets, StartOptions(wait=WINDOW))
-                await bench.driver.verify_armed()
-                await bench.driver.go()
+                await bench.driver.slots.present.verify()
+                await bench.driver.slots.present.release()
                 go = True
                 allowed |= set(targets.values())
                 raise_at(bench, t0_ns)
@@ -476,7 +476,7 @@ def test_on_a_noisy_line_nothing_moves_but_what_was_released(seed: int) -> None:
             except (Refusal, ControllerFault):
                 bench.wire.to_far = bench.wire.to_near = None
                 await bench.driver.stop(abort=False)
-                await bench.driver.disarm_move()
+                await bench.driver.slots.unload()
             bench.wire.to_far = bench.wire.to_near = None
             for level in (False, True):
                 bench.unit.set_input(2, level=level)

@@ -45,29 +45,29 @@ async def armed(bench: Bench, way: Mapping[str, int], how: StartOptions | None =
     profiles = planned({name: axis.commanded_counts for name, axis in now.items()}, way)
     made = bench.driver.lower_profiles(profiles, how or StartOptions(), None)
     t0_ns = bench.clock.now_ns() + 700 * NS_PER_MS
-    await bench.driver.arm_move(made, t0_ns, None)
+    await bench.driver.slots.present.load(made, t0_ns, None)
     return made, t0_ns
 
 
 async def released(bench: Bench, way: Mapping[str, int], how: StartOptions | None = None) -> tuple[ShrcLowered, int]:
     made, t0_ns = await armed(bench, way, how)
-    await bench.driver.verify_armed()
-    await bench.driver.go()
+    await bench.driver.slots.present.verify()
+    await bench.driver.slots.present.release()
     if how is not None:
         bench.clock.call_at_ns(t0_ns, lambda: bench.unit.set_input(2, level=True))
     return made, t0_ns
 
 
 async def followed(bench: Bench) -> tuple[Mapping[str, HostInterval], MoveOutcome]:
-    started = await bench.driver.wait_for_start()
-    return started, await bench.driver.wait_for_end()
+    started = await bench.driver.slots.present.wait_for_start()
+    return started, await bench.driver.slots.present.wait_for_end()
 
 
 async def nothing_is_left(bench: Bench) -> None:
     """Nothing moves any more, even if another client sends `G` or switches the inputs."""
     for _ in range(2):
         await bench.driver.poll()
-    await bench.driver.disarm_move()
+    await bench.driver.slots.unload()
     count = len(bench.moved())
     await bench.driver.send_raw("G")
     for number in range(1, 7):
@@ -258,8 +258,8 @@ def test_a_guardian_that_stops_between_leaves_nothing_that_moves() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 612})
-        await bench.driver.wait_for_start()
-        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
+        await bench.driver.slots.present.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.slots.present.wait_for_end())
         await sleep_ns(bench.clock, NS_PER_S)
         link = await bench.wire.open_link()
         link.write(MAKE.stop_bytes(bench.config))
@@ -309,9 +309,9 @@ def test_a_follow_up_move_that_comes_too_late_is_reported_and_not_run() -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         made, _ = await released(bench, {"x": 612})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         await sleep_ns(bench.clock, round(first_s(made) * NS_PER_S) + NS_PER_S)  # the host is frozen
-        outcome = await bench.driver.wait_for_end()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "the follow-up move came too late" in outcome.reason, outcome
         (motion,) = bench.moved()
         assert motion.end_counts == made.first_moves[0].end_counts
@@ -327,8 +327,8 @@ def test_a_cut_link_leaves_the_axis_at_the_end_of_its_loaded_moves(loaded: bool)
     async def case(bench: Bench) -> None:
         await bench.ready()
         made, _ = await released(bench, {"x": 612})
-        await bench.driver.wait_for_start()
-        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
+        await bench.driver.slots.present.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.slots.present.wait_for_end())
         if loaded:
             await sleep_ns(bench.clock, NS_PER_S)
         bench.wire.links[-1].hang_up()
@@ -348,10 +348,10 @@ def test_a_link_that_loses_everything_while_the_follow_up_move_is_loaded_ends_in
     async def case(bench: Bench) -> None:
         await bench.ready()
         await released(bench, {"x": 612})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         bench.wire.cut = True
         with pytest.raises(ControllerFault):
-            await bench.driver.wait_for_end()
+            await bench.driver.slots.present.wait_for_end()
         bench.wire.cut = False
         await bench.driver.stop(abort=False)
         await sleep_ns(bench.clock, NS_PER_S)
@@ -365,8 +365,8 @@ def test_a_power_cut_is_a_fault(at_s: float) -> None:
     async def case(bench: Bench) -> None:
         await bench.ready()
         _, t0_ns = await released(bench, {"x": 612})
-        await bench.driver.wait_for_start()
-        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
+        await bench.driver.slots.present.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.slots.present.wait_for_end())
         await sleep_ns(bench.clock, t0_ns + round(at_s * NS_PER_S) - bench.clock.now_ns())
         bench.wire.links[-1].write(b"RESET:\r\n")
         outcome = await following
@@ -382,8 +382,8 @@ def test_a_limit_sensor_in_the_first_move_ends_the_step() -> None:
         await bench.ready()
         _, t0_ns = await released(bench, {"x": 612})
         bench.clock.call_at_ns(t0_ns + NS_PER_S, lambda: bench.unit.set_limit("1", "forward"))
-        await bench.driver.wait_for_start()
-        following = asyncio.get_running_loop().create_task(bench.driver.wait_for_end())
+        await bench.driver.slots.present.wait_for_start()
+        following = asyncio.get_running_loop().create_task(bench.driver.slots.present.wait_for_end())
         await sleep_ns(bench.clock, 3 * NS_PER_S)
         await bench.driver.poll()
         outcome = await following
@@ -427,7 +427,7 @@ def test_a_move_that_is_withdrawn_before_its_start_never_moves(end: str, how: St
         await nothing_is_left(bench)
         assert not bench.moved()
         with pytest.raises(Refusal):
-            await bench.driver.go()
+            await bench.driver.slots.present.release()
 
     run(case, config=controller("xyz", **INPUTS))
 
@@ -443,12 +443,12 @@ def test_a_noisy_line_moves_no_axis_beyond_its_target(seed: int) -> None:
         for _ in range(3):
             way = draw.choice([612, -555, 333])
             made, _ = await released(bench, {"x": way})
-            await bench.driver.wait_for_start()
+            await bench.driver.slots.present.wait_for_start()
             bench.wire.to_far = bench.wire.to_near = lambda data: bytes(
                 draw.randrange(256) if draw.random() < 0.01 else each for each in data
             )
             try:
-                state = (await bench.driver.wait_for_end()).state
+                state = (await bench.driver.slots.present.wait_for_end()).state
             except ControllerFault:
                 state = "fault"
             bench.wire.to_far = bench.wire.to_near = None

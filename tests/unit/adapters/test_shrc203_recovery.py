@@ -15,8 +15,8 @@ LOOP = {"loop": "closed"}
 
 async def moved(bench: Bench, targets: dict[str, int]) -> str:
     await bench.start(targets)
-    await bench.driver.wait_for_start()
-    return (await bench.driver.wait_for_end()).state
+    await bench.driver.slots.present.wait_for_start()
+    return (await bench.driver.slots.present.wait_for_end()).state
 
 
 @pytest.mark.parametrize("settle_ms", [0, 60, 500])
@@ -24,8 +24,8 @@ def test_a_move_is_done_when_it_has_settled_and_ended_when_its_profile_has(settl
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 20_000})
-        await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         (motion,) = bench.moved()
         assert motion.end_ns is not None
         settled_ms = (bench.clock.now_ns() - motion.end_ns) / NS_PER_MS
@@ -42,8 +42,8 @@ def test_a_stage_that_does_not_follow_is_reported_and_freed_by_a_reset() -> None
         await bench.ready()
         bench.unit.set_stalled("1", stalled=True)
         await bench.start({"x": 4000})
-        await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "does not settle" in outcome.reason
         reading = await bench.driver.poll()
         assert reading.axes["x"].moving and reading.axes["x"].actual_counts == 0
@@ -61,13 +61,13 @@ def test_an_overflow_is_cleared_by_a_reset() -> None:
         await bench.ready()
         bench.unit.set_stalled("1", stalled=True)
         await bench.start({"x": 60_000})
-        await bench.driver.wait_for_start()
-        outcome = await bench.driver.wait_for_end()
+        await bench.driver.slots.present.wait_for_start()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "S4" in outcome.reason
         assert "overflow" in {fault.code for fault in (await bench.driver.poll()).faults}
         with pytest.raises(Refusal):
             await bench.arm({"x": 0})
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         bench.unit.set_stalled("1", stalled=False)
         await bench.driver.clear_faults()
         await bench.driver.set_enabled(["x"], on=True)
@@ -97,14 +97,14 @@ def test_after_an_emergency_stop_in_motion_reset_and_enable_recover(excitation_o
     async def case(bench: Bench) -> None:
         await bench.ready()
         await bench.start({"x": 80_000, "y": 60_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         await sleep_ns(bench.clock, 300 * NS_PER_MS)
         await bench.driver.stop(abort=True)
-        outcome = await bench.driver.wait_for_end()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "fault" and "emergency stop" in outcome.reason
         with pytest.raises(Refusal):
             await bench.arm({"x": 0})
-        await bench.driver.disarm_move()
+        await bench.driver.slots.unload()
         await bench.driver.clear_faults()
         reading = await bench.driver.poll()
         assert not reading.faults and reading.axes["x"].enabled != excitation_off
@@ -131,8 +131,8 @@ def test_registered_positions_are_read() -> None:
         await bench.start({"x": 0})
         with pytest.raises(Refusal, match="at rest"):
             await bench.driver.read_registered("place")
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)
 

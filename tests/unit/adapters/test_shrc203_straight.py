@@ -67,18 +67,18 @@ def test_a_path_that_single_axes_cannot_follow_is_interpolated_within_its_bounds
         made = lowered(bench, profiles)
         assert made.straight is not None and made.load.startswith("KP:")
         t0_ns = bench.clock.now_ns() + 400 * NS_PER_MS
-        await bench.driver.arm_move(made, t0_ns, None)
-        await bench.driver.verify_armed()
+        await bench.driver.slots.present.load(made, t0_ns, None)
+        await bench.driver.slots.present.verify()
         assert not bench.moved()
-        await bench.driver.go()
-        started = await bench.driver.wait_for_start()
+        await bench.driver.slots.present.release()
+        started = await bench.driver.slots.present.wait_for_start()
         start_ns = bench.unit.commanded_motions[0].start_ns
         worst = 0.0
         for _ in range(120):
             await sleep_ns(bench.clock, 100 * NS_PER_MS)
             worst = max(worst, distance_to_plan(bench, profiles, start_ns, bench.clock.now_ns()))
         assert worst <= max(made.path_error_counts.values())
-        outcome = await bench.driver.wait_for_end()
+        outcome = await bench.driver.slots.present.wait_for_end()
         assert outcome.state == "done", outcome
         for name, way in distances.items():
             (motion,) = [each for each in bench.unit.commanded_motions if each.axis == NAMES[name]]
@@ -86,8 +86,8 @@ def test_a_path_that_single_axes_cannot_follow_is_interpolated_within_its_bounds
             assert started[name].earliest_ns <= motion.start_ns <= started[name].latest_ns
             assert outcome.ended[name].earliest_ns <= motion.end_ns <= outcome.ended[name].latest_ns
         await bench.start({"x": 0})
-        await bench.driver.wait_for_start()
-        assert (await bench.driver.wait_for_end()).state == "done"
+        await bench.driver.slots.present.wait_for_start()
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case, config=CONFIG)
 
@@ -148,10 +148,10 @@ def test_a_withdrawn_linear_move_never_starts(end: str) -> None:
         await bench.ready()
         made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))
         assert made.straight is not None
-        await bench.driver.arm_move(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
-        await bench.driver.verify_armed()
+        await bench.driver.slots.present.load(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
+        await bench.driver.slots.present.verify()
         if end == "disarm":
-            await bench.driver.disarm_move()
+            await bench.driver.slots.unload()
         else:
             await bench.driver.stop(abort=end == "abort")
             await bench.driver.clear_faults()
@@ -171,7 +171,7 @@ def test_a_garbled_line_is_refused() -> None:
         made = lowered(bench, straight({"x": 1200, "y": -14}, LINE_S, 0.001))
         bench.wire.to_far = lambda data: data.replace(b"P1200", b"P1800")
         with pytest.raises(Refusal) as caught:
-            await bench.driver.arm_move(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
+            await bench.driver.slots.present.load(made, bench.clock.now_ns() + 400 * NS_PER_MS, None)
         assert caught.value.code == "load-garbled"
 
     run(case, config=CONFIG)

@@ -19,8 +19,8 @@ async def check_round(driver: ShrcDriver) -> list[SettingDifference]:
 
 async def move(bench: Bench, target: int) -> None:
     await bench.start({"x": target})
-    await bench.driver.wait_for_start()
-    assert (await bench.driver.wait_for_end()).state == "done"
+    await bench.driver.slots.present.wait_for_start()
+    assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
 
 def test_a_controller_that_nothing_has_changed_has_no_differences() -> None:
@@ -96,8 +96,8 @@ def test_the_check_costs_little_and_waits_for_no_completion() -> None:
             longest_ns = max(longest_ns, bench.clock.now_ns() - began_ns)
         assert longest_ns < 40 * NS_PER_MS
         await bench.start({"x": 20_000})
-        await bench.driver.wait_for_start()
+        await bench.driver.slots.present.wait_for_start()
         assert not await bench.driver.check_settings(everything=True)
-        assert (await bench.driver.wait_for_end()).state == "done"
+        assert (await bench.driver.slots.present.wait_for_end()).state == "done"
 
     run(case)

@@ -224,17 +224,17 @@ def test_a_controller_is_disarmed_while_the_others_start():
             lowered[address] = driver.lower_profiles(
                 {"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mappings[address]
             )
-        await asyncio.gather(*(world.drivers[a].arm_move(lowered[a], t0_ns, mappings[a]) for a in lowered))
-        await world.drivers[1].disarm_move()
+        await asyncio.gather(*(world.drivers[a].slots.present.load(lowered[a], t0_ns, mappings[a]) for a in lowered))
+        await world.drivers[1].slots.unload()
         with pytest.raises(Refusal):
-            await world.drivers[1].go()
-        await asyncio.gather(*(world.drivers[a].go() for a in (0, 2)))
+            await world.drivers[1].slots.present.release()
+        await asyncio.gather(*(world.drivers[a].slots.present.release() for a in (0, 2)))
         outcomes = []
         for address in (0, 2):
-            started = await world.drivers[address].wait_for_start()
+            started = await world.drivers[address].slots.present.wait_for_start()
             motion = world.units[address].commanded_motions[-1]
             assert started["x"].earliest_ns <= motion.start_ns <= started["x"].latest_ns
-            outcomes.append(await world.drivers[address].wait_for_end())
+            outcomes.append(await world.drivers[address].slots.present.wait_for_end())
         assert [outcome.state for outcome in outcomes] == ["done", "done"]
         assert not world.units[1].commanded_motions
 

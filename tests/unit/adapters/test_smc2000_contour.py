@@ -35,7 +35,7 @@ async def armed(world: World, profiles: dict[str, Profile]) -> tuple[Any, int]:
     mapping = world.driver.clock_mapping()
     lowered = world.driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
-    await world.driver.arm_move(lowered, t0_ns, mapping)
+    await world.driver.slots.present.load(lowered, t0_ns, mapping)
     assert world.clock.now_ns() < t0_ns - lowered.costs.disarm_ns
     return lowered, t0_ns
 
@@ -52,9 +52,9 @@ async def usable(world: World) -> None:
         else:
             profiles = {axis: trapezoid(*way, 20_000, 204_800) for axis, way in ends.items()}
         _, t0_ns = await armed(world, profiles)
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        outcome = await world.driver.wait_for_end()
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "done", outcome
         assert world.clock.now_ns() > t0_ns
         assert [world.controller.position(motor) for motor in "XY"] == [at + 4000 for at in here.values()]
@@ -78,12 +78,12 @@ def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed
             mapping = world.driver.clock_mapping()
             assert mapping is not None
             lowered, t0_ns = await armed(world, profiles)
-            await world.driver.verify_armed()
-            await world.driver.go()
+            await world.driver.slots.present.verify()
+            await world.driver.slots.present.release()
 
             async def watch() -> tuple[Any, Any]:
-                started = await world.driver.wait_for_start()
-                return started, await world.driver.wait_for_end()
+                started = await world.driver.slots.present.wait_for_start()
+                return started, await world.driver.slots.present.wait_for_end()
 
             watching = asyncio.get_running_loop().create_task(watch())
             await sleep_until_ns(world.clock, t0_ns + 20 * NS_PER_MS)
@@ -129,10 +129,10 @@ def test_the_declared_time_is_a_tight_bound_of_the_arming_time(hold_ms: int):
             began_ns = world.clock.now_ns()
             t0_ns = began_ns + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
             assert not await world.driver.check_settings(everything=True)
-            await world.driver.arm_move(lowered, t0_ns, mapping)
+            await world.driver.slots.present.load(lowered, t0_ns, mapping)
             took_ns = world.clock.now_ns() - began_ns
             assert 0.5 * lowered.costs.arm_ns < took_ns <= lowered.costs.arm_ns
-            await world.driver.disarm_move()
+            await world.driver.slots.unload()
             assert not world.controller.commanded_motions
 
     run(main, hold_ms=hold_ms, fleet=FLEET | {"options": {"hold_us": 1000 * hold_ms}})
@@ -143,11 +143,11 @@ def test_nothing_starts_after_a_disarm_or_a_connection_and_the_axes_are_free(bef
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 20_000), "y": (0, 10_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         if before_ms is not None:
             await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
-            await world.driver.disarm_move()
-            await world.driver.disarm_move()
+            await world.driver.slots.unload()
+            await world.driver.slots.unload()
         else:
             await world.driver.close()
             await sleep_ns(world.clock, NS_PER_MS)
@@ -169,7 +169,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         await world.ready()
         # 1.06 s
         lowered, t0_ns = await armed(world, jerked({"x": (0, 90_000), "y": (0, 30_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
         at = world.controller.position("X")
         await world.driver.stop(abort=abort)
@@ -195,7 +195,7 @@ def test_a_stop_while_arming_refuses_the_step(after_ms: int, abort: bool):
         await world.driver.stop(abort=abort)
         with suppress(Refusal, ControllerFault):
             await arming
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         await sleep_ns(world.clock, 3 * NS_PER_S)
         assert not world.controller.commanded_motions
         await usable(world)
@@ -207,12 +207,12 @@ def test_a_move_whose_adapter_is_lost_is_stopped_by_the_controller_itself():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 400_000)}))
-        await world.driver.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
         await sleep_until_ns(world.clock, t0_ns + 3 * NS_PER_S)
         assert world.controller.at_rest()
         assert 0 < world.controller.position("X") < 300_000
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "stopped"
         assert "watchdog" in outcome.reason
         await usable(world)
@@ -227,7 +227,7 @@ def test_arrays_that_differ_from_the_loaded_data_refuse_the_step():
         with pytest.raises((Refusal, ControllerFault)):
             await armed(world, jerked({"x": (0, 90_000)}))
         world.wire.to_far = None
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         await usable(world)
 
     run(main)
@@ -289,12 +289,12 @@ def test_a_controller_of_a_chain_is_armed_while_the_others_are_polled():
 
         polling = asyncio.get_running_loop().create_task(polls())
         t0_ns = world.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 100 * NS_PER_MS
-        await driver.arm_move(lowered, t0_ns, mapping)
+        await driver.slots.present.load(lowered, t0_ns, mapping)
         assert longest_ns < 200 * NS_PER_MS
-        await driver.verify_armed()
-        await driver.go()
-        await driver.wait_for_start()
-        outcome = await driver.wait_for_end()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
+        outcome = await driver.slots.present.wait_for_end()
         polling.cancel()
         assert outcome.state == "done", outcome
         assert world.units[1].position("X") == 50_000

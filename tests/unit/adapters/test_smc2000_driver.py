@@ -46,10 +46,10 @@ def test_a_value_with_a_garbled_digit_refuses_the_step(told: bytes, read: str):
         mapping = world.driver.clock_mapping()
         lowered = world.driver.lower_profiles({"x": trapezoid(0, 40_000, 80_000, 700_000)}, StartOptions(), mapping)
         with pytest.raises(Refusal, match=f"{read} reads back as") as refusal:
-            await world.driver.arm_move(lowered, world.clock.now_ns() + 2 * NS_PER_S, mapping)
+            await world.driver.slots.present.load(lowered, world.clock.now_ns() + 2 * NS_PER_S, mapping)
         assert refusal.value.code == "read-back"
         world.wire.to_far = None
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         assert not world.controller.commanded_motions
 
     run(main)
@@ -102,11 +102,11 @@ def test_disarmed_and_reconnected_controllers_do_not_start():
             mapping = world.driver.clock_mapping()
             lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
             t0_ns = world.clock.now_ns() + NS_PER_S
-            await world.driver.arm_move(lowered, t0_ns, mapping)
-            await world.driver.go()
+            await world.driver.slots.present.load(lowered, t0_ns, mapping)
+            await world.driver.slots.present.release()
             if way == "disarm":
-                await world.driver.disarm_move()
-                await world.driver.disarm_move()
+                await world.driver.slots.unload()
+                await world.driver.slots.unload()
             else:
                 await world.driver.close()
                 await sleep_ns(world.clock, NS_PER_MS)

@@ -90,16 +90,16 @@ class World:
     async def arm(self, driver: Smc30Driver, target: int, how: StartOptions = HOST) -> tuple[Smc30Lowered, int]:
         lowered = driver.lower_profiles(await self.plan(driver, target), how, None)
         t0_ns = self.t0(lowered)
-        await driver.arm_move(lowered, t0_ns, None)
+        await driver.slots.present.load(lowered, t0_ns, None)
         return lowered, t0_ns
 
     async def move(self, driver: Smc30Driver, target: int) -> tuple[int, HostInterval, MoveOutcome]:
         """A whole step; return T0, the start, and the outcome."""
         _, t0_ns = await self.arm(driver, target)
-        await driver.verify_armed()
-        await driver.go()
-        started = await driver.wait_for_start()
-        return t0_ns, started["x"], await driver.wait_for_end()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        started = await driver.slots.present.wait_for_start()
+        return t0_ns, started["x"], await driver.slots.present.wait_for_end()
 
     async def sleep(self, ms: float) -> None:
         await sleep_ns(self.clock, round(ms * NS_PER_MS))

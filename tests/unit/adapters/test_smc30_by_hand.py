@@ -106,7 +106,7 @@ def test_an_impossible_jog_is_refused() -> None:
         with pytest.raises(Refusal) as caught:
             await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))
         assert caught.value.code == "busy"
-        await driver.disarm_move()
+        await driver.slots.unload()
         await driver.set_enabled(["x"], on=False)
         with pytest.raises(Refusal) as caught:
             await driver.jog_axis("x", JogMove(500.0, 25_000.0, None))

@@ -129,16 +129,16 @@ def test_a_plan_from_elsewhere_is_refused_at_arming_and_at_the_promise() -> None
         lowered = driver.lower_profiles(profiles, HOST, None)
         await driver.send_raw("f+10")
         with pytest.raises(Refusal, match="is at 10") as caught:
-            await driver.arm_move(lowered, world.t0(lowered), None)
+            await driver.slots.present.load(lowered, world.t0(lowered), None)
         assert caught.value.code == "other-start"
-        await driver.disarm_move()
+        await driver.slots.unload()
         await driver.send_raw("f+0")
-        await driver.arm_move(lowered, world.t0(lowered), None)
+        await driver.slots.present.load(lowered, world.t0(lowered), None)
         await driver.send_raw("f-1")
         with pytest.raises(Refusal) as caught:
-            await driver.verify_armed()
+            await driver.slots.present.verify()
         assert caught.value.code == "other-start"
-        await driver.disarm_move()
+        await driver.slots.unload()
         assert not unit.commanded_motions
 
     run(main)
@@ -161,13 +161,13 @@ def test_a_refusal_at_any_point_of_an_arming_leaves_nothing_armed(error: str, nt
         world.wire.to_near = refuse
         armed = False
         try:
-            await driver.arm_move(lowered, world.t0(lowered), None)
+            await driver.slots.present.load(lowered, world.t0(lowered), None)
             armed = True
         except (Refusal, ControllerFault) as caught:
             assert caught.code
             assert caught.text
         world.wire.to_near = None
-        await driver.disarm_move()
+        await driver.slots.unload()
         await world.sleep(500)
         unit.set_input(1, level=True)
         await world.sleep(1500)
@@ -206,10 +206,10 @@ def test_the_permanent_memory_is_never_written_and_what_is_loaded_is_not_loaded_
         await world.ready()
         driver, _ = world.one
         lowered = driver.lower_profiles(await world.plan(driver, 1000), HOST, None)
-        await driver.arm_move(lowered, world.t0(lowered), None)
-        await driver.disarm_move()
+        await driver.slots.present.load(lowered, world.t0(lowered), None)
+        await driver.slots.unload()
         before = len(said)
-        await driver.arm_move(lowered, world.t0(lowered), None)
+        await driver.slots.present.load(lowered, world.t0(lowered), None)
         again = said[before:]
         assert b"6Q\x07\r" in again
         assert not any(line.startswith(b"6PO") for line in again)
@@ -239,15 +239,15 @@ def test_noise_on_both_ways_never_makes_a_wrong_move(seed: int) -> None:
             world.wire.to_far = world.wire.to_near = spoil
             lowered = driver.lower_profiles(profiles, HOST, None)
             try:
-                await driver.arm_move(lowered, world.t0(lowered), None)
-                await driver.verify_armed()
-                await driver.go()
-                await driver.wait_for_start()
-                assert (await driver.wait_for_end()).state == "done"
+                await driver.slots.present.load(lowered, world.t0(lowered), None)
+                await driver.slots.present.verify()
+                await driver.slots.present.release()
+                await driver.slots.present.wait_for_start()
+                assert (await driver.slots.present.wait_for_end()).state == "done"
             except (Refusal, ControllerFault):
                 wrong += 1
             world.wire.to_far = world.wire.to_near = None
-            await driver.disarm_move()
+            await driver.slots.unload()
             await world.sleep(2500)
             assert unit.at_rest()
             # It has moved to its target, or part of the distance, or not at all.
@@ -363,14 +363,14 @@ def test_a_stop_of_one_controller_while_another_is_armed(after_ms: int) -> None:
         await other.send_raw("T200")
         await other.send_raw("+5000")
         lowered = one.lower_profiles(await world.plan(one, 1000), HOST, None)
-        arming = asyncio.get_running_loop().create_task(one.arm_move(lowered, world.t0(lowered), None))
+        arming = asyncio.get_running_loop().create_task(one.slots.present.load(lowered, world.t0(lowered), None))
         await world.sleep(after_ms)
         await other.stop(abort=False)
         await world.sleep(lowered.costs.stop_ns / NS_PER_MS)
         assert not world.units[2].is_moving("1")
         with contextlib.suppress(Refusal):
             await arming
-        await one.disarm_move()
+        await one.slots.unload()
         assert not world.units[1].commanded_motions
         _, _, outcome = await world.move(one, 1000)
         assert outcome.state == "done"
@@ -386,13 +386,13 @@ def test_power_lost_in_a_move_is_a_fault_and_noticed() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 10_000)
-        await driver.verify_armed()
-        await driver.go()
-        await driver.wait_for_start()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
         await world.sleep(300)
         unit.set_power(on=False)
         with pytest.raises(ControllerFault) as caught:
-            await driver.wait_for_end()
+            await driver.slots.present.wait_for_end()
         assert caught.value.code == "no-answer"
         unit.set_power(on=True)
         await sees_the_restart(driver)
@@ -408,12 +408,12 @@ def test_a_power_cycle_in_a_move() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 10_000)
-        await driver.verify_armed()
-        await driver.go()
-        await driver.wait_for_start()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
         await world.sleep(300)
         await world.power_cycle(unit, 50)
-        assert (await driver.wait_for_end()).state == "fault"
+        assert (await driver.slots.present.wait_for_end()).state == "fault"
         await sees_the_restart(driver)
 
     run(main)
@@ -428,12 +428,12 @@ def test_a_power_cycle_just_before_the_start_is_no_start() -> None:
         driver, unit = world.one
         await world.move(driver, 500)
         _, t0_ns = await world.arm(driver, 10_000)
-        await driver.verify_armed()
-        await driver.go()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
         await world.power_cycle(unit, 40)
         with pytest.raises(ControllerFault, match="restarted before its start") as caught:
-            await driver.wait_for_start()
+            await driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started"
         await sees_the_restart(driver)
         assert len(unit.commanded_motions) == 1
@@ -463,12 +463,12 @@ def test_an_active_stop_input_ends_the_move_for_good() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 5000)
-        await driver.verify_armed()
-        await driver.go()
-        await driver.wait_for_start()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
         await world.sleep(300)
         unit.set_input(4, level=True)
-        outcome = await driver.wait_for_end()
+        outcome = await driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "Stop input" in outcome.reason
         unit.set_input(4, level=False)
@@ -486,12 +486,12 @@ def test_a_kill_in_motion_loses_the_position_and_a_ramp_does_not() -> None:
         driver, unit = world.one
         for abort in (False, True):
             await world.arm(driver, 20_000)
-            await driver.verify_armed()
-            await driver.go()
-            await driver.wait_for_start()
+            await driver.slots.present.verify()
+            await driver.slots.present.release()
+            await driver.slots.present.wait_for_start()
             await world.sleep(400)
             await driver.stop(abort=abort)
-            assert (await driver.wait_for_end()).state == "stopped"
+            assert (await driver.slots.present.wait_for_end()).state == "stopped"
             assert unit.at_rest()
             assert (await driver.poll()).axes["x"].position_lost is abort
 
@@ -508,16 +508,16 @@ def test_the_controller_at_address_3_stops_with_or_without_z(understood: bool) -
             return data.replace(framed("3Z"), b"3Z#\r")
 
         await world.arm(driver, 20_000)
-        await driver.verify_armed()
-        await driver.go()
-        await driver.wait_for_start()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
         await world.sleep(400)
         if not understood:
             world.wire.to_far = deaf
         await driver.stop(abort=False)
         await world.sleep(driver.capabilities.costs.stop_ns / NS_PER_MS)
         assert unit.at_rest()
-        assert (await driver.wait_for_end()).state == "stopped"
+        assert (await driver.slots.present.wait_for_end()).state == "stopped"
         assert (await driver.poll()).axes["x"].position_lost is not understood
 
     run(main, (3,))
@@ -535,7 +535,7 @@ def test_the_counters_end_is_a_fault_until_it_is_cleared() -> None:
         with pytest.raises(Refusal) as caught:
             await world.arm(driver, 0)
         assert caught.value.code == "counter-overflow"
-        await driver.disarm_move()
+        await driver.slots.unload()
         await driver.clear_faults()
         reading = await driver.poll()
         assert not reading.faults
@@ -565,8 +565,8 @@ def test_a_bus_is_stopped_first_by_its_own_line() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 20_000)
-        await driver.go()
-        await driver.wait_for_start()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
         await world.sleep(200)
         await driver.close()
         assert await driver.stop_before_connect()
@@ -582,15 +582,15 @@ def test_a_lost_start_command_is_detected_at_once() -> None:
         await world.ready()
         driver, unit = world.one
         _, t0_ns = await world.arm(driver, 2000)
-        await driver.verify_armed()
-        await driver.go()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
         world.wire.to_far = lambda data: b"" if data == framed("E") else data
         with pytest.raises(ControllerFault) as caught:
-            await driver.wait_for_start()
+            await driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started"
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
         assert not unit.commanded_motions
-        await driver.disarm_move()
+        await driver.slots.unload()
 
     run(main)
 
@@ -601,13 +601,13 @@ def test_a_lost_answer_to_the_start_command_stops_nothing(late_ms: int) -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 2000)
-        await driver.verify_armed()
-        await driver.go()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
         model = world.wire.model
         world.wire.model = replace(model, latency_ns=model.latency_ns + late_ms * NS_PER_MS)  # the line, too
         world.wire.to_near = lambda data: b"\xff\xff\r" if data == framed("Y") else data
-        span = (await driver.wait_for_start())["x"]
-        assert (await driver.wait_for_end()).state == "done"
+        span = (await driver.slots.present.wait_for_start())["x"]
+        assert (await driver.slots.present.wait_for_end()).state == "done"
         assert span.earliest_ns <= unit.commanded_motions[0].start_ns <= span.latest_ns
 
     run(main)
@@ -620,10 +620,10 @@ def test_two_steps_of_one_line_at_one_instant_are_refused() -> None:
         lowered, t0_ns = await world.arm(one, 2000)
         second = two.lower_profiles(await world.plan(two, 500), HOST, None)
         # Its slot is the one after; ten milliseconds earlier it is the same.
-        await two.arm_move(second, t0_ns - 10 * NS_PER_MS, None)
-        await one.go()
+        await two.slots.present.load(second, t0_ns - 10 * NS_PER_MS, None)
+        await one.slots.present.release()
         with pytest.raises(Refusal) as caught:
-            await two.go()
+            await two.slots.present.release()
         assert caught.value.code == "line-busy"
         assert lowered.lead_ns - second.lead_ns == 10 * NS_PER_MS
 
@@ -637,9 +637,9 @@ def test_a_stop_before_the_step_is_followed_leaves_room_for_the_next(how: StartO
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 2000, how)
-        await driver.verify_armed()
+        await driver.slots.present.verify()
         if released:
-            await driver.go()
+            await driver.slots.present.release()
         await driver.stop(abort=False)
         await world.sleep(2000)
         assert not unit.commanded_motions
@@ -657,10 +657,10 @@ def test_a_step_may_follow_a_jog_whose_end_no_poll_has_observed() -> None:
         await driver.jog_axis("x", JogMove(1000.0, 25_000.0, 10))
         await world.sleep(500)
         await driver.send_raw("f+0")
-        await driver.arm_move(lowered, world.t0(lowered), None)
-        await driver.go()
-        await driver.wait_for_start()
-        assert (await driver.wait_for_end()).state == "done"
+        await driver.slots.present.load(lowered, world.t0(lowered), None)
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
+        assert (await driver.slots.present.wait_for_end()).state == "done"
         assert unit.position("1") == 500
 
     run(main)
@@ -685,9 +685,9 @@ def test_polls_and_settings_keep_out_of_a_program_that_is_being_loaded(seed: int
         busy = asyncio.get_running_loop().create_task(beside())
         for target in (700, 200, 900):
             lowered = driver.lower_profiles(dict(_profiles(unit, target)), wait(), None)
-            await driver.arm_move(lowered, world.t0(lowered), None)
-            await driver.verify_armed()
-            await driver.disarm_move()
+            await driver.slots.present.load(lowered, world.t0(lowered), None)
+            await driver.slots.present.verify()
+            await driver.slots.unload()
         ended = True
         await busy
 

@@ -25,13 +25,13 @@ def test_a_controller_waits_for_its_trigger_line_and_starts_within_its_bounds(se
         lowered, t0_ns = await world.arm(driver, 6000, wait())
         assert lowered.start_class == "line"
         assert [term.name for term in lowered.terms] == ["line", "input", "firmware"]
-        await driver.verify_armed()
-        await driver.go()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
         assert not (await driver.poll()).axes["x"].moving
         await sleep_until_ns(world.clock, t0_ns)
         unit.set_input(1, level=True)
-        span = (await driver.wait_for_start())["x"]
-        outcome = await driver.wait_for_end()
+        span = (await driver.slots.present.wait_for_start())["x"]
+        outcome = await driver.slots.present.wait_for_end()
         assert outcome.state == "done"
         motion = unit.commanded_motions[0]
         low, high = window(lowered.terms)
@@ -56,7 +56,7 @@ def test_a_trigger_line_that_is_active_already_is_refused() -> None:
         await world.sleep(2000)
         assert not unit.commanded_motions
         unit.set_input(1, level=False)
-        await driver.disarm_move()
+        await driver.slots.unload()
         await world.arm(driver, 6000, wait())
 
     run(main)
@@ -86,12 +86,12 @@ def test_a_waiting_controller_is_disarmed_and_a_later_edge_moves_nothing(way: st
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        await driver.verify_armed()
+        await driver.slots.present.verify()
         if way == "disarm":
-            await driver.disarm_move()
+            await driver.slots.unload()
         else:
             await driver.stop(abort=way == "abort")
-            await driver.disarm_move()
+            await driver.slots.unload()
         unit.set_input(1, level=True)
         await world.sleep(3000)
         assert not unit.commanded_motions
@@ -110,7 +110,7 @@ def test_a_controller_that_is_restarted_while_it_is_armed_does_not_wait_for_its_
         await world.ready()
         driver, unit = world.one
         lowered = driver.lower_profiles(await world.plan(driver, 6000), wait(), None)
-        arming = asyncio.ensure_future(driver.arm_move(lowered, world.t0(lowered), None))
+        arming = asyncio.ensure_future(driver.slots.present.load(lowered, world.t0(lowered), None))
         await world.sleep(after_ms)
         await world.power_cycle(unit, 100)
         with pytest.raises((Refusal, ControllerFault)):
@@ -128,10 +128,10 @@ def test_a_missing_trigger_edge_is_reported_and_nothing_is_left_waiting() -> Non
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        await driver.verify_armed()
-        await driver.go()
-        assert not (await driver.wait_for_start())["x"].seen
-        outcome = await driver.wait_for_end()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        assert not (await driver.slots.present.wait_for_start())["x"].seen
+        outcome = await driver.slots.present.wait_for_end()
         assert outcome.state == "fault"
         assert "go" in outcome.reason
         unit.set_input(1, level=True)
@@ -147,12 +147,12 @@ def test_a_power_cycle_before_the_edge_is_no_start_even_if_the_target_equals_the
         driver, unit = world.one
         await world.move(driver, 500)
         _, t0_ns = await world.arm(driver, 0, wait())
-        await driver.verify_armed()
-        await driver.go()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns - 80 * NS_PER_MS)
         await world.power_cycle(unit, 40)
         with pytest.raises(ControllerFault) as caught:
-            await driver.wait_for_start()
+            await driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started"
         assert len(unit.commanded_motions) == 1
 
@@ -167,7 +167,7 @@ def test_a_waiting_controller_that_was_switched_off_is_not_promised() -> None:
         await world.power_cycle(unit, 200)
         await world.sleep(200)
         with pytest.raises(Refusal) as caught:
-            await driver.verify_armed()
+            await driver.slots.present.verify()
         assert caught.value.code == "not-armed"
 
     run(main)
@@ -184,12 +184,12 @@ def test_the_driven_line_is_active_at_t0_and_passive_again(seed: int, moves: boo
         profiles = await world.plan(driver, 400) if moves else {}
         lowered = driver.lower_profiles(profiles, drive(300), None)
         t0_ns = world.t0(lowered)
-        await driver.arm_move(lowered, t0_ns, None)
-        await driver.verify_armed()
-        await driver.go()
-        spans = await driver.wait_for_start()
+        await driver.slots.present.load(lowered, t0_ns, None)
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        spans = await driver.slots.present.wait_for_start()
         assert set(spans) == set(profiles)
-        assert (await driver.wait_for_end()).state == "done"
+        assert (await driver.slots.present.wait_for_end()).state == "done"
         (on_ns, on), (off_ns, off) = edges
         assert (on, off) == (True, False)
         low, high = window(lowered.edge)
@@ -212,8 +212,8 @@ def test_a_stop_leaves_the_driven_line_passive(abort: bool, moves: bool) -> None
         profiles = await world.plan(driver, 20_000) if moves else {}
         lowered = driver.lower_profiles(profiles, drive(3000), None)
         t0_ns = world.t0(lowered)
-        await driver.arm_move(lowered, t0_ns, None)
-        await driver.go()
+        await driver.slots.present.load(lowered, t0_ns, None)
+        await driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         assert unit.output_level(2)
         await driver.stop(abort=abort)
@@ -230,14 +230,14 @@ def test_nothing_is_driven_without_go_and_an_active_line_is_refused() -> None:
         driver, unit = world.one
         lowered = driver.lower_profiles({}, drive(), None)
         t0_ns = world.t0(lowered)
-        await driver.arm_move(lowered, t0_ns, None)
-        await driver.verify_armed()
+        await driver.slots.present.load(lowered, t0_ns, None)
+        await driver.slots.present.verify()
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
         assert not unit.output_level(2)
-        await driver.disarm_move()
+        await driver.slots.unload()
         await driver.set_output(2, on=True)
         with pytest.raises(Refusal) as caught:
-            await driver.arm_move(lowered, world.t0(lowered), None)
+            await driver.slots.present.load(lowered, world.t0(lowered), None)
         assert caught.value.code == "line-level"
 
     run(main)
@@ -258,11 +258,11 @@ def test_one_controller_of_a_bus_drives_the_trigger_line_that_the_others_wait_fo
         }
         t0_ns = world.t0(lowered[first])
         for each, driver in world.drivers.items():
-            await driver.arm_move(lowered[each], t0_ns, None)
-        await asyncio.gather(*(driver.verify_armed() for driver in world.drivers.values()))
-        await asyncio.gather(*(driver.go() for driver in world.drivers.values()))
-        await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers.values()))
-        outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in world.drivers.values()))
+            await driver.slots.present.load(lowered[each], t0_ns, None)
+        await asyncio.gather(*(driver.slots.present.verify() for driver in world.drivers.values()))
+        await asyncio.gather(*(driver.slots.present.release() for driver in world.drivers.values()))
+        await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in world.drivers.values()))
+        outcomes = await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in world.drivers.values()))
         assert [outcome.state for outcome in outcomes] == ["done"] * 4
         starts = [world.units[each].commanded_motions[0].start_ns for each in others]
         assert max(starts) - min(starts) < 2 * NS_PER_MS
@@ -297,11 +297,11 @@ def test_a_waiting_controller_that_an_operator_stops_is_not_started() -> None:
         await world.ready()
         driver, unit = world.one
         await world.arm(driver, 6000, wait())
-        await driver.verify_armed()
-        await driver.go()
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
         await driver.send_raw("K")
         with pytest.raises(ControllerFault) as caught:
-            await driver.wait_for_start()
+            await driver.slots.present.wait_for_start()
         assert caught.value.code == "not-started"
         assert not unit.commanded_motions
 

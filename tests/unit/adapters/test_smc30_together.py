@@ -21,8 +21,8 @@ TARGET = 4000
 async def follow(driver: Smc30Driver) -> MoveOutcome | None:
     """The outcome of a member after its `go`; None: it has not started."""
     try:
-        await driver.wait_for_start()
-        return await driver.wait_for_end()
+        await driver.slots.present.wait_for_start()
+        return await driver.slots.present.wait_for_end()
     except (ControllerFault, Refusal):
         return None
 
@@ -32,9 +32,11 @@ async def released(world: World) -> int:
     drivers = list(world.drivers.values())
     lowered = [driver.lower_profiles(await world.plan(driver, TARGET), HOST, None) for driver in drivers]
     t0_ns = world.t0(lowered[0]) + sum(each.costs.arm_ns for each in lowered[1:])
-    await asyncio.gather(*(driver.arm_move(each, t0_ns, None) for driver, each in zip(drivers, lowered, strict=True)))
-    await asyncio.gather(*(driver.verify_armed() for driver in drivers))
-    await asyncio.gather(*(driver.go() for driver in drivers))
+    await asyncio.gather(
+        *(driver.slots.present.load(each, t0_ns, None) for driver, each in zip(drivers, lowered, strict=True))
+    )
+    await asyncio.gather(*(driver.slots.present.verify() for driver in drivers))
+    await asyncio.gather(*(driver.slots.present.release() for driver in drivers))
     return t0_ns
 
 
@@ -106,7 +108,7 @@ def test_answers_that_arrive_late_are_not_mistaken_for_each_other(seed: int) -> 
         await released(world)
         # More than from one slot to the next.
         world.wire.model = replace(world.wire.model, hold_ns=14 * NS_PER_MS)
-        started = await asyncio.gather(*(driver.wait_for_start() for driver in world.drivers.values()))
+        started = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in world.drivers.values()))
         for each, span in zip(world.drivers, started, strict=True):
             assert span["x"].earliest_ns <= world.units[each].commanded_motions[0].start_ns <= span["x"].latest_ns
 
@@ -175,16 +177,18 @@ def test_a_trigger_line_starts_some_while_slots_start_the_others() -> None:
         }
         t0_ns = world.t0(lowered[1]) + sum(each.costs.arm_ns for each in lowered.values())
         drivers = world.drivers
-        await asyncio.gather(*(driver.arm_move(lowered[each], t0_ns, None) for each, driver in drivers.items()))
-        await asyncio.gather(*(driver.verify_armed() for driver in drivers.values()))
-        await asyncio.gather(*(driver.go() for driver in drivers.values()))
+        await asyncio.gather(
+            *(driver.slots.present.load(lowered[each], t0_ns, None) for each, driver in drivers.items())
+        )
+        await asyncio.gather(*(driver.slots.present.verify() for driver in drivers.values()))
+        await asyncio.gather(*(driver.slots.present.release() for driver in drivers.values()))
         await sleep_until_ns(world.clock, t0_ns)
         for unit in world.units.values():
             unit.set_input(1, level=True)
-        started = await asyncio.gather(*(driver.wait_for_start() for driver in drivers.values()))
+        started = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in drivers.values()))
         for each, span in zip(drivers, started, strict=True):
             assert span["x"].earliest_ns <= world.units[each].commanded_motions[0].start_ns <= span["x"].latest_ns
-        outcomes = await asyncio.gather(*(driver.wait_for_end() for driver in drivers.values()))
+        outcomes = await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in drivers.values()))
         assert {outcome.state for outcome in outcomes} == {"done"}
         assert world.clock.now_ns() - t0_ns < 5 * NS_PER_S
 

@@ -57,7 +57,7 @@ def test_the_settings_take_the_time_that_arming_allows_for() -> None:
         began_ns = world.clock.now_ns()
         assert not await driver.check_settings(everything=True)
         assert world.clock.now_ns() - began_ns < 3 * 25 * NS_PER_MS
-        await driver.arm_move(lowered, world.t0(lowered), None)
+        await driver.slots.present.load(lowered, world.t0(lowered), None)
         assert world.clock.now_ns() - began_ns <= lowered.costs.arm_ns
 
     run(main, **CURRENTS)

@@ -47,11 +47,11 @@ class Pair:
 
     async def load(self) -> None:
         assert self.lowered is not None
-        await self.driver.load_next(self.lowered, self.t0_ns, self.mapping)
+        await self.driver.slots.following.load(self.lowered, self.t0_ns, self.mapping, "beside")
 
     async def follow_first(self) -> str:
         """Follow the first move to its end."""
-        return (await self.driver.wait_for_end()).state
+        return (await self.driver.slots.present.wait_for_end()).state
 
     def motions(self) -> list[Any]:
         return list(self.world.controller.commanded_motions)
@@ -79,10 +79,10 @@ def run_pair(
             StartOptions(lead_ns=t0_ns - mapping.host_at_ns, exact=True),
             mapping,
         )
-        await driver.arm_move(lowered, t0_ns, mapping)
-        await driver.verify_armed()
-        await driver.go()
-        await driver.wait_for_start()
+        await driver.slots.present.load(lowered, t0_ns, mapping)
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
         await body(Pair(world, mapping, t0_ns + round(max(lowered.durations_s.values()) * NS_PER_S)))
 
     run(main, fleet=fleet)
@@ -92,12 +92,12 @@ def test_a_released_move_begins_in_its_window_and_both_have_their_stamps() -> No
     async def body(pair: Pair) -> None:
         pair.lower(BACK)
         await pair.load()
-        await pair.driver.verify_next()
-        await pair.driver.release_next()
-        first = await pair.driver.wait_for_end()
-        pair.driver.take_next()
-        started = await pair.driver.wait_for_start()
-        second = await pair.driver.wait_for_end()
+        await pair.driver.slots.following.verify()
+        await pair.driver.slots.following.release()
+        first = await pair.driver.slots.present.wait_for_end()
+        pair.driver.slots.advance()
+        started = await pair.driver.slots.present.wait_for_start()
+        second = await pair.driver.slots.present.wait_for_end()
         assert (first.state, second.state) == ("done", "done")
         before, after = pair.motions()
         assert pair.lowered is not None
@@ -120,10 +120,10 @@ def test_a_move_that_is_withdrawn_does_not_begin(how: str, release: bool) -> Non
         pair.lower(BACK)
         await pair.load()
         if release and how != "not released":
-            await pair.driver.release_next()
+            await pair.driver.slots.following.release()
         if how == "unloaded":
-            await pair.driver.unload_next()
-            await pair.driver.unload_next()  # idempotent
+            await pair.driver.slots.following.unload()
+            await pair.driver.slots.following.unload()  # idempotent
         elif how == "stopped":
             await pair.driver.stop(abort=False)
         state = await pair.follow_first()
@@ -139,7 +139,7 @@ def test_a_move_does_not_begin_where_the_one_before_has_not_ended() -> None:
     async def body(pair: Pair) -> None:
         pair.lower(BACK)
         await pair.load()
-        await pair.driver.release_next()
+        await pair.driver.slots.following.release()
         await sleep_until_ns(pair.world.clock, pair.ends_ns - 200 * NS_PER_MS)
         cast(Any, pair.world.controller).set_limit("X", "forward")
         await sleep_until_ns(pair.world.clock, pair.t0_ns + NS_PER_S)
@@ -152,7 +152,7 @@ def test_a_move_that_is_only_loaded_does_not_extend_the_watchdog_of_the_present_
     async def body(pair: Pair) -> None:
         clock = pair.world.clock
         pair.lower({"x": trapezoid(160_000, 0, 80_000, 700_000)}, gap_ns=5 * NS_PER_S)
-        watching = asyncio.create_task(pair.driver.wait_for_end())
+        watching = asyncio.create_task(pair.driver.slots.present.wait_for_end())
         await pair.load()
         await sleep_ns(clock, NS_PER_S)
         watching.cancel()
@@ -205,7 +205,7 @@ def test_a_move_of_an_axis_that_rests_begins_where_that_axis_is() -> None:
         assert caught.value.code == "other-start" and "axis y ends at 0 counts" in caught.value.text
         pair.lower({"y": trapezoid(0, 5000, 80_000, 700_000)}, gap_ns=NS_PER_S // 10)
         await pair.load()
-        await pair.driver.release_next()
+        await pair.driver.slots.following.release()
         assert await pair.follow_first() == "done"
         await sleep_until_ns(pair.world.clock, pair.t0_ns + NS_PER_S)
         assert [each.axis for each in pair.motions()] == ["X", "Y"]
@@ -219,7 +219,7 @@ def test_a_release_that_comes_too_late_is_refused_and_nothing_begins() -> None:
         await pair.load()
         await sleep_until_ns(pair.world.clock, pair.t0_ns - 3 * NS_PER_MS)
         with pytest.raises(Refusal) as caught:
-            await pair.driver.release_next()
+            await pair.driver.slots.following.release()
         assert caught.value.code == "late"
         await sleep_until_ns(pair.world.clock, pair.t0_ns + NS_PER_S)
         assert len(pair.motions()) == 1
@@ -227,11 +227,11 @@ def test_a_release_that_comes_too_late_is_refused_and_nothing_begins() -> None:
     run_pair(body)
 
 
-@pytest.mark.parametrize("call", ["verify_next", "release_next"])
+@pytest.mark.parametrize("call", ["verify", "release"])
 def test_nothing_is_promised_or_released_that_is_not_loaded(call: str) -> None:
     async def body(pair: Pair) -> None:
         with pytest.raises(Refusal) as caught:
-            await getattr(pair.driver, call)()
+            await getattr(pair.driver.slots.following, call)()
         assert caught.value.code == "not-armed"
 
     run_pair(body)

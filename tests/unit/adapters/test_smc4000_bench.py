@@ -65,11 +65,11 @@ class World:
         assert mapping is not None
         t0_ns = self.clock.now_ns() + round(lead_s * NS_PER_S)
         lowered = driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
-        await driver.arm_move(lowered, t0_ns, mapping)
-        await driver.verify_armed()
-        await driver.go()
-        started = await driver.wait_for_start()
-        outcome = await driver.wait_for_end()
+        await driver.slots.present.load(lowered, t0_ns, mapping)
+        await driver.slots.present.verify()
+        await driver.slots.present.release()
+        started = await driver.slots.present.wait_for_start()
+        outcome = await driver.slots.present.wait_for_end()
         return lowered, started, outcome, t0_ns
 
 

@@ -27,7 +27,7 @@ async def armed(world: World, profiles: dict[str, Profile], lead_s: float = 1.5)
     assert mapping is not None
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
     lowered = world.driver.lower_profiles(profiles, StartOptions(lead_ns=t0_ns - mapping.host_at_ns), mapping)
-    await world.driver.arm_move(lowered, t0_ns, mapping)
+    await world.driver.slots.present.load(lowered, t0_ns, mapping)
     return lowered, t0_ns
 
 
@@ -70,12 +70,12 @@ def test_path_and_evidence_contain_the_truth_over_random_moves_and_crystals(seed
             mapping = world.driver.clock_mapping()
             assert mapping is not None
             lowered, t0_ns = await armed(world, profiles)
-            await world.driver.verify_armed()
-            await world.driver.go()
+            await world.driver.slots.present.verify()
+            await world.driver.slots.present.release()
 
             async def watch() -> tuple[Any, Any]:
-                started = await world.driver.wait_for_start()
-                return started, await world.driver.wait_for_end()
+                started = await world.driver.slots.present.wait_for_start()
+                return started, await world.driver.slots.present.wait_for_end()
 
             watching = asyncio.get_running_loop().create_task(watch())
             await sleep_until_ns(world.clock, t0_ns + 20 * NS_PER_MS)
@@ -120,11 +120,11 @@ def test_nothing_starts_after_a_disarm_and_the_axes_are_free(before_ms: int, way
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 20_000), "y": (0, 10_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
         if way == "disarm":
-            await world.driver.disarm_move()
-            await world.driver.disarm_move()
+            await world.driver.slots.unload()
+            await world.driver.slots.unload()
         elif way == "reconnect":
             await world.driver.close()
             await world.driver.connect()
@@ -156,7 +156,7 @@ def test_a_stop_in_every_phase_is_a_stop_and_leaves_the_axes_free(after_ms: int,
         await world.ready()
         # 1.06 s
         lowered, t0_ns = await armed(world, jerked({"x": (0, 90_000), "y": (0, 30_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
         speeds = {motor: abs(world.controller.velocity(motor)) for motor in "XY"}
         at = {motor: world.controller.position(motor) for motor in "XY"}
@@ -180,7 +180,7 @@ def test_a_guardians_bytes_stop_running_and_waiting_contours(after_ms: int, halt
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + after_ms * NS_PER_MS)
         link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(Controller.model_validate(FLEET)))
@@ -221,9 +221,9 @@ def test_a_move_whose_adapter_is_lost_is_stopped_by_the_controller_itself(contou
         profiles = jerked(ends) if contour else {a: trapezoid(*way, 50_000, 512_000) for a, way in ends.items()}
         lowered, t0_ns = await armed(world, profiles)
         assert lowered.commands[0].startswith("contour" if contour else "PA")
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.slots.present.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 1500 * NS_PER_MS)
         world.wire.cut = True
         await sleep_ns(world.clock, 1000 * NS_PER_MS)
@@ -244,10 +244,10 @@ def test_a_tripped_watchdog_is_named():
     async def main(world: World) -> None:
         await world.ready()
         await armed(world, jerked({"x": (0, 400_000)}))
-        await world.driver.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
         await sleep_ns(world.clock, 1500 * NS_PER_MS)
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "stopped"
         assert "watchdog" in outcome.reason
 
@@ -269,7 +269,7 @@ def test_a_contour_that_an_earlier_client_left_is_stopped_by_its_ramps_at_connec
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 400_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + 700 * NS_PER_MS)
         if not other:
             await world.driver.close()
@@ -292,9 +292,9 @@ def test_a_contour_that_is_fed_too_slowly_is_a_fault(refuses: bool):
         lowered, _ = await armed(world, jerked({"x": (0, 90_000)}), 3.0)
         assert lowered.load.contour.interval == 3
         world.controller.machine.delay.timing = FirmwareTiming(decode_ns=2_500_000)  # pyright: ignore
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        outcome = await world.driver.wait_for_end()
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == ("stopped" if refuses else "fault"), outcome
         assert ("program had failed" if refuses else "records came too slowly") in outcome.reason
         world.controller.machine.delay.timing = FirmwareTiming(decode_ns=500_000)  # pyright: ignore
@@ -308,9 +308,9 @@ def test_a_limit_switch_in_a_contour_is_a_fault_of_its_axis():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000), "y": (0, 90_000)}))
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.slots.present.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         world.controller.set_limit("X", "forward")
         outcome = await watching
@@ -325,7 +325,7 @@ def test_a_power_cycle_clears_a_contour():
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await armed(world, jerked({"x": (0, 90_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         world.controller.set_power(on=False)
         await sleep_ns(world.clock, 100 * NS_PER_MS)
@@ -354,8 +354,8 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
         world.wire.to_far = cut
         with pytest.raises(ControllerFault):
             await armed(world, jerked({"x": (0, 90_000)}), 2.0)
-            await world.driver.verify_armed()
-            await world.driver.go()
+            await world.driver.slots.present.verify()
+            await world.driver.slots.present.release()
             for _ in range(40):
                 await world.driver.poll()
         world.wire.to_far, world.wire.cut = None, False
@@ -376,7 +376,7 @@ def test_arrays_that_differ_from_the_loaded_data_refuse_the_step():
             await armed(world, jerked({"x": (0, 90_000)}))
         world.wire.to_far = None
         assert refusal.value.code == "read-back"
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         await usable(world)
 
     run(main)

@@ -93,24 +93,24 @@ def test_a_release_at_the_last_moment_starts_in_time_or_not_at_all(period_us: in
         lowered = world.driver.lower_profiles(
             {"x": trapezoid(here, here + 5000, 20_000, 200_000)}, StartOptions(lead_ns=NS_PER_S), mapping
         )
-        await world.driver.arm_move(lowered, t0_ns, mapping)
+        await world.driver.slots.present.load(lowered, t0_ns, mapping)
         await sleep_until_ns(world.clock, t0_ns - before_ns)
         try:
-            await world.driver.go()
+            await world.driver.slots.present.release()
         except Refusal as refusal:
             assert refusal.code == "late"
         else:
             begun.append(True)
-            await world.driver.wait_for_start()
+            await world.driver.slots.present.wait_for_start()
             (motion,) = world.controller.commanded_motions[moved:]
             off_ns = motion.start_ns - t0_ns
             assert sum(t.earliest_ns for t in lowered.terms) <= off_ns <= sum(t.latest_ns for t in lowered.terms)
-            await world.driver.wait_for_end()
+            await world.driver.slots.present.wait_for_end()
             return
         begun.append(False)
         await sleep_ns(world.clock, NS_PER_S)
         assert len(world.controller.commanded_motions) == moved
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
 
     async def main(world: World, instants: range) -> None:
         cast(Any, world.controller).machine.memory.burn_period(period_us)
@@ -135,11 +135,11 @@ def test_disarmed_and_reconnected_controllers_do_not_start():
             mapping = world.driver.clock_mapping()
             lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
             t0_ns = world.clock.now_ns() + NS_PER_S
-            await world.driver.arm_move(lowered, t0_ns, mapping)
-            await world.driver.go()
+            await world.driver.slots.present.load(lowered, t0_ns, mapping)
+            await world.driver.slots.present.release()
             if way == "disarm":
-                await world.driver.disarm_move()
-                await world.driver.disarm_move()
+                await world.driver.slots.unload()
+                await world.driver.slots.unload()
             elif way == "reconnect":
                 await world.driver.close()
                 await world.driver.connect()

@@ -16,7 +16,7 @@ async def armed(world: World, lead_s: float = 1.0) -> int:
     mapping = world.driver.clock_mapping()
     lowered = world.driver.lower_profiles({"x": trapezoid(0, 5000, 20_000, 200_000)}, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + round(lead_s * NS_PER_S)
-    await world.driver.arm_move(lowered, t0_ns, mapping)
+    await world.driver.slots.present.load(lowered, t0_ns, mapping)
     return t0_ns
 
 
@@ -59,7 +59,7 @@ def test_a_garbled_start_input_refuses_the_step():
             await armed(world)
         assert refusal.value.code == "read-back"
         world.wire.to_far = None
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         assert not world.controller.commanded_motions
 
     run(main)
@@ -80,8 +80,8 @@ def test_a_link_that_is_cut_anywhere_leaves_nothing_armed_after_it_is_back(stage
         world.wire.to_far = cut
         with pytest.raises((ControllerFault, LinkClosed)) as fault:
             await armed(world, 1.4)
-            await world.driver.verify_armed()
-            await world.driver.go()
+            await world.driver.slots.present.verify()
+            await world.driver.slots.present.release()
             for _ in range(30):
                 await world.driver.poll()
         if isinstance(fault.value, ControllerFault):
@@ -252,12 +252,12 @@ def test_a_stop_in_motion_is_reported_as_a_stop_and_takes_no_longer_than_declare
         mapping = world.driver.clock_mapping()
         lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 60_000, ramp)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + NS_PER_S
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await world.driver.go()
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.load(lowered, t0_ns, mapping)
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
         await sleep_until_ns(world.clock, t0_ns + 300 * NS_PER_MS)
         await world.driver.stop(abort=False)
-        outcome = await world.driver.wait_for_end()
+        outcome = await world.driver.slots.present.wait_for_end()
         assert outcome.state == "stopped"
         motion = world.controller.commanded_motions[-1]
         assert motion.end_ns is not None
@@ -359,11 +359,13 @@ def test_a_stop_that_is_not_yet_executed_halts_no_step_that_is_armed_after_it():
             edges.clear()
             for _ in range(4):  # of several clients: each command takes its half millisecond
                 await driver.stop(abort=abort)
-            await driver.disarm_move()
+            await driver.slots.unload()
             t0_ns = world.clock.now_ns() + 300 * NS_PER_MS
-            await driver.arm_move(driver.lower_profiles({}, way, driver.clock_mapping()), t0_ns, driver.clock_mapping())
-            await driver.verify_armed()
-            await driver.go()
+            await driver.slots.present.load(
+                driver.lower_profiles({}, way, driver.clock_mapping()), t0_ns, driver.clock_mapping()
+            )
+            await driver.slots.present.verify()
+            await driver.slots.present.release()
             await sleep_until_ns(world.clock, t0_ns + 200 * NS_PER_MS)
             assert edges == [(1, True), (1, False)]
 

@@ -213,8 +213,8 @@ def test_a_guardians_bytes_stop_moving_and_waiting_axes(halts: bool, before_ms: 
         mapping = world.driver.clock_mapping()
         lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await world.driver.go()
+        await world.driver.slots.present.load(lowered, t0_ns, mapping)
+        await world.driver.slots.present.release()
         await sleep_ns(world.clock, t0_ns - before_ms * NS_PER_MS - world.clock.now_ns())
         link = await world.wire.open_link()
         link.write(MAKE.stop_bytes(Controller.model_validate(FLEET)))
@@ -231,8 +231,8 @@ def test_a_stop_is_sent_on_the_other_handle_when_its_own_is_closed():
         mapping = world.driver.clock_mapping()
         lowered = world.driver.lower_profiles({"x": trapezoid(0, 90_000, 60_000, 600_000)}, StartOptions(), mapping)
         t0_ns = world.clock.now_ns() + 1000 * NS_PER_MS
-        await world.driver.arm_move(lowered, t0_ns, mapping)
-        await world.driver.go()
+        await world.driver.slots.present.load(lowered, t0_ns, mapping)
+        await world.driver.slots.present.release()
         world.wire.links[1].hang_up()
         await world.driver.stop(abort=False)
         await sleep_ns(world.clock, 3000 * NS_PER_MS)

@@ -148,10 +148,10 @@ def test_the_declared_arming_time_covers_the_check():
         began_ns = world.clock.now_ns()
         assert not await driver.check_settings(everything=True)
         checked_ns = world.clock.now_ns()
-        await driver.arm_move(lowered, began_ns + 10**9, mapping)
+        await driver.slots.present.load(lowered, began_ns + 10**9, mapping)
         assert world.clock.now_ns() - began_ns <= lowered.costs.arm_ns
         assert checked_ns - began_ns < 25 * NS_PER_MS
-        await driver.disarm_move()
+        await driver.slots.unload()
 
     run(main)
 

@@ -41,7 +41,7 @@ async def armed(world: World, profiles: dict[str, Profile]) -> int:
     mapping = world.driver.clock_mapping()
     lowered = world.driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + NS_PER_S
-    await world.driver.arm_move(lowered, t0_ns, mapping)
+    await world.driver.slots.present.load(lowered, t0_ns, mapping)
     return t0_ns
 
 
@@ -49,10 +49,10 @@ async def require_late(world: World, t0_ns: int) -> None:
     """Released when it is too late: refused, and nothing moves."""
     await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
     with pytest.raises(Refusal) as late:
-        await world.driver.go()
+        await world.driver.slots.present.release()
     assert late.value.code == "late"
     with pytest.raises(ControllerFault) as fault:
-        await world.driver.wait_for_start()
+        await world.driver.slots.present.wait_for_start()
     assert fault.value.code == "late"
     await sleep_ns(world.clock, NS_PER_S)
     assert not world.controller.commanded_motions
@@ -73,7 +73,7 @@ def test_a_gate_that_is_never_opened_plays_no_contour(model: Model):
         await world.ready()
         _, t0_ns = await model.contours.armed(world, jerked({"x": (0, 20_000)}))
         await require_late(world, t0_ns)
-        await world.driver.disarm_move()
+        await world.driver.slots.unload()
         await model.contours.usable(world)
 
     model.run(main)
@@ -86,10 +86,10 @@ def test_a_late_release_is_refused_before_it_is_sent(model: Model):
     async def main(world: World) -> None:
         await world.ready()
         t0_ns = await armed(world, {"x": trapezoid(0, 5000, 20_000, 200_000)})
-        await world.driver.verify_armed()
+        await world.driver.slots.present.verify()
         await sleep_until_ns(world.clock, t0_ns - 10 * NS_PER_MS)
         with pytest.raises(Refusal, match="too late to release the start"):
-            await world.driver.go()
+            await world.driver.slots.present.release()
         (opened, *_), _ = await world.driver._device.session.read_numbers("XGO")
         assert not opened
 
@@ -106,7 +106,7 @@ def test_a_start_whose_instant_has_passed_is_late_whatever_its_program_says(mode
         (late, *_), _ = await world.driver._device.session.read_numbers("XLATE")
         assert not late
         with pytest.raises(Refusal, match="already shut"):
-            await world.driver.verify_armed()
+            await world.driver.slots.present.verify()
 
     model.run(main)
 
@@ -125,7 +125,7 @@ def test_a_stop_while_armed_keeps_everything_at_rest_or_stops_it(
     async def main(world: World) -> None:
         await world.ready()
         t0_ns = await armed(world, {"x": trapezoid(0, 90_000, 90_000, 900_000)})
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns - before_ms * NS_PER_MS)
         await world.driver.stop(abort=abort)
         await sleep_until_ns(world.clock, t0_ns + NS_PER_S)
@@ -156,9 +156,9 @@ def test_a_stop_of_a_contour_in_motion_is_reported_as_a_stop(model: Model):
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await model.contours.armed(world, jerked({"x": (0, 90_000)}))
-        await world.driver.go()
-        await world.driver.wait_for_start()
-        watching = asyncio.get_running_loop().create_task(world.driver.wait_for_end())
+        await world.driver.slots.present.release()
+        await world.driver.slots.present.wait_for_start()
+        watching = asyncio.get_running_loop().create_task(world.driver.slots.present.wait_for_end())
         await sleep_until_ns(world.clock, t0_ns + 400 * NS_PER_MS)
         await world.driver.stop(abort=False)
         outcome = await watching
@@ -180,7 +180,7 @@ def test_a_contour_is_played_during_continuous_polls(model: Model, options: dict
     async def main(world: World) -> None:
         await world.ready()
         _, t0_ns = await model.contours.armed(world, jerked({"x": (0, 150_000), "y": (0, -30_000)}))
-        await world.driver.go()
+        await world.driver.slots.present.release()
         await sleep_until_ns(world.clock, t0_ns + 5 * NS_PER_MS)
 
         async def polls() -> None:
@@ -188,8 +188,8 @@ def test_a_contour_is_played_during_continuous_polls(model: Model, options: dict
                 await world.driver.poll()
 
         polling = asyncio.get_running_loop().create_task(polls())
-        await world.driver.wait_for_start()
-        outcome = await world.driver.wait_for_end()
+        await world.driver.slots.present.wait_for_start()
+        outcome = await world.driver.slots.present.wait_for_end()
         polling.cancel()
         assert outcome.state == "done", outcome
 

@@ -5,7 +5,6 @@ from typing import Any
 
 from acme_adapter.dialect import AcmeDialect
 from tutti.adapter import (
-    API_VERSION,
     Controller,
     DriverSetup,
     ExamplePlace,
@@ -39,7 +38,7 @@ axes:
 class AcmeMake:
     """The make acme."""
 
-    api_version = API_VERSION
+    api_version = 2  # of the contract; `tutti adapter ls` shows that of the installed Tutti
     name = "acme"
     options_model: type[LineOptions] = LineOptions
     serial_defaults: Mapping[str, Any] = {"baud": 115200}

@@ -8,7 +8,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from acme_simulator.controller import AcmeController
 from tutti.adapter.simulator import (
-    API_VERSION,
     Clock,
     Controller,
     FirmwareTiming,
@@ -53,7 +52,7 @@ class AcmeBench:
 class AcmeSimulator:
     """The model for the entry point."""
 
-    api_version = API_VERSION
+    api_version = 1
     model = "acme"
     options_model: type[BaseModel] = AcmeOptions
     vector_files: Sequence[Path] = (Path(__file__).with_name("acme.vectors.jsonl"),)

@@ -1,0 +1,1 @@
+"""What makes of an earlier version of the contract need."""
