@@ -227,7 +227,14 @@ def _make_setting(text: SettingText, where: str, match: str, expected: float) ->
         except (ValueError, KeyError):
             return None
 
-    return LineSetting(text.item + where, _make_query(text), read, expected, text.remedy, text.is_minimum)
+    return LineSetting(
+        item=text.item + where,
+        step=_make_query(text),
+        read=read,
+        expected=expected,
+        remedy=text.remedy,
+        is_minimum=text.is_minimum,
+    )
 
 
 def _make_query(text: QueryText) -> LineStep:

@@ -123,7 +123,9 @@ class Cia402Mover:
             course_ns = _LONGEST_PATH_NS
         self._switched = None
         shot = self._sync_scheduler.reserve_start(node.number, t0_ns, t0_ns + course_ns)
-        move = self.move = DriveStep(lowered, t0_ns, shot, node.boots, node.left_bus, node.outputs)
+        move = self.move = DriveStep(
+            lowered=lowered, t0_ns=t0_ns, sync_start=shot, boots=node.boots, left=node.left_bus, outputs=node.outputs
+        )
         move.end_s = 0.0 if lowered.chunk is None else lowered.chunk.end_s
         try:
             return await self._load_step(move)

@@ -51,20 +51,91 @@ def required_pdos(
     started = switched if followed is None else ()
     slow = options.inhibit_ms * 10
     fourth = (
-        (PdoMapping("RPDO 4", 0x1403, 0x1603, RPDO[3], AT_ONCE, (o.ACCELERATION, o.DECELERATION)),)
+        (
+            PdoMapping(
+                title="RPDO 4",
+                parameter=0x1403,
+                mapping=0x1603,
+                function=RPDO[3],
+                kind=AT_ONCE,
+                carries=(o.ACCELERATION, o.DECELERATION),
+            ),
+        )
         if followed is None
         else (
-            PdoMapping("RPDO 4", 0x1403, 0x1603, RPDO[3], SYNCHRONOUS, (followed, *switched)),
-            PdoMapping("TPDO 4", 0x1803, 0x1A03, TPDO[3], SYNCHRONOUS, (o.STATUSWORD, o.DEMAND)),
+            PdoMapping(
+                title="RPDO 4",
+                parameter=0x1403,
+                mapping=0x1603,
+                function=RPDO[3],
+                kind=SYNCHRONOUS,
+                carries=(followed, *switched),
+            ),
+            PdoMapping(
+                title="TPDO 4",
+                parameter=0x1803,
+                mapping=0x1A03,
+                function=TPDO[3],
+                kind=SYNCHRONOUS,
+                carries=(o.STATUSWORD, o.DEMAND),
+            ),
         )
     )
     return (
-        PdoMapping("RPDO 1", 0x1400, 0x1600, RPDO[0], SYNCHRONOUS, (o.CONTROLWORD, *started)),
-        PdoMapping("RPDO 2", 0x1401, 0x1601, RPDO[1], AT_ONCE, (o.CONTROLWORD, o.MODE, *switched)),
-        PdoMapping("RPDO 3", 0x1402, 0x1602, RPDO[2], AT_ONCE, (o.TARGET, o.PROFILE_VELOCITY)),
-        PdoMapping("TPDO 1", 0x1800, 0x1A00, TPDO[0], AT_ONCE, (o.STATUSWORD, o.MODE_DISPLAY), 0, options.state_ms),
-        PdoMapping("TPDO 2", 0x1801, 0x1A01, TPDO[1], AT_ONCE, (o.DEMAND, o.ACTUAL), slow, options.state_ms),
-        PdoMapping("TPDO 3", 0x1802, 0x1A02, TPDO[2], AT_ONCE, (o.INPUTS, o.VELOCITY), slow, options.state_ms),
+        PdoMapping(
+            title="RPDO 1",
+            parameter=0x1400,
+            mapping=0x1600,
+            function=RPDO[0],
+            kind=SYNCHRONOUS,
+            carries=(o.CONTROLWORD, *started),
+        ),
+        PdoMapping(
+            title="RPDO 2",
+            parameter=0x1401,
+            mapping=0x1601,
+            function=RPDO[1],
+            kind=AT_ONCE,
+            carries=(o.CONTROLWORD, o.MODE, *switched),
+        ),
+        PdoMapping(
+            title="RPDO 3",
+            parameter=0x1402,
+            mapping=0x1602,
+            function=RPDO[2],
+            kind=AT_ONCE,
+            carries=(o.TARGET, o.PROFILE_VELOCITY),
+        ),
+        PdoMapping(
+            title="TPDO 1",
+            parameter=0x1800,
+            mapping=0x1A00,
+            function=TPDO[0],
+            kind=AT_ONCE,
+            carries=(o.STATUSWORD, o.MODE_DISPLAY),
+            inhibit=0,
+            timer=options.state_ms,
+        ),
+        PdoMapping(
+            title="TPDO 2",
+            parameter=0x1801,
+            mapping=0x1A01,
+            function=TPDO[1],
+            kind=AT_ONCE,
+            carries=(o.DEMAND, o.ACTUAL),
+            inhibit=slow,
+            timer=options.state_ms,
+        ),
+        PdoMapping(
+            title="TPDO 3",
+            parameter=0x1802,
+            mapping=0x1A02,
+            function=TPDO[2],
+            kind=AT_ONCE,
+            carries=(o.INPUTS, o.VELOCITY),
+            inhibit=slow,
+            timer=options.state_ms,
+        ),
         *fourth,
     )
 

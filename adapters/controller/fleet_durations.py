@@ -66,12 +66,12 @@ def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: M
         for output, each in switched.items():
             each.append(_make_term(scale, t0_host_ns + triggers[output]))
     return StatedMove(
-        {axis: each * (1.0 + scale.rate) for axis, each in lowered.durations_s.items()},
-        lowered.tick_ns * (1.0 + scale.rate),
-        terms,
-        edge,
-        switched,
-        lowered.clock_ppm + scale.drift_ppm,
+        durations_s={axis: each * (1.0 + scale.rate) for axis, each in lowered.durations_s.items()},
+        tick_ns=lowered.tick_ns * (1.0 + scale.rate),
+        terms=terms,
+        edge=edge,
+        triggers=switched,
+        clock_ppm=lowered.clock_ppm + scale.drift_ppm,
     )
 
 

@@ -202,15 +202,15 @@ class StepParticipant:
         if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
             raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
         armed_step = ArmedStep(
-            request.job,
-            request.step,
-            request.t0_fleet_ns,
-            t0_ns,
-            tuple(request.profiles),
-            scale,
-            lowered.can_advance,
-            dict(lowered.durations_s),
-            lowered.clock_ppm,
+            job=request.job,
+            step=request.step,
+            t0_fleet_ns=request.t0_fleet_ns,
+            t0_host_ns=t0_ns,
+            axes=tuple(request.profiles),
+            scale=scale,
+            can_advance=lowered.can_advance,
+            promised_s=dict(lowered.durations_s),
+            clock_ppm=lowered.clock_ppm,
         )
         return PreparedMove(request, armed_step, lowered, mapping, began_ns)
 

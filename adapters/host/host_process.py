@@ -174,16 +174,16 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
     try:
         firer = ProcessTimedWriter()
         around = HostEnvironment(
-            bus,
-            FleetKeys(fleet.fleet),
-            clock,
-            firer,
-            lambda _, config: make_link_opener(config.link_to_open, clock),
-            lambda controller: FileStore(chosen.state / f"{controller}.json"),
-            ThreadExecutor("memory"),
-            sink,
-            uuid4().hex,
-            find_session_certificate(chosen.connect),
+            bus=bus,
+            keys=FleetKeys(fleet.fleet),
+            clock=clock,
+            timed_writer=firer,
+            open_link=lambda _, config: make_link_opener(config.link_to_open, clock),
+            store=lambda controller: FileStore(chosen.state / f"{controller}.json"),
+            runs=ThreadExecutor("memory"),
+            sink=sink,
+            instance=uuid4().hex,
+            certificate=find_session_certificate(chosen.connect),
         )
         try:
             host = AdapterHost(chosen.host, fleet, around)

@@ -177,4 +177,4 @@ def _make_run(axis: str, motor: int, move: JogMove, limits: PpSmcBounds, stops: 
     sign = 1 if move.velocity_counts_s > 0 else -1
     # The counter itself ends there (L2022).
     end = sign * POSITION_MAX if move.end_counts is None else max(-POSITION_MAX, min(POSITION_MAX, move.end_counts))
-    return _JogRun(axis, motor, sign, (s, f, ramp, ramp), end, stops)
+    return _JogRun(axis=axis, motor=motor, sign=sign, profile=(s, f, ramp, ramp), end=end, stops=stops)

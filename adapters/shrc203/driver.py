@@ -176,7 +176,13 @@ class ShrcDriver(
         known = self._crystal.estimate_at(self._clock.now_ns())
         pulsed = require_trigger(self._config, self._options, profiles, start.triggers) if start.triggers else None
         wire = ConnectionTraits(
-            self._char_ns, self._supports_line_starts, self._costs, self._line_costs, known, closed_loop, pulsed
+            char_ns=self._char_ns,
+            line_starts=self._supports_line_starts,
+            costs=self._costs,
+            line_costs=self._line_costs,
+            known=known,
+            closed_loop=closed_loop,
+            pulsed=pulsed,
         )
         lowered = lower_step(self._config, self._options, wire, profiles, start)
         if pulsed is None:

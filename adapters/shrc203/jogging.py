@@ -144,4 +144,4 @@ def _make_run(axis: str, move: JogMove, limits: ShrcBounds, stops: int) -> _JogR
     sign = 1 if move.velocity_counts_s > 0 else -1
     # The counter itself ends there (L3057).
     end = sign * DISTANCE_MAX if move.end_counts is None else max(-DISTANCE_MAX, min(DISTANCE_MAX, move.end_counts))
-    return _JogRun(sign, s, f, r, end, stops)
+    return _JogRun(sign=sign, s=s, f=f, r=r, end=end, stops=stops)

@@ -149,7 +149,12 @@ def fit_trigger(
     late = list(_find_times(legs, [each + GRAIN for each in places]))
     spans = tuple(zip(early, late, strict=True))
     return PulseTrigger(
-        trigger.output, trigger.axis, motor_number(axis), interval, spans, sum(duration for duration, _, _ in legs)
+        output=trigger.output,
+        axis=trigger.axis,
+        motor=motor_number(axis),
+        interval=interval,
+        spans_s=spans,
+        duration_s=sum(duration for duration, _, _ in legs),
     )
 
 

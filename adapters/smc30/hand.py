@@ -200,6 +200,6 @@ def _make_run(name: str, move: JogMove, limits: Smc30Bounds, now: int, stops: in
     t = min(t, floor(sqrt(s**2 + 2 * move.ramp_counts_s2 * longest)))
     if t <= s:
         # Without a ramp, at no more than its start rate (L2286).
-        return ManualRun(min(t + 1, 2000), t, 1, now, end, stops)
+        return ManualRun(s=min(t + 1, 2000), t=t, r=1, begin=now, end=end, stops=stops)
     r = max(1, min(longest, ceil((t**2 - s**2) / (2 * move.ramp_counts_s2) - _ROUNDING)))
-    return ManualRun(s, t, r, now, end, stops)
+    return ManualRun(s=s, t=t, r=r, begin=now, end=end, stops=stops)

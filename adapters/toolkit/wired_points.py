@@ -70,7 +70,14 @@ def resolve_wait_input(config: Controller, wait: TriggerWait, lowest: int) -> Wi
     the fleet file does not name."""
     point = find_wait_input(config, wait)
     active = point.active == "high"
-    return WiredInput(wait.input, point.number, point.number - lowest, active, wait.earliest_ns, wait.latest_ns)
+    return WiredInput(
+        name=wait.input,
+        number=point.number,
+        bit=point.number - lowest,
+        active=active,
+        earliest_ns=wait.earliest_ns,
+        latest_ns=wait.latest_ns,
+    )
 
 
 def resolve_driven_output(config: Controller, drive: TriggerDrive, lowest: int) -> WiredOutput:

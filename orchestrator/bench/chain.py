@@ -96,12 +96,27 @@ async def _measure_chain(
     draw = Random(seed)
     oscillator = Oscillator(0, draw.uniform(-PPM, PPM), 0.05, draw.getrandbits(32))
     unit = find_simulator(MODEL).build_controller(clock, {}, oscillator=oscillator, timing=FIRMWARE, seed=seed)
-    wire = MemoryWire(clock, serial_wire(BAUD), unit, unit.port_names[0], "serial line", copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock,
+        model=serial_wire(BAUD),
+        far=unit,
+        port=unit.port_names[0],
+        endpoint="serial line",
+        far_context=copy_context(),
+        seed=seed,
+    )
 
     async def open_slow_link() -> Link:
         return _SlowHost(await wire.open_link(), clock)
 
-    setup = DriverSetup("stage", _make_config(), ShrcOptions(), clock, open_slow_link, LoopTimedWriter(clock))
+    setup = DriverSetup(
+        controller="stage",
+        config=_make_config(),
+        options=ShrcOptions(),
+        clock=clock,
+        open_link=open_slow_link,
+        timed_writer=LoopTimedWriter(clock),
+    )
     driver = ShrcDriver(setup, ShrcOptions())
     await driver.connect()
     await driver.configure()

@@ -161,7 +161,17 @@ def _estimate_regression(readings: list[_ClockReading], case: ClockCase) -> Tick
 
 
 def _make_mapping(ticks: int, host_ns: float, tick_ns: float) -> TickMapping:
-    return TickMapping(ticks, round(host_ns), tick_ns, 0.0, 0, 0, 0.0, 0, 0)
+    return TickMapping(
+        ticks_at=ticks,
+        host_at_ns=round(host_ns),
+        tick_ns=tick_ns,
+        rate_ppm=0.0,
+        residual_ns=0,
+        bound_ns=0,
+        drift_ppm=0.0,
+        samples=0,
+        min_rtt_ns=0,
+    )
 
 
 def _percentile(ordered: list[float], share: float) -> float:

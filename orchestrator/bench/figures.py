@@ -41,6 +41,12 @@ def make_figure(
     ordered_values = sorted(values)
     p50, p99 = (ordered_values[ceil(share * len(ordered_values)) - 1] for share in (0.5, 0.99))
     figure = BenchFigure(
-        what, len(ordered_values), round(p50, 4), round(p99, 4), round(ordered_values[-1], 4), unit, target
+        what=what,
+        n=len(ordered_values),
+        p50=round(p50, 4),
+        p99=round(p99, 4),
+        max=round(ordered_values[-1], 4),
+        unit=unit,
+        asked=target,
     )
     return figure if is_met is None else figure._replace(met=is_met(figure))

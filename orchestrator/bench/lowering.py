@@ -209,12 +209,35 @@ def _run_with_driver(subject: BenchedMake, ppm: float, seed: int, main: Callable
         controller = find_simulator(config.adapter).build_controller(
             clock, {}, oscillator=crystal, timing=timing, seed=seed
         )
-        wire = MemoryWire(clock, subject.wire, controller, subject.port, "bench", copy_context(), seed)
+        wire = MemoryWire(
+            clock=clock,
+            model=subject.wire,
+            far=controller,
+            port=subject.port,
+            endpoint="bench",
+            far_context=copy_context(),
+            seed=seed,
+        )
         options = make.options_model.model_validate(config.options)
         driver = make.create_driver(
-            DriverSetup("bench", config, options, clock, wire.open_link, LoopTimedWriter(clock))
+            DriverSetup(
+                controller="bench",
+                config=config,
+                options=options,
+                clock=clock,
+                open_link=wire.open_link,
+                timed_writer=LoopTimedWriter(clock),
+            )
         )
-        world = _LoweringBench(clock, controller, driver, config, crystal, built_ns, subject.sample_ns)
+        world = _LoweringBench(
+            clock=clock,
+            controller=controller,
+            driver=driver,
+            config=config,
+            crystal=crystal,
+            built_ns=built_ns,
+            sample_ns=subject.sample_ns,
+        )
         await world.wait_until_ready()
         return await main(world)
 
@@ -270,12 +293,13 @@ def _draw_contour(at: Mapping[str, int], draw: Random) -> dict[str, Profile]:
     first = draw.choice(list(at))
     moves = [
         AxisMove(
-            axis,
-            start,
-            start + draw.choice((-1, 1)) * round(longest * (1.0 if axis == first else draw.uniform(0.01, 1.0))),
-            VELOCITY,
-            ACCELERATION,
-            JERK,
+            axis=axis,
+            start_counts=start,
+            target_counts=start
+            + draw.choice((-1, 1)) * round(longest * (1.0 if axis == first else draw.uniform(0.01, 1.0))),
+            velocity=VELOCITY,
+            acceleration=ACCELERATION,
+            jerk=JERK,
             order=3,
         )
         for axis, start in at.items()

@@ -110,13 +110,24 @@ async def _measure_moves(clock: VirtualClock, moves: int, ppm: float, seed: int)
     crystal = Oscillator(Random(seed).randrange(10**9), ppm)
     timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
     unit = find_simulator(MAKE).build_controller(clock, {}, oscillator=crystal, timing=timing, seed=seed)
-    wire = MemoryWire(clock, LAN, unit, "tcp", "bench", copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock, model=LAN, far=unit, port="tcp", endpoint="bench", far_context=copy_context(), seed=seed
+    )
     config = Controller.model_validate(
         {**CONFIG, "options": {"rate_ppm": ppm, "clock_ppm": 1, "decode_us": 750, "decode_spread_us": 250}}
     )
     make = find_make(MAKE)
     options = make.options_model.model_validate(config.options)
-    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open_link, LoopTimedWriter(clock)))
+    driver = make.create_driver(
+        DriverSetup(
+            controller="bench",
+            config=config,
+            options=options,
+            clock=clock,
+            open_link=wire.open_link,
+            timed_writer=LoopTimedWriter(clock),
+        )
+    )
     await driver.connect()
     await driver.configure()
     await driver.set_enabled(["a"], on=True)

@@ -70,45 +70,45 @@ STEPPERS = {
     stepper.make: stepper
     for stepper in (
         BenchedStepper(
-            "smc30",
-            {"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"},
-            {},
-            {"checksum": True},
-            {
+            make="smc30",
+            link={"kind": "serial", "device": "/dev/ttyS0", "baud": 9600, "data_bits": 7, "parity": "odd"},
+            options={},
+            simulate={"checksum": True},
+            axis={
                 "unit": "counts",
                 "limits": {"velocity": 15_000, "acceleration": 200_000},
                 "start_rate": {"min": 16, "max": 1000},
             },
-            15_000.0,
-            200_000.0,
-            "G",
+            quickest=15_000.0,
+            acceleration=200_000.0,
+            begins="G",
         ),
         BenchedStepper(
-            "shrc203",
-            {"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
-            {"nm_per_pulse": 100},
-            {"divide": 20, "speed": [100, 20000, 100]},
-            {
+            make="shrc203",
+            link={"kind": "serial", "device": "/dev/ttyS0", "baud": 38400},
+            options={"nm_per_pulse": 100},
+            simulate={"divide": 20, "speed": [100, 20000, 100]},
+            axis={
                 "unit": "um",
                 "scale": 10,
                 "limits": {"velocity": 5_000, "acceleration": 50_000},
                 "start_rate": {"min": 0.1, "max": 500},
             },
-            50_000.0,
-            500_000.0,
-            "MP",
+            quickest=50_000.0,
+            acceleration=500_000.0,
+            begins="MP",
             alone=_fit_one_trapezoid,
         ),
         BenchedStepper(
-            "cia402",
-            {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 1},
-            {},
-            {},
-            {"unit": "counts", "limits": {"velocity": 200_000, "acceleration": 1_000_000}},
-            200_000.0,
-            1_000_000.0,
-            "6040h",
-            "can",
+            make="cia402",
+            link={"kind": "can", "interface": "socketcan", "channel": "can0", "address": 1},
+            options={},
+            simulate={},
+            axis={"unit": "counts", "limits": {"velocity": 200_000, "acceleration": 1_000_000}},
+            quickest=200_000.0,
+            acceleration=1_000_000.0,
+            begins="6040h",
+            port="can",
         ),
     )
 }
@@ -191,9 +191,20 @@ async def _measure_moves(
         clock, subject.simulate, oscillator=crystal, timing=timing, seed=seed
     )
     model = serial_wire(subject.link["baud"]) if "baud" in subject.link else can_wire()
-    wire = MemoryWire(clock, model, unit, subject.port, "bench", copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock, model=model, far=unit, port=subject.port, endpoint="bench", far_context=copy_context(), seed=seed
+    )
     options = make.options_model.model_validate(config.options)
-    driver = make.create_driver(DriverSetup("bench", config, options, clock, wire.open_link, LoopTimedWriter(clock)))
+    driver = make.create_driver(
+        DriverSetup(
+            controller="bench",
+            config=config,
+            options=options,
+            clock=clock,
+            open_link=wire.open_link,
+            timed_writer=LoopTimedWriter(clock),
+        )
+    )
     await driver.connect()
     await driver.configure()
     await driver.set_enabled(["a"], on=True)
@@ -224,13 +235,13 @@ async def _measure_moves(
             planned_ms = abs((end_ns - start_ns) * 1e-9 - profile.duration_s) * 1e3
         results.append(
             _StepperMove(
-                rate,
-                profile.duration_s,
-                abs(predicted_s - profile.duration_s) * 1e3,
-                predicted_ms,
-                planned_ms,
-                alone_ms,
-                commands,
+                rate=rate,
+                planned_s=profile.duration_s,
+                lowered_ms=abs(predicted_s - profile.duration_s) * 1e3,
+                predicted_ms=predicted_ms,
+                planned_ms=planned_ms,
+                alone_ms=alone_ms,
+                commands=commands,
             )
         )
     await driver.close()

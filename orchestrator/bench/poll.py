@@ -81,13 +81,13 @@ async def _measure_rate(clock: VirtualClock, case: PollCase, seconds: float, see
     characters_per_poll = characters / polls
     line_rate = NS_PER_S / (characters_per_poll * wire.model.char_ns)
     return PollRate(
-        units,
-        hold_ms,
-        at_once,
-        round(rate, 2),
-        round(characters_per_poll, 1),
-        round(line_rate, 2),
-        round(100 * rate / line_rate, 1),
+        units=units,
+        hold_ms=hold_ms,
+        at_once=at_once,
+        polls_s=round(rate, 2),
+        characters=round(characters_per_poll, 1),
+        wire_polls_s=round(line_rate, 2),
+        share=round(100 * rate / line_rate, 1),
     )
 
 
@@ -114,7 +114,15 @@ def _make_line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tupl
     }
     line = build_line(find_simulator(MAKE), clock, branches)
     model = serial_wire(BAUD, hold_ns=hold_ms * NS_PER_MS)
-    wire = MemoryWire(clock, model, line.endpoint, "serial", "serial line", copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock,
+        model=model,
+        far=line.endpoint,
+        port="serial",
+        endpoint="serial line",
+        far_context=copy_context(),
+        seed=seed,
+    )
     line_options: dict[str, Any] = {}
     drivers: list[Driver] = []
     for name, branch in branches.items():
@@ -122,7 +130,15 @@ def _make_line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tupl
         options = make.options_model.model_validate({})
         drivers.append(
             make.create_driver(
-                DriverSetup(name, config, options, clock, wire.open_link, LoopTimedWriter(clock), line_options)
+                DriverSetup(
+                    controller=name,
+                    config=config,
+                    options=options,
+                    clock=clock,
+                    open_link=wire.open_link,
+                    timed_writer=LoopTimedWriter(clock),
+                    shared=line_options,
+                )
             )
         )
     return wire, drivers

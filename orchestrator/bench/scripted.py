@@ -49,7 +49,15 @@ SHRC203 = ScriptedController(
 async def open_link(clock: VirtualClock, line: SimulatedLine, baud: int, draw: Random, hold_ns: int = 0) -> Link:
     """Return an open link to a line. baud: 0: TCP. hold_ns: how long a serial adapter keeps received bytes."""
     model, port = (serial_wire(baud, hold_ns=hold_ns), "serial") if baud else (LAN, "tcp")
-    return await MemoryWire(clock, model, line.endpoint, port, port, copy_context(), draw.randrange(2**31)).open_link()
+    return await MemoryWire(
+        clock=clock,
+        model=model,
+        far=line.endpoint,
+        port=port,
+        endpoint=port,
+        far_context=copy_context(),
+        seed=draw.randrange(2**31),
+    ).open_link()
 
 
 async def discard_input(link: Link) -> None:

@@ -115,7 +115,15 @@ def bench_sim(controllers: int, seconds: float, *, step: bool = False, seed: int
             await _stop_motion(virtual)
             await _start_job(virtual)
             in_step = await _measure_window(clock, controllers, seconds)
-        return SimFigures(controllers, controllers * len(MOTORS), POLL_HZ, idle, moving_window, in_step, shares)
+        return SimFigures(
+            controllers=controllers,
+            axes=controllers * len(MOTORS),
+            poll_hz=POLL_HZ,
+            idle=idle,
+            moving=moving_window,
+            step=in_step,
+            shares=shares,
+        )
 
     return run_virtual(measure_fleet)
 

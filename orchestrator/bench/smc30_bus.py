@@ -86,7 +86,9 @@ def _make_row(
     skews = sorted(skew for skew, _ in found)
     p50, p99 = (skews[ceil(share * len(skews)) - 1] for share in (0.5, 0.99))
     offs = [off for _, off in found if off is not None]
-    row = BusRow(way, len(skews), round(p50, 3), round(p99, 3), round(skews[-1], 3), None)
+    row = BusRow(
+        way=way, n=len(skews), p50_ms=round(p50, 3), p99_ms=round(p99, 3), max_ms=round(skews[-1], 3), off_ms=None
+    )
     if offs:
         row = row._replace(off_ms=round(max(offs), 3))
     return row if asked_ms is None else row._replace(asked=f"p99<={asked_ms:g}", met=row.p99_ms <= asked_ms)
@@ -125,7 +127,15 @@ def _build_bus(clock: VirtualClock, seed: int) -> _Smc30Bus:
         return DeviceSpec(address, options, crystal, timing, draw.randrange(10**9))
 
     line = build_line(find_simulator(MAKE), clock, {f"u{address}": make_device(address) for address in CONTROLLERS})
-    wire = MemoryWire(clock, serial_wire(BAUD), line.endpoint, "serial", "bus", copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock,
+        model=serial_wire(BAUD),
+        far=line.endpoint,
+        port="serial",
+        endpoint="bus",
+        far_context=copy_context(),
+        seed=seed,
+    )
     make, bus_options = find_make(MAKE), dict[str, Any]()
     firer = LoopTimedWriter(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
     drivers: list[Driver] = []
@@ -133,7 +143,17 @@ def _build_bus(clock: VirtualClock, seed: int) -> _Smc30Bus:
         config = Controller.model_validate(_make_config(address))
         options = make.options_model.model_validate(config.options)
         drivers.append(
-            make.create_driver(DriverSetup(f"u{address}", config, options, clock, wire.open_link, firer, bus_options))
+            make.create_driver(
+                DriverSetup(
+                    controller=f"u{address}",
+                    config=config,
+                    options=options,
+                    clock=clock,
+                    open_link=wire.open_link,
+                    timed_writer=firer,
+                    shared=bus_options,
+                )
+            )
         )
     return _Smc30Bus(clock, [line.devices[f"u{address}"] for address in CONTROLLERS], drivers, wire, draw)
 

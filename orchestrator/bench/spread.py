@@ -32,7 +32,9 @@ def make_spread(
         target, is_met = f"p99 < {p99_ms:g} ms", p99 < p99_ms
     elif max_ms is not None:
         target, is_met = f"max < {max_ms:g} ms", values[-1] < max_ms
-    return DurationSpread(len(values), round(p50, 3), round(p99, 3), round(values[-1], 3), target, is_met)
+    return DurationSpread(
+        n=len(values), p50_ms=round(p50, 3), p99_ms=round(p99, 3), max_ms=round(values[-1], 3), asked=target, met=is_met
+    )
 
 
 class WakeUpNoise:

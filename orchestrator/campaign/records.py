@@ -117,7 +117,18 @@ class PhaseRecords:
                 until_ns = None if home.member in phase.unstoppable else until_ns + IN_TRANSIT_NS
             axes_of = {home.member: home.fields["axes"]}
             begins_ns = {(home.member, axis): home.sent_ns for axis in home.fields["axes"]}
-            records.append(StepRecord(*home.step_id, home.sent_ns, begins_ns, until_ns, None, axes_of))
+            job, index = home.step_id
+            records.append(
+                StepRecord(
+                    job=job,
+                    index=index,
+                    requested_ns=home.sent_ns,
+                    begins_ns=begins_ns,
+                    until_ns=until_ns,
+                    t0_ns=None,
+                    axes=axes_of,
+                )
+            )
         for (job, index), requests in releases.items():
             # With a trigger line each member has a T0 of its own.
             t0_ns = min(go.fields["t0_fleet_ns"] for go in requests) + self.origin_ns()
@@ -127,7 +138,17 @@ class PhaseRecords:
                 for name, moved_member in members.items()
                 for axis in moved_member
             }
-            records.append(StepRecord(job, index, requests[0].sent_ns, begins_ns, None, t0_ns, members))
+            records.append(
+                StepRecord(
+                    job=job,
+                    index=index,
+                    requested_ns=requests[0].sent_ns,
+                    begins_ns=begins_ns,
+                    until_ns=None,
+                    t0_ns=t0_ns,
+                    axes=members,
+                )
+            )
         return sorted(records, key=lambda step: step.requested_ns)
 
     def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int, name: str, axis: str) -> int:

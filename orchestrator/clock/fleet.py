@@ -109,12 +109,12 @@ class FleetTimeEstimator:
         slope = min(max(slope, possible.slowest), possible.fastest)
         host_ns = min(max(possible.ticks_at + round(offset_ns), possible.earliest_ns), possible.latest_ns)
         return FleetScale(
-            self.scale_id,
-            host_ns,
-            possible.ticks_at,
-            1.0 / (1.0 + slope) - 1.0,
-            max(possible.latest_ns - host_ns, host_ns - possible.earliest_ns) + 1,
-            max(possible.fastest - slope, slope - possible.slowest) * 1e6 + PREDICTION_WANDER_PPM,
+            scale_id=self.scale_id,
+            host_at_ns=host_ns,
+            fleet_at_ns=possible.ticks_at,
+            rate=1.0 / (1.0 + slope) - 1.0,
+            bound_ns=max(possible.latest_ns - host_ns, host_ns - possible.earliest_ns) + 1,
+            drift_ppm=max(possible.fastest - slope, slope - possible.slowest) * 1e6 + PREDICTION_WANDER_PPM,
         )
 
     def _fit_line(self, fleet_ns: int) -> tuple[float, float]:

@@ -193,7 +193,17 @@ class World:
             scale, limits = float(axis.scale), axis.limits
             jerk = None if limits.jerk is None else limits.jerk * scale
             velocity, acceleration = limits.velocity * scale, limits.acceleration * scale
-            moves.append(AxisMove(name, here, round(target), velocity, acceleration, jerk, order=order))
+            moves.append(
+                AxisMove(
+                    axis=name,
+                    start_counts=here,
+                    target_counts=round(target),
+                    velocity=velocity,
+                    acceleration=acceleration,
+                    jerk=jerk,
+                    order=order,
+                )
+            )
         plan = plan_step(moves)
         return dict(plan.stretch_to(plan.duration_s * stretch).profiles)
 
@@ -275,7 +285,15 @@ def build_unit(chosen: Case, name: str, around: Surroundings) -> Unit:
     if config.link.kind == "tcp" and chosen.port == "serial":
         # A bridge forwards bytes as quickly as its serial side takes them.
         model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
-    wire = MemoryWire(clock, model, line.endpoint, chosen.port, config.link.endpoint, copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock,
+        model=model,
+        far=line.endpoint,
+        port=chosen.port,
+        endpoint=config.link.endpoint,
+        far_context=copy_context(),
+        seed=seed,
+    )
     options = make.options_model.model_validate(config.options)
     shared: dict[str, Any] = {}
 
@@ -284,7 +302,17 @@ def build_unit(chosen: Case, name: str, around: Surroundings) -> Unit:
         if each != name:
             link = link.model_copy(update={"address": addresses[each]})
         its = config.model_copy(update={"link": link})
-        return make.create_driver(DriverSetup(each, its, options, clock, wire.open_link, around.firer, shared))
+        return make.create_driver(
+            DriverSetup(
+                controller=each,
+                config=its,
+                options=options,
+                clock=clock,
+                open_link=wire.open_link,
+                timed_writer=around.firer,
+                shared=shared,
+            )
+        )
 
     driver, *beside = [driver_of(each) for each in addresses]
     others = dict(zip(list(addresses)[1:], beside, strict=True))
@@ -305,7 +333,9 @@ def run_case(chosen: Case, main: Callable[[World], Awaitable[None]], seed: int =
         if chosen.also:
             driver = Together({unit.driver: list(unit.config.axes) for unit in units})
         beside = {name: each for unit in units for name, each in unit.beside.items()}
-        world = World(clock, chosen, units, driver, draw, dict.fromkeys(beside, 0))
+        world = World(
+            clock=clock, case=chosen, units=units, driver=driver, draw=draw, polled_beside=dict.fromkeys(beside, 0)
+        )
         loop = asyncio.get_running_loop()
 
         def poll_beside(name: str) -> "asyncio.Task[None]":

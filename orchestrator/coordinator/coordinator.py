@@ -67,12 +67,27 @@ class Coordinator:
         requests = MemberRequests(bus, keys, self.leadership, environment.new_id, self._view)
         permits = PermitMonitor(self._view, clock)
         certificates = CertificateEnds(self._view, clock, environment.certificate)
-        access = self._fleet = FleetAccess(self._view, requests, permits, certificates, clock, self._log, tasks)
+        access = self._fleet = FleetAccess(
+            view=self._view,
+            requests=requests,
+            permits=permits,
+            certificates=certificates,
+            clock=clock,
+            log=self._log,
+            tasks=tasks,
+        )
         self._leases = LeaseRegistry(access, bus, keys)
         self._positions = PositionBook(access, environment.journal, self._execute)
         publisher = StepPublisher(bus, keys)
         plan = environment.plan
-        motion = MotionServices(access, self.leadership, environment.journal, self._execute, publisher, plan)
+        motion = MotionServices(
+            fleet=access,
+            leadership=self.leadership,
+            journal=environment.journal,
+            execute=self._execute,
+            publisher=publisher,
+            plan=plan,
+        )
         self._targets = motion.targets
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)

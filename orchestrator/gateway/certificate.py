@@ -50,12 +50,12 @@ def read_web_certificate(file: Path, key: Path) -> WebCertificate:
         client.load_verify_locations(file)
         fields = shake_hands(client, server)[0]
         return WebCertificate(
-            file,
-            key,
-            _list_names(fields),
-            sha256(file.read_bytes()).hexdigest(),
-            read_instant(fields["notBefore"]),
-            read_instant(fields["notAfter"]),
+            file=file,
+            key=key,
+            names=_list_names(fields),
+            digest=sha256(file.read_bytes()).hexdigest(),
+            begins=read_instant(fields["notBefore"]),
+            expires=read_instant(fields["notAfter"]),
         )
     except ssl.SSLCertVerificationError as error:
         text = f"the certificate {file} cannot be used: {error.verify_message}"

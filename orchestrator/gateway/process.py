@@ -90,7 +90,14 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         if certificate is not None and context is not None:
             raise_alarm = _make_alarm(bus, keys, place)
             watch = CertificateWatch(
-                certificate, clock, execute, log, context, gateway.guard.admit, raise_alarm, beyond=bool(names)
+                certificate=certificate,
+                clock=clock,
+                execute=execute,
+                log=log,
+                context=context,
+                admit=gateway.guard.admit,
+                raise_alarm=raise_alarm,
+                beyond=bool(names),
             )
             tasks_beside.append(loop.create_task(watch.run()))
         try:

@@ -568,7 +568,17 @@ class Fleet(Model):
             for end in wire.to:
                 target, name = split_name(end)
                 driven_by, feeds = self.controllers[source].outputs[output], self.controllers[target].inputs[name]
-                found_connections.append(WireConnection(source, output, driven_by, target, name, feeds, wire.delay_us))
+                found_connections.append(
+                    WireConnection(
+                        source=source,
+                        output=output,
+                        driven_by=driven_by,
+                        target=target,
+                        input=name,
+                        feeds=feeds,
+                        delay_us=wire.delay_us,
+                    )
+                )
         return found_connections
 
     def permits_of(self, axes: Iterable[str]) -> dict[str, Permit]:

@@ -91,7 +91,9 @@ class Profile(_IntegrationCache):
         # `Segment.state_at` written out: lowering and planning of a fleet run this some hundred times per step.
         for t, plain_a, plain_j in zip(self.durations_s, self.accelerations, self.jerks, strict=False):
             a, j = plain_a * scale, plain_j * scale
-            segments.append(Segment(clock_s, t, position, velocity, a, j))
+            segments.append(
+                Segment(start_s=clock_s, duration_s=t, position=position, velocity=velocity, acceleration=a, jerk=j)
+            )
             clock_s += t
             position += t * (velocity + t * (a / 2 + t * j / 6))
             velocity += t * (a + t * j / 2)
@@ -184,14 +186,14 @@ class Profile(_IntegrationCache):
     def stretch_time(self, factor: float) -> "Profile":
         """The same path in `factor` times the time (>= 1, so that limits that held still hold)."""
         return Profile(
-            self.start_counts,
-            self.end_counts,
-            self.scale_counts,
-            [t * factor for t in self.durations_s],
-            [a / factor**2 for a in self.accelerations],
-            [j / factor**3 for j in self.jerks],
-            self.first_position,
-            self.first_velocity / factor,
+            start_counts=self.start_counts,
+            end_counts=self.end_counts,
+            scale_counts=self.scale_counts,
+            durations_s=[t * factor for t in self.durations_s],
+            accelerations=[a / factor**2 for a in self.accelerations],
+            jerks=[j / factor**3 for j in self.jerks],
+            first_position=self.first_position,
+            first_velocity=self.first_velocity / factor,
         )
 
 

@@ -212,18 +212,18 @@ class PathCourse:
         positions, velocities, *_ = self._evaluate(clock, np.array([begin_s, stop_s]))
         profiles = {
             self.axes[column].name: Profile(
-                self.axes[column].start_counts,
-                self.axes[column].end_counts if last else self._round(column, positions[1, column]),
-                self.axes[column].counts_per_unit,
-                durations,
-                accelerations[:, column].tolist(),
-                jerks[:, column].tolist(),
-                float(positions[0, column] - self.origin[column]),
-                float(velocities[0, column]),
+                start_counts=self.axes[column].start_counts,
+                end_counts=self.axes[column].end_counts if last else self._round(column, positions[1, column]),
+                scale_counts=self.axes[column].counts_per_unit,
+                durations_s=durations,
+                accelerations=accelerations[:, column].tolist(),
+                jerks=jerks[:, column].tolist(),
+                first_position=float(positions[0, column] - self.origin[column]),
+                first_velocity=float(velocities[0, column]),
             )
             for column in self.columns
         }
-        return ChunkPlan(begin_s, end_s, stop_s, last, profiles, clock)
+        return ChunkPlan(begin_s=begin_s, end_s=end_s, stop_s=stop_s, last=last, profiles=profiles, clock=clock)
 
     def _round(self, column: int, position: float) -> int:
         axis = self.axes[column]

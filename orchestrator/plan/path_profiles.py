@@ -190,7 +190,16 @@ def _make_pieces(evaluate: Evaluate, times_s: Array) -> _Pieces:
     )
     true = evaluate((times_s[:-1, None] + length_inside[:, :, 0]).ravel()).positions.reshape(position.shape)
     errors = np.sqrt(((position - true) ** 2).sum(axis=2)).max(axis=1)
-    return _Pieces(times_s, positions, velocities, accelerations, jerks, errors, speeds, peaks)
+    return _Pieces(
+        times_s=times_s,
+        positions=positions,
+        velocities=velocities,
+        accelerations=accelerations,
+        jerks=jerks,
+        errors=errors,
+        speeds=speeds,
+        peaks=peaks,
+    )
 
 
 def _find_stretch(pieces: _Pieces, axes: Sequence[FittedAxis]) -> float:
@@ -209,10 +218,10 @@ def _find_stretch(pieces: _Pieces, axes: Sequence[FittedAxis]) -> float:
 def _make_profile(pieces: _Pieces, column: int, axis: FittedAxis) -> Profile:
     scale = axis.counts_per_unit
     return Profile(
-        axis.start_counts,
-        axis.end_counts,
-        scale,
-        np.diff(pieces.times_s).tolist(),
-        pieces.accelerations[:, column].tolist(),
-        pieces.jerks[:, column].tolist(),
+        start_counts=axis.start_counts,
+        end_counts=axis.end_counts,
+        scale_counts=scale,
+        durations_s=np.diff(pieces.times_s).tolist(),
+        accelerations=pieces.accelerations[:, column].tolist(),
+        jerks=pieces.jerks[:, column].tolist(),
     )

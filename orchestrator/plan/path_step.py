@@ -97,8 +97,17 @@ def plan_path_step(
     for start, end in zip(starts, ends, strict=True):
         exact[start.name] = Fraction(end), start.axis.to_counts(Fraction(end))
         limits, scale = start.axis.limits, float(start.axis.counts_per_unit)
-        counts = start.start_counts, exact[start.name][1]
-        axes.append(FittedAxis(start.name, scale, limits.velocity, limits.acceleration, *counts, limits.jerk or inf))
+        axes.append(
+            FittedAxis(
+                name=start.name,
+                counts_per_unit=scale,
+                velocity=limits.velocity,
+                acceleration=limits.acceleration,
+                start_counts=start.start_counts,
+                end_counts=exact[start.name][1],
+                jerk=limits.jerk or inf,
+            )
+        )
 
     def evaluate_motors(times_s: Array) -> PathStates:
         rows = plan.evaluate(times_s)
@@ -121,25 +130,25 @@ def plan_path_step(
             fitted_line.motion, axes, moved_axes, fitted_line.motion.positions[0], find_fit_error(axes, tolerance)
         )
     path = PlannedPath(
-        StepPlan(fitted_line.duration_s, fitted_line.profiles, fitted_line.standing),
-        [
+        plan=StepPlan(fitted_line.duration_s, fitted_line.profiles, fitted_line.standing),
+        moves=[
             make_axis_move(start.name, start.axis, start.start_counts, exact[start.name][1], start.order)
             for start in starts
         ],
-        exact,
-        PathReport(
+        exact=exact,
+        report=PathReport(
             unit=unit,
             frame=step.frame or "",
             length=plan.length,
             duration_s=plan.duration_s,
             stretches=stretches,
         ),
-        tolerance,
-        fitted_line.error,
-        {axis.name: axis.counts_per_unit for axis in axes},
-        times_s,
-        {start.name: row for start, row in zip(starts, speeds, strict=True)},
-        course,
+        tolerance=tolerance,
+        fit_error=fitted_line.error,
+        counts_per_unit={axis.name: axis.counts_per_unit for axis in axes},
+        times_s=times_s,
+        speeds={start.name: row for start, row in zip(starts, speeds, strict=True)},
+        course=course,
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
 
@@ -158,7 +167,14 @@ def _describe_axis(start: PathStart) -> PathAxis:
         low, high = sorted(axis.to_unit(limit) + float(start.offset) for limit in limits)
         soft = low, high
     jerk = axis.limits.jerk or axis.limits.acceleration / LEAST_RAMP_S
-    return PathAxis(start.name, axis.unit, axis.limits.velocity, axis.limits.acceleration, jerk, soft)
+    return PathAxis(
+        axis=start.name,
+        unit=axis.unit,
+        velocity=axis.limits.velocity,
+        acceleration=axis.limits.acceleration,
+        jerk=jerk,
+        soft_limits=soft,
+    )
 
 
 def _list_stretches(plan: PathPlan) -> list[PathStretch]:

@@ -88,7 +88,14 @@ def plan_step(moves: Sequence[AxisMove], sync: Sync = "time", speed: float = 1.0
             "split it into several steps"
         )
     profiles = {
-        move.axis: Profile(move.start_counts, move.target_counts, scale, t, a, j)
+        move.axis: Profile(
+            start_counts=move.start_counts,
+            end_counts=move.target_counts,
+            scale_counts=scale,
+            durations_s=t,
+            accelerations=a,
+            jerks=j,
+        )
         for move, scale, t, a, j in zip(
             moves_in_motion, scales.tolist(), *(part.tolist() for part in shapes), strict=True
         )

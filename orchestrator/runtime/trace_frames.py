@@ -43,4 +43,11 @@ class FrameList:
             )
             for frame in frames:
                 after_s = (at_ns - self._origin_ns) / 1e9
-                yield ShownFrame(after_s, fleet_ns, direction, frame.address, frame.text, frame.meaning)
+                yield ShownFrame(
+                    after_s=after_s,
+                    fleet_ns=fleet_ns,
+                    direction=direction,
+                    address=frame.address,
+                    text=frame.text,
+                    meaning=frame.meaning,
+                )

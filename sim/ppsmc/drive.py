@@ -28,7 +28,17 @@ class PulseGenerator:
         start_ns = now_ns if leg.at_ns is None else max(now_ns, leg.at_ns)
         true_ns = self.time.clock.now_ns() if start_ns == now_ns else self.time.true_ns(start_ns)
         motion = CommandedMotion(axis.name, true_ns, self.to_coordinate(axis, axis.steps))
-        run = MotionRun(axis, leg.path, leg.profile, start_ns, axis.steps, leg.until, ended, motion, leg.soft)
+        run = MotionRun(
+            axis=axis,
+            path=leg.path,
+            profile=leg.profile,
+            start_ns=start_ns,
+            base=axis.steps,
+            until=leg.until,
+            ended=ended,
+            motion=motion,
+            soft=leg.soft,
+        )
         axis.run = run
         self.motions.append(motion)
         self.arm_run(run)

@@ -114,7 +114,15 @@ def read_position(text: str, axes: int) -> PositioningCommand:
     down = up if down is None else down
     if not (1 <= up <= 1000 and 1 <= down <= 1000):
         raise InputRefused("ramp out of range")
-    return PositioningCommand(axis, match[2].lower() == "a", parse_decimal(match[3]), start, run, up, down)
+    return PositioningCommand(
+        axis=axis,
+        absolute=match[2].lower() == "a",
+        distance=parse_decimal(match[3]),
+        start_hz=start,
+        run_hz=run,
+        acceleration=up,
+        deceleration=down,
+    )
 
 
 def _parse_interval(text: str) -> Fraction:

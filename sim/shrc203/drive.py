@@ -57,7 +57,15 @@ class PathGenerator:
                 self.motions.append(motion)
             tracks.append(RunTrack(axis, path, axis.position, motion))
         end_cause = EndCause.SOFT_LIMIT if soft_sign else EndCause.END
-        run = PathRun(tracks, order.kind, order.triple, order.at_ns, order.ready, end_cause, soft_sign)
+        run = PathRun(
+            tracks=tracks,
+            kind=order.kind,
+            triple=order.triple,
+            t0_ns=order.at_ns,
+            ready=order.ready,
+            end_cause=end_cause,
+            end_sign=soft_sign,
+        )
         for axis, _ in paths:
             axis.run, axis.phase = run, AxisPhase.MOVING
             axis.limit_stop, axis.soft_stop = False, 0

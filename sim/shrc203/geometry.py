@@ -84,8 +84,21 @@ def arc_paths(arc: ArcMove, speed: int) -> list[tuple[StageAxis, AxisPath]]:
     else:
         phase, omega = math.atan2(-cy, -cx), sweep.angle / duration
         paths = [
-            (arc.plane[0], ArcPath(cx, radius, phase, omega, duration, sweep.end[0])),
-            (arc.plane[1], ArcPath(cy, radius, phase - math.pi / 2, omega, duration, sweep.end[1])),
+            (
+                arc.plane[0],
+                ArcPath(centre=cx, radius=radius, phase=phase, omega=omega, duration=duration, end=sweep.end[0]),
+            ),
+            (
+                arc.plane[1],
+                ArcPath(
+                    centre=cy,
+                    radius=radius,
+                    phase=phase - math.pi / 2,
+                    omega=omega,
+                    duration=duration,
+                    end=sweep.end[1],
+                ),
+            ),
         ]
     if arc.linear is not None:
         paths.append((arc.linear, constant_path(linear, duration)))

@@ -121,7 +121,16 @@ def build_bus(clock: Clock, devices: Sequence[DeviceSpec]) -> tuple[Smc30Control
             line[name] = value
         chosen_options = own.model_copy(update={"address": branch.address or 0})
         generator = random.Random(f"{branch.seed}.{number}")
-        places.append(DeviceSetup(chosen_options, branch.oscillator, branch.timing, generator, _AXIS, []))
+        places.append(
+            DeviceSetup(
+                options=chosen_options,
+                oscillator=branch.oscillator,
+                timing=branch.timing,
+                generator=generator,
+                axis=_AXIS,
+                record=[],
+            )
+        )
     bus = Smc30Controller(clock, read_options(line), places)
     return bus, [BusDevice(bus, station) for station in bus.bus_stations]
 

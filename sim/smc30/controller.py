@@ -349,12 +349,12 @@ def build_controller(
     record: list[CommandedMotion] = []
     places = [
         DeviceSetup(
-            unit,
-            oscillator if number == 1 and oscillator is not None else _build_oscillator(unit, seed + number),
-            timing or FirmwareTiming(),
-            random.Random(seed * _PLACE + number),
-            str(number),
-            record,
+            options=unit,
+            oscillator=oscillator if number == 1 and oscillator is not None else _build_oscillator(unit, seed + number),
+            timing=timing or FirmwareTiming(),
+            generator=random.Random(seed * _PLACE + number),
+            axis=str(number),
+            record=record,
         )
         for number, unit in enumerate(options.device_options(), start=1)
     ]

@@ -112,12 +112,33 @@ class MotorCommands:
             return frozen.move_profile(steps)
 
         if isinstance(statement, RunOn):
-            return _MotorOrder(statement.sign, math.inf, None, build_profile, start, slope)
+            return _MotorOrder(
+                sign=statement.sign,
+                steps=math.inf,
+                target=None,
+                build_profile=build_profile,
+                start_rate=start,
+                slope=slope,
+            )
         units = statement.sign * self._command_units(statement)
         if statement.absolute:
-            return _MotorOrder(0, 0, self.conversion.absolute_counter(units), build_profile, start, slope)
+            return _MotorOrder(
+                sign=0,
+                steps=0,
+                target=self.conversion.absolute_counter(units),
+                build_profile=build_profile,
+                start_rate=start,
+                slope=slope,
+            )
         steps = self.conversion.relative_steps(units)
-        return _MotorOrder(-1 if steps < 0 else 1, abs(steps), None, build_profile, start, slope)
+        return _MotorOrder(
+            sign=-1 if steps < 0 else 1,
+            steps=abs(steps),
+            target=None,
+            build_profile=build_profile,
+            start_rate=start,
+            slope=slope,
+        )
 
     def _command_units(self, statement: MoveSteps | MoveAnalogue) -> int:
         if isinstance(statement, MoveAnalogue):
@@ -159,7 +180,14 @@ class MotorCommands:
         self._stop_was_high = isinstance(stop, FallingInput) and self._inputs.user_level(stop.input)
         build_profile, start_rate, slope = order.build_profile, order.start_rate, order.slope
         self._drive.start_run(
-            StepOrder(sign, steps, build_profile, start_rate, slope, lambda end: self._handle_run_end(end, done))
+            StepOrder(
+                sign=sign,
+                steps=steps,
+                build_profile=build_profile,
+                start_rate=start_rate,
+                slope=slope,
+                ended=lambda end: self._handle_run_end(end, done),
+            )
         )
         self._check_stop()
 
@@ -182,7 +210,14 @@ class MotorCommands:
             self._handle_run_end(end, done)
 
         self._homing = True
-        order = StepOrder(sign, math.inf, lambda steps: constant_profile(steps, rate), rate, 0.0, handle_home_end)
+        order = StepOrder(
+            sign=sign,
+            steps=math.inf,
+            build_profile=lambda steps: constant_profile(steps, rate),
+            start_rate=rate,
+            slope=0.0,
+            ended=handle_home_end,
+        )
         self._drive.start_run(order)
         self._check_home()
 

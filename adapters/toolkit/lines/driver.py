@@ -88,7 +88,14 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         session = LineSession(
             await self._setup.open_link(), self._dialect, self._clock, self._options.answer_ms * NS_PER_MS, self._log
         )
-        tools = LineTools(self._config, self._dialect, self._scales, self._clock, self._setup.timed_writer, self._log)
+        tools = LineTools(
+            config=self._config,
+            dialect=self._dialect,
+            scales=self._scales,
+            clock=self._clock,
+            timed_writer=self._setup.timed_writer,
+            log=self._log,
+        )
         unit = LineUnit(tools, session, self._enabled, self._number)
         mover = LineMover(unit, self._options)
         session.on_restart = mover.handle_restart

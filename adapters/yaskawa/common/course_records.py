@@ -181,7 +181,19 @@ class RecordMaker:
             index: [held[index], *_find_positions(chunk.profiles[name], chunk.begin_s, instants[1:])]
             for name, index in self.axes.items()
         }
-        made = ChunkRecords(chunk.number, first, end, times, counts, slot, 0, (), (), 0.0, {})
+        made = ChunkRecords(
+            number=chunk.number,
+            first=first,
+            end=end,
+            times=times,
+            counts=counts,
+            slot=slot,
+            full=0,
+            short=(),
+            parts=(),
+            stop_s=0.0,
+            targets={},
+        )
         finished = self._make_tail(chunk, made, {index: each[-1] for index, each in counts.items()}, slot)
         return replace(finished, parts=(*self._place_in_ring(counts, first), *finished.parts))
 

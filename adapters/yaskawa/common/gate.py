@@ -62,7 +62,16 @@ class GateTiming:
         released = RELEASED_COMMANDS + single_conditions
         follow = FOLLOWING_STEP_TICKS + to_ticks(released + released // 2) + BEGIN_TICKS
         release, turn = decided + to_ticks(RELEASE), FOLLOWING_COMMANDS + single_conditions
-        return cls(room, STEP_TICKS + to_ticks(SOON), seen, decided, release, follow, command_ns, turn)
+        return cls(
+            wait_after_gate=room,
+            usual_delay=STEP_TICKS + to_ticks(SOON),
+            longest_delay=seen,
+            decided_before=decided,
+            release_before=release,
+            follow_before=follow,
+            command_ns=command_ns,
+            turn_commands=turn,
+        )
 
     def gap_ticks(self, moved: int, axes: int, tick_ns: float) -> int:
         """Return how many samples after the end of a step that moved `moved` of `axes` axes another one can begin that

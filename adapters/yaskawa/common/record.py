@@ -110,5 +110,11 @@ class RecordFormat:
             AxisRecord(*values[at : at + _AXIS_FIELDS]) for at in range(5, 5 + self.axes * _AXIS_FIELDS, _AXIS_FIELDS)
         )
         return DataRecord(
-            values[0], values[1][0], values[2][0], bool(values[4] & PROGRAM_RUNS), axes, sent_ns, received_ns
+            sample=values[0],
+            inputs=values[1][0],
+            outputs=values[2][0],
+            program_runs=bool(values[4] & PROGRAM_RUNS),
+            axes=axes,
+            sent_ns=sent_ns,
+            received_ns=received_ns,
         )

@@ -203,7 +203,16 @@ def fit_registers(
         at_limit = length > planned and (speed == wanted.top_speed[k, 0] or up == wanted.top_ramp[k, 0])
         distance = profile.end_counts - profile.start_counts
         error = float(errors[k, -1, best])
-        shapes[axis] = RegisterTrapezoid(distance, speed, up, down, length, length - planned, at_limit, error)
+        shapes[axis] = RegisterTrapezoid(
+            distance=distance,
+            speed=speed,
+            up=up,
+            down=down,
+            length=length,
+            off=length - planned,
+            at_limit=at_limit,
+            path_error_counts=error,
+        )
     return shapes
 
 

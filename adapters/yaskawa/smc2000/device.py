@@ -343,7 +343,9 @@ def stop_commands(*, abort: bool) -> tuple[str, ...]:
     return (*(("AB", "HX") if abort else ("ST", "HX", "ST")), *LEAVE_CONTOUR, OUTPUT_PASSIVE)
 
 
-_NOTHING = AxisRecord(0, 0, 0, 0, 0, 0, 0, 0, 0)
+_NOTHING = AxisRecord(
+    status=0, switches=0, stop_code=0, commanded=0, actual=0, error=0, auxiliary=0, velocity=0, torque=0
+)
 
 
 def _join_words(words: Iterable[int], size: int) -> int:

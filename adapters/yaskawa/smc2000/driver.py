@@ -229,12 +229,12 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
             )
         needs = find_needs(start, self._triggers) if start.triggers else NO_TRIGGERS
         context = LoweringContext(
-            self._config,
-            self._motors,
-            self._slow_exchange_ns,
-            costs,
-            self._model,
-            upload,
+            config=self._config,
+            motors=self._motors,
+            options=self._slow_exchange_ns,
+            costs=costs,
+            model=self._model,
+            packets=upload,
             beside_commands=needs.commands,
             beside_elements=needs.elements,
         )

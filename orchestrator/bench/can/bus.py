@@ -105,7 +105,14 @@ async def _run_step(world: CanBusBench, begin: int, end: int) -> _CanRound:
         if outcome.state != "done" or not span["a"].earliest_ns <= began <= span["a"].latest_ns:
             raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")
     off_ms = max(abs(start - t0_ns) for start in starts) * 1e-6
-    return _CanRound((max(starts) - min(starts)) * 1e-6, off_ms, arm_ms, frames_ms, load_in_motion, 0.0)
+    return _CanRound(
+        skew_ms=(max(starts) - min(starts)) * 1e-6,
+        off_ms=off_ms,
+        arm_ms=arm_ms,
+        frames_ms=frames_ms,
+        moving=load_in_motion,
+        load=0.0,
+    )
 
 
 async def _run_script(clock: VirtualClock, seed: int, count: int) -> list[float]:

@@ -88,7 +88,9 @@ def make_can_bench(
         )
 
     segment, units = CIA402.build_shared(clock, [make_device(node) for node in NODES])
-    wire = MemoryWire(clock, can_wire(), segment, "can", "bus", copy_context(), seed)
+    wire = MemoryWire(
+        clock=clock, model=can_wire(), far=segment, port="can", endpoint="bus", far_context=copy_context(), seed=seed
+    )
     make, bus_options = find_make(MAKE), dict[str, Any]()
     firer = LoopTimedWriter(clock, lambda: draw.randrange(MAX_WAKE_DELAY_US * NS_PER_US))
     drivers: list[Driver] = []
@@ -96,9 +98,19 @@ def make_can_bench(
         config = Controller.model_validate(_make_config(node, limits or {}))
         options = make.options_model.model_validate(config.options)
         drivers.append(
-            make.create_driver(DriverSetup(f"d{node}", config, options, clock, wire.open_link, firer, bus_options))
+            make.create_driver(
+                DriverSetup(
+                    controller=f"d{node}",
+                    config=config,
+                    options=options,
+                    clock=clock,
+                    open_link=wire.open_link,
+                    timed_writer=firer,
+                    shared=bus_options,
+                )
+            )
         )
-    world = CanBusBench(clock, segment, list(units), drivers, wire, draw)
+    world = CanBusBench(clock=clock, segment=segment, drives=list(units), drivers=drivers, wire=wire, draw=draw)
     segment.bus.add_listener(world.count_frame)
     return world
 

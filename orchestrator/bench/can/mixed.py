@@ -36,7 +36,14 @@ def bench_mixed(rounds: int, seed: int = 11) -> list[BenchFigure]:
         misses += sum(not is_held for _, is_held in runs)
     title = f"start skew, {CONTROLLERS_PER_MAKE} by SYNC and {CONTROLLERS_PER_MAKE} SMC-4000 by clock"
     miss_figure = BenchFigure(
-        "of these starts outside their verdict", rounds, 0, 0, misses, "steps", "none", misses == 0
+        what="of these starts outside their verdict",
+        n=rounds,
+        p50=0,
+        p99=0,
+        max=misses,
+        unit="steps",
+        asked="none",
+        met=misses == 0,
     )
     return [make_can_row(title, skews_ms, "ms", round(TARGET_SKEW_MS, 3)), miss_figure]
 

@@ -67,7 +67,14 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[BenchFigure]
         found_rounds += run_virtual(lambda clock, s=seed + number, n=moves: _run_streams(clock, s, n))
     periods, underruns = run_virtual(lambda clock: _stream_for_hours(clock, seed, hours))
     empty_figure = BenchFigure(
-        f"underruns in {hours:g} h of streams", periods, 0, 0, underruns, "moves", "none", underruns == 0
+        what=f"underruns in {hours:g} h of streams",
+        n=periods,
+        p50=0,
+        p99=0,
+        max=underruns,
+        unit="moves",
+        asked="none",
+        met=underruns == 0,
     )
     return [
         make_can_row("path skew, positions by a script's timer", [script.skew_ms for script in by_script], "ms"),
@@ -137,7 +144,15 @@ async def _stream_for_hours(clock: VirtualClock, seed: int, hours: float) -> tup
     begin = periods = 0
     while clock.now_ns() < until_ns:
         end = 0 if begin else LONG_DISTANCE
-        move = AxisMove("a", begin, end, CRUISE, ACCELERATION / 2, JERK, order=3)
+        move = AxisMove(
+            axis="a",
+            start_counts=begin,
+            target_counts=end,
+            velocity=CRUISE,
+            acceleration=ACCELERATION / 2,
+            jerk=JERK,
+            order=3,
+        )
         profile = plan_step([move]).profiles["a"]
         await _start_moves(world, dict.fromkeys(NODES, profile))
         if not await _wait_for_ends(world):
@@ -153,7 +168,15 @@ def _make_plan(world: CanBusBench) -> dict[int, Profile]:
     starts = {node: round(unit.position("1")) for node, unit in zip(NODES, world.drives, strict=True)}
     targets = {node: 0 if starts[node] else world.draw.randint(NEAR, FAR) for node in NODES}
     moves = [
-        AxisMove(f"{node}", starts[node], targets[node], VELOCITY / 2, ACCELERATION / 2, JERK, order=3)
+        AxisMove(
+            axis=f"{node}",
+            start_counts=starts[node],
+            target_counts=targets[node],
+            velocity=VELOCITY / 2,
+            acceleration=ACCELERATION / 2,
+            jerk=JERK,
+            order=3,
+        )
         for node in NODES
     ]
     return {int(node): profile for node, profile in plan_step(moves).profiles.items()}

@@ -59,8 +59,19 @@ class PathCounts(NamedTuple):
     pulses: int
 
 
-FULL = PathCounts(200, 10, 10_000, 200, (1000, 10_000), 5, 100_000, 10_000)
-QUICK = PathCounts(5, 0, 80, 20, (1000, 10_000), 2, 10_000, 800)
+FULL = PathCounts(
+    circles=200,
+    long_circles=10,
+    limits=10_000,
+    times=200,
+    pieces=(1000, 10_000),
+    rounds=5,
+    gcode_lines=100_000,
+    pulses=10_000,
+)
+QUICK = PathCounts(
+    circles=5, long_circles=0, limits=80, times=20, pieces=(1000, 10_000), rounds=2, gcode_lines=10_000, pulses=800
+)
 
 
 class PathsOptions(NamedTuple):
@@ -131,30 +142,67 @@ def make_circle_figures(
     if case.controllers != TWO:
         most, target = np.inf, ""
     rows = [
-        PathFigure(case.name, "error, p99", round(p99, 1), "um", target, None if not target else p99 <= most),
+        PathFigure(
+            row=case.name,
+            figure="error, p99",
+            value=round(p99, 1),
+            unit="um",
+            asked=target,
+            met=None if not target else p99 <= most,
+        ),
         PathFigure(case.name, "error, largest", round(UM * float(errors.max()), 1), "um"),
-        PathFigure(case.name, "paths above their bound", excess_count, "", "0", excess_count == 0),
+        PathFigure(
+            row=case.name,
+            figure="paths above their bound",
+            value=excess_count,
+            unit="",
+            asked="0",
+            met=excess_count == 0,
+        ),
         PathFigure(case.name, "largest term of the bound", None, note=worst),
         _make_sum_figure(case, ran),
     ]
     if case.controllers == TWO:
         is_kept = largest <= 300 if minute_p99 is None else None
         limit = "≤ 300" if minute_p99 is None else ""
-        rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um", limit, is_kept))
+        rows.append(
+            PathFigure(
+                row=case.name,
+                figure="bound ahead, largest",
+                value=round(largest, 1),
+                unit="um",
+                asked=limit,
+                met=is_kept,
+            )
+        )
     else:
         rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um"))
     proven = [run.proven for run in ran if run.proven is not None]
     if proven and case.controllers == TWO:
         value = UM * median(proven)
         rows.append(
-            PathFigure(case.name, "bound proven afterwards", round(value, 1), "um", "≤ 2 × p99", value <= 2 * p99)
+            PathFigure(
+                row=case.name,
+                figure="bound proven afterwards",
+                value=round(value, 1),
+                unit="um",
+                asked="≤ 2 × p99",
+                met=value <= 2 * p99,
+            )
         )
     return rows + figures
 
 
 def _make_sum_figure(case: CircleCase, ran: Sequence[CircleRun]) -> PathFigure:
     off = max(run.sum_off for run in ran)
-    return PathFigure(case.name, "bound less the sum of its terms", round(UM * off, 6), "um", "0", off < 1e-9)
+    return PathFigure(
+        row=case.name,
+        figure="bound less the sum of its terms",
+        value=round(UM * off, 6),
+        unit="um",
+        asked="0",
+        met=off < 1e-9,
+    )
 
 
 def _measure_limits(counts: PathCounts, options: PathsOptions) -> list[PathFigure]:
@@ -165,9 +213,25 @@ def _measure_limits(counts: PathCounts, options: PathsOptions) -> list[PathFigur
     over = sum(1 for share in used if share > 1.001)
     refusal_count = len(runs) - len(used)
     return [
-        PathFigure(LIMITS_ROW, f"of {len(used)} paths, above a limit by more than 0.1 %", over, "", "0", over == 0),
-        PathFigure(LIMITS_ROW, "largest part of a limit that is used", round(worst, 6), "", "≤ 1.001", worst <= 1.001),
-        PathFigure(LIMITS_ROW, "paths refused", refusal_count, "", "0", refusal_count == 0),
+        PathFigure(
+            row=LIMITS_ROW,
+            figure=f"of {len(used)} paths, above a limit by more than 0.1 %",
+            value=over,
+            unit="",
+            asked="0",
+            met=over == 0,
+        ),
+        PathFigure(
+            row=LIMITS_ROW,
+            figure="largest part of a limit that is used",
+            value=round(worst, 6),
+            unit="",
+            asked="≤ 1.001",
+            met=worst <= 1.001,
+        ),
+        PathFigure(
+            row=LIMITS_ROW, figure="paths refused", value=refusal_count, unit="", asked="0", met=refusal_count == 0
+        ),
     ]
 
 
@@ -179,9 +243,31 @@ def _measure_times(counts: PathCounts, options: PathsOptions) -> list[PathFigure
     stopping = max(run.of_stopping for run in runs)
     note = "of velocity and acceleration alone, by the theory of TOPP-RA"
     return [
-        PathFigure(TIME_ROW, "times the least time, median", round(middle, 3), "", "≤ 1.15", middle <= 1.15, note),
-        PathFigure(TIME_ROW, "times the least time, p95", round(most, 3), "", "≤ 1.4", most <= 1.4),
-        PathFigure(TIME_ROW, "times the time with stops, largest", round(stopping, 3), "", "≤ 1", stopping <= 1 + 1e-9),
+        PathFigure(
+            row=TIME_ROW,
+            figure="times the least time, median",
+            value=round(middle, 3),
+            unit="",
+            asked="≤ 1.15",
+            met=middle <= 1.15,
+            note=note,
+        ),
+        PathFigure(
+            row=TIME_ROW,
+            figure="times the least time, p95",
+            value=round(most, 3),
+            unit="",
+            asked="≤ 1.4",
+            met=most <= 1.4,
+        ),
+        PathFigure(
+            row=TIME_ROW,
+            figure="times the time with stops, largest",
+            value=round(stopping, 3),
+            unit="",
+            asked="≤ 1",
+            met=stopping <= 1 + 1e-9,
+        ),
     ]
 
 
@@ -194,26 +280,45 @@ def _measure_costs(counts: PathCounts, _: PathsOptions) -> list[PathFigure]:
     (gcode,) = map_in_processes(measure_gcode, [counts.gcode_lines], 2)
     ratio = long / lines
     return [
-        PathFigure(COST_ROW, f"a line over 8 axes, {few_pieces} pieces", round(lines), "us", "≤ 300", lines <= 300),
         PathFigure(
-            COST_ROW,
-            f"a mixed piece over 8 axes, {few_pieces} pieces",
-            round(mixed_cost),
-            "us",
-            "≤ 300",
-            mixed_cost <= 300,
+            row=COST_ROW,
+            figure=f"a line over 8 axes, {few_pieces} pieces",
+            value=round(lines),
+            unit="us",
+            asked="≤ 300",
+            met=lines <= 300,
         ),
         PathFigure(
-            COST_ROW, f"a line of {many_pieces} to one of {few_pieces}", round(ratio, 2), "", "≤ 1.2", ratio <= 1.2
+            row=COST_ROW,
+            figure=f"a mixed piece over 8 axes, {few_pieces} pieces",
+            value=round(mixed_cost),
+            unit="us",
+            asked="≤ 300",
+            met=mixed_cost <= 300,
         ),
-        PathFigure(COST_ROW, "a line of G-code to geometry", round(gcode.us_line), "us", "≤ 100", gcode.us_line <= 100),
         PathFigure(
-            COST_ROW,
-            f"memory, {counts.gcode_lines} lines of G-code",
-            round(gcode.peak_mb),
-            "MB",
-            "≤ 500",
-            gcode.peak_mb <= 500,
+            row=COST_ROW,
+            figure=f"a line of {many_pieces} to one of {few_pieces}",
+            value=round(ratio, 2),
+            unit="",
+            asked="≤ 1.2",
+            met=ratio <= 1.2,
+        ),
+        PathFigure(
+            row=COST_ROW,
+            figure="a line of G-code to geometry",
+            value=round(gcode.us_line),
+            unit="us",
+            asked="≤ 100",
+            met=gcode.us_line <= 100,
+        ),
+        PathFigure(
+            row=COST_ROW,
+            figure=f"memory, {counts.gcode_lines} lines of G-code",
+            value=round(gcode.peak_mb),
+            unit="MB",
+            asked="≤ 500",
+            met=gcode.peak_mb <= 500,
         ),
     ]
 
@@ -235,9 +340,23 @@ def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
     ]
     by_evidence, by_promise = sum(run.outside_seen for run in runs), sum(run.outside_promise for run in runs)
     figures += [
-        PathFigure(row, f"of {edges} pulses, without a row or evidence", misses, "", "0", misses == 0),
-        PathFigure(row, "outside their interval by evidence", by_evidence, "", "0", by_evidence == 0),
-        PathFigure(row, "outside their promise", by_promise, "", "0", by_promise == 0),
+        PathFigure(
+            row=row,
+            figure=f"of {edges} pulses, without a row or evidence",
+            value=misses,
+            unit="",
+            asked="0",
+            met=misses == 0,
+        ),
+        PathFigure(
+            row=row,
+            figure="outside their interval by evidence",
+            value=by_evidence,
+            unit="",
+            asked="0",
+            met=by_evidence == 0,
+        ),
+        PathFigure(row=row, figure="outside their promise", value=by_promise, unit="", asked="0", met=by_promise == 0),
     ]
     widest = {
         "on moves": max(run.widest_move_ns for run in runs),
@@ -246,6 +365,13 @@ def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
     for way, widest_ns in widest.items():
         value = widest_ns / NS_PER_MS
         figures.append(
-            PathFigure(row, f"interval {way}, largest", round(value, 2), "ms", f"≤ {MOST_MS}", value <= MOST_MS)
+            PathFigure(
+                row=row,
+                figure=f"interval {way}, largest",
+                value=round(value, 2),
+                unit="ms",
+                asked=f"≤ {MOST_MS}",
+                met=value <= MOST_MS,
+            )
         )
     return figures

@@ -109,12 +109,14 @@ class _PulsedSteps:
         pulse_spans = [(row.seen, at_ns) for row, at_ns in pairs if row.seen is not None]
         widest_ns = max((span.latest_ns - span.earliest_ns for span, _ in pulse_spans), default=0)
         self.run = PulsesRun(
-            run.edges + len(rises),
-            run.missed + abs(len(rows) - len(rises)) + len(pairs) - len(pulse_spans),
-            run.outside_seen + sum(not span.earliest_ns <= at_ns <= span.latest_ns for span, at_ns in pulse_spans),
-            run.outside_promise + sum(not row.earliest_ns <= at_ns <= row.latest_ns for row, at_ns in pairs),
-            run.widest_move_ns if path else max(run.widest_move_ns, widest_ns),
-            max(run.widest_path_ns, widest_ns) if path else run.widest_path_ns,
+            edges=run.edges + len(rises),
+            missed=run.missed + abs(len(rows) - len(rises)) + len(pairs) - len(pulse_spans),
+            outside_seen=run.outside_seen
+            + sum(not span.earliest_ns <= at_ns <= span.latest_ns for span, at_ns in pulse_spans),
+            outside_promise=run.outside_promise
+            + sum(not row.earliest_ns <= at_ns <= row.latest_ns for row, at_ns in pairs),
+            widest_move_ns=run.widest_move_ns if path else max(run.widest_move_ns, widest_ns),
+            widest_path_ns=max(run.widest_path_ns, widest_ns) if path else run.widest_path_ns,
         )
         rows.clear()
         rises.clear()

@@ -52,16 +52,16 @@ def _list_chain_breaks(document: Document) -> list[str]:
 
 LIVE_BENCHMARKS = (
     Benchmark(
-        "dispatch",
-        """Time jobs from their submission to the first motion, on 16 controllers of four axes on TCP, live.
+        name="dispatch",
+        help="""Time jobs from their submission to the first motion, on 16 controllers of four axes on TCP, live.
 
         Also in virtual time, where only links and firmware take time; its path is the work that must be done before
         anything can move. Live, simulators and fleet share this machine's processors.
         """,
-        "tutti bench dispatch --rounds 50 --json",
-        (BenchOption("rounds", "int", "Jobs.", 50, 2, 100_000),),
-        runs.run_dispatch,
-        (
+        example="tutti bench dispatch --rounds 50 --json",
+        options=(BenchOption(name="rounds", kind="int", help="Jobs.", default=50, low=2, high=100_000),),
+        run=runs.run_dispatch,
+        layout=(
             BenchTable(
                 _list_dispatch_rows,
                 (BenchColumn("live", lambda row: row[0]), *make_spread_columns("ms", 1, ".1f")),
@@ -73,17 +73,17 @@ LIVE_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "estop",
-        """Time an e-stop on 16 controllers on TCP and two on serial lines, live with simulated controllers.
+        name="estop",
+        help="""Time an e-stop on 16 controllers on TCP and two on serial lines, live with simulated controllers.
 
         From its publication to the deceleration of the last axis; in every other round the controllers that do not
         move are being armed. The serial ones take part in every ninth round. A thousand rounds take three quarters of
         an hour.
         """,
-        "tutti bench estop --rounds 100 --json",
-        (BenchOption("rounds", "int", "E-stops.", 100, 4, 100_000),),
-        runs.run_estop,
-        (
+        example="tutti bench estop --rounds 100 --json",
+        options=(BenchOption(name="rounds", kind="int", help="E-stops.", default=100, low=4, high=100_000),),
+        run=runs.run_estop,
+        layout=(
             BenchNote("controllers: {controllers}"),
             BenchNote("repeated rounds: {spoilt}"),
             make_spread_table(
@@ -101,16 +101,19 @@ LIVE_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "firing",
-        """Measure the delay of a start command's last byte, live, on an idle machine and with a fleet of 16 running.
+        name="firing",
+        help="""Measure the delay of a start command's last byte, live, on an idle machine and with a fleet of 16
+        running.
 
         The firing process needs permission for real-time priority; without it, other processes delay it by
         milliseconds.
         """,
-        "tutti bench firing --shots 1000 --json",
-        (BenchOption("shots", "int", "Writes of each kind.", 500, 100, 100_000),),
-        runs.run_firing,
-        (
+        example="tutti bench firing --shots 1000 --json",
+        options=(
+            BenchOption(name="shots", kind="int", help="Writes of each kind.", default=500, low=100, high=100_000),
+        ),
+        run=runs.run_firing,
+        layout=(
             make_spread_table(
                 "write delay of",
                 {
@@ -126,20 +129,20 @@ LIVE_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "jog",
-        """Time the jog panel on the demo fleet, live with simulated controllers; takes some minutes.
+        name="jog",
+        help="""Time the jog panel on the demo fleet, live with simulated controllers; takes some minutes.
 
         From a key release, and from a killed panel, to the start of deceleration. Also: from the press to the first
         motion; the same on a terminal that reports no releases; from the Python interface without panel and terminal;
         and the wake-up delay of processes on this machine.
         """,
-        "tutti bench jog --presses 100 --json",
-        (
-            BenchOption("presses", "int", "Of a key.", 100, 1, 10_000),
-            BenchOption("kills", "int", "Of the panel.", 10, 1, 1000),
+        example="tutti bench jog --presses 100 --json",
+        options=(
+            BenchOption(name="presses", kind="int", help="Of a key.", default=100, low=1, high=10_000),
+            BenchOption(name="kills", kind="int", help="Of the panel.", default=10, low=1, high=1000),
         ),
-        runs.run_jog,
-        (
+        run=runs.run_jog,
+        layout=(
             make_spread_table(
                 "to deceleration, from",
                 {
@@ -154,20 +157,20 @@ LIVE_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "journal",
-        """Time submissions, each safe on disk before the next, and the restart of a coordinator with many finished
+        name="journal",
+        help="""Time submissions, each safe on disk before the next, and the restart of a coordinator with many finished
         jobs.
 
         In real time on a real disk; the bus is in memory. Filling the history first takes a minute.
         """,
-        "tutti bench journal --json",
-        (
-            BenchOption("jobs", "int", "Submitted one by one.", 1000, 1, 100_000),
-            BenchOption("history", "int", "Finished jobs.", 10_000, 0, 1_000_000),
+        example="tutti bench journal --json",
+        options=(
+            BenchOption(name="jobs", kind="int", help="Submitted one by one.", default=1000, low=1, high=100_000),
+            BenchOption(name="history", kind="int", help="Finished jobs.", default=10_000, low=0, high=1_000_000),
             BenchOption("folder", "folder", "On the disk to measure; default: that of temporary files."),
         ),
-        runs.run_journal,
-        (
+        run=runs.run_journal,
+        layout=(
             BenchTable(
                 _list_journal_rows,
                 (
@@ -181,16 +184,16 @@ LIVE_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "kills",
-        """Kill or stop (SIGKILL, SIGSTOP) each process of the live demo fleet at random moments of a job.
+        name="kills",
+        help="""Kill or stop (SIGKILL, SIGSTOP) each process of the live demo fleet at random moments of a job.
 
         No job may be lost or run twice, no axis may move for longer than declared after the fault, and the fleet must
         recover by itself. A hundred rounds take some twenty minutes.
         """,
-        "tutti bench kills --rounds 100 --json",
-        (BenchOption("rounds", "int", "Faults.", 100, 1, 100_000),),
-        runs.run_kills,
-        (
+        example="tutti bench kills --rounds 100 --json",
+        options=(BenchOption(name="rounds", kind="int", help="Faults.", default=100, low=1, high=100_000),),
+        run=runs.run_kills,
+        layout=(
             make_spread_table(
                 "from the fault to",
                 {"rest": "the last axis at rest", "back": "a completed job", "noise": "process wake-up delay"},
@@ -200,36 +203,39 @@ LIVE_BENCHMARKS = (
         has_failed=lambda document: bool(document["lost"] or document["doubled"] or document["moved_on"]),
     ),
     Benchmark(
-        "page",
-        """Measure the gateway and the operators' page in a real browser (Chromium), live, for some minutes.
+        name="page",
+        help="""Measure the gateway and the operators' page in a real browser (Chromium), live, for some minutes.
 
         The gateway's processor time with 20 sockets and a page, 64 axes moving; script time and heap of the page; and
         how quickly a jog ends when it is let go, or when the browser is killed, by the simulator's truth.
         """,
-        "tutti bench page --json",
-        (
-            BenchOption("seconds", "int", "Of load.", 20, 5, 600),
-            BenchOption("rounds", "int", "Jogs that are let go.", 30, 1, 1000),
+        example="tutti bench page --json",
+        options=(
+            BenchOption(name="seconds", kind="int", help="Of load.", default=20, low=5, high=600),
+            BenchOption(name="rounds", kind="int", help="Jogs that are let go.", default=30, low=1, high=1000),
         ),
-        runs.run_page,
-        (BenchTable("rows", (BenchColumn("figure", "what"), BenchColumn("value>", "value", "g")), has_targets=True),),
+        run=runs.run_page,
+        layout=(
+            BenchTable("rows", (BenchColumn("figure", "what"), BenchColumn("value>", "value", "g")), has_targets=True),
+        ),
         has_failed=lambda document: not all(row.met for row in document["rows"]),
     ),
     Benchmark(
-        "record",
-        """Measure the recorder, live: 64 axes on 16 controllers, published 100 times a second by a process of its own.
+        name="record",
+        help="""Measure the recorder, live: 64 axes on 16 controllers, published 100 times a second by a process of its
+        own.
 
         Everything published is recorded, or counted as left out; the recorder itself puts nothing and answers nothing.
         Then copies of a recording are cut at random bytes, and the recorder is killed: each file is repaired, and keeps
         all chunks that were closed.
         """,
-        "tutti bench record --json",
-        (
-            BenchOption("seconds", "int", "Time of publishing.", 60, 5, 3600),
-            BenchOption("cuts", "int", "Copies that are cut.", 500, 1, 100_000),
+        example="tutti bench record --json",
+        options=(
+            BenchOption(name="seconds", kind="int", help="Time of publishing.", default=60, low=5, high=3600),
+            BenchOption(name="cuts", kind="int", help="Copies that are cut.", default=500, low=1, high=100_000),
         ),
-        runs.run_record,
-        (
+        run=runs.run_record,
+        layout=(
             BenchTable(
                 lambda document: [
                     (
@@ -265,16 +271,16 @@ LIVE_BENCHMARKS = (
         has_failed=lambda document: bool(document["failures"] or document["lost_chunks"] or document["kill_losses"]),
     ),
     Benchmark(
-        "permit",
-        """Time the loss of a permit in a step over eight controllers, live with simulated controllers.
+        name="permit",
+        help="""Time the loss of a permit in a step over eight controllers, live with simulated controllers.
 
         From the change of the input to the deceleration of the last axis, against 50 ms and the poll interval of a
         moving controller; and the wake-up delay of processes on this machine.
         """,
-        "tutti bench permit --rounds 20 --json",
-        (BenchOption("rounds", "int", "Losses of the permit.", 20, 1, 1000),),
-        runs.run_permit,
-        (
+        example="tutti bench permit --rounds 20 --json",
+        options=(BenchOption(name="rounds", kind="int", help="Losses of the permit.", default=20, low=1, high=1000),),
+        run=runs.run_permit,
+        layout=(
             BenchNote("controllers: {controllers}"),
             BenchNote("poll interval, ms: {poll_ms:g}"),
             make_spread_table(
@@ -288,21 +294,21 @@ LIVE_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "steps",
-        """Measure the time from the end of one step to the start of the next, beside a script with a socket per
+        name="steps",
+        help="""Measure the time from the end of one step to the start of the next, beside a script with a socket per
         controller.
 
         In virtual time, judged by the simulators' ground truth, and live with 100 steps a fleet, which takes two
         minutes. The script sends the same moves to the same simulated controllers one after the other: send, begin,
         query until all rest.
         """,
-        "tutti bench steps --json",
-        (
-            BenchOption("steps", "int", "Steps of a fleet.", 100, 10, 100_000),
+        example="tutti bench steps --json",
+        options=(
+            BenchOption(name="steps", kind="int", help="Steps of a fleet.", default=100, low=10, high=100_000),
             BenchOption("virtual-only", "flag", "Only in virtual time.", default=False),
         ),
-        runs.run_steps,
-        (
+        run=runs.run_steps,
+        layout=(
             BenchTable(
                 "rows",
                 (

@@ -86,23 +86,25 @@ def _list_path_notes(document: Document) -> list[str]:
 
 VIRTUAL_BENCHMARKS = (
     Benchmark(
-        "plan",
-        """Time the planning of steps of 1 to 1,024 axes against the bare Ruckig call.
+        name="plan",
+        help="""Time the planning of steps of 1 to 1,024 axes against the bare Ruckig call.
 
         Jerk-limited axes count; trapezoids, where Ruckig has less to do, are shown for comparison.
         """,
-        "tutti bench plan --rounds 1000",
-        (BenchOption("rounds", "int", "Plans of each size.", 300, 10, 100_000),),
-        runs.run_plan,
-        (_make_plan_table("jerk-limited", "rows"), _make_plan_table("trapezoids", "trapezoid_rows")),
+        example="tutti bench plan --rounds 1000",
+        options=(
+            BenchOption(name="rounds", kind="int", help="Plans of each size.", default=300, low=10, high=100_000),
+        ),
+        run=runs.run_plan,
+        layout=(_make_plan_table("jerk-limited", "rows"), _make_plan_table("trapezoids", "trapezoid_rows")),
     ),
     Benchmark(
-        "virtual",
-        "Run the demo fleet in constant motion, in virtual time, and report its speed relative to real time.",
-        "tutti bench virtual --hours 1 --json",
-        (BenchOption("hours", "float", "Of fleet time.", 1.0, 0.01, 24),),
-        runs.run_virtual,
-        (
+        name="virtual",
+        help="Run the demo fleet in constant motion, in virtual time, and report its speed relative to real time.",
+        example="tutti bench virtual --hours 1 --json",
+        options=(BenchOption(name="hours", kind="float", help="Of fleet time.", default=1.0, low=0.01, high=24),),
+        run=runs.run_virtual,
+        layout=(
             BenchNote(
                 "{fleet_s:.0f} s of fleet time with {moves} synchronised moves in {cpu_s:.1f} s of processor time: "
                 "{speedup:.0f} times faster than real time"
@@ -110,15 +112,15 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "poll",
-        """Poll SMC-2000 at 19,200 baud as often as they reply, against the limit of the serial line.
+        name="poll",
+        help="""Poll SMC-2000 at 19,200 baud as often as they reply, against the limit of the serial line.
 
         One alone and three on a daisy chain, with and without a USB adapter that delays received bytes by up to 16 ms.
         """,
-        "tutti bench poll --json",
-        (BenchOption("seconds", "float", "Of virtual time.", 60.0, 1, 3600),),
-        runs.run_poll,
-        (
+        example="tutti bench poll --json",
+        options=(BenchOption(name="seconds", kind="float", help="Of virtual time.", default=60.0, low=1, high=3600),),
+        run=runs.run_poll,
+        layout=(
             BenchTable(
                 "rows",
                 (
@@ -134,16 +136,19 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "bus",
-        """Start seven SMC30 on one bus at 9,600 baud together, and measure the spread of their starts, in virtual time.
+        name="bus",
+        help="""Start seven SMC30 on one bus at 9,600 baud together, and measure the spread of their starts, in virtual
+        time.
 
         By E commands one after another, by the adapter's time slots with the delay in the programs, and by a trigger
         line.
         """,
-        "tutti bench bus --json",
-        (BenchOption("rounds", "int", "Starts of each method.", 300, 10, 100_000),),
-        runs.run_bus,
-        (
+        example="tutti bench bus --json",
+        options=(
+            BenchOption(name="rounds", kind="int", help="Starts of each method.", default=300, low=10, high=100_000),
+        ),
+        run=runs.run_bus,
+        layout=(
             BenchTable(
                 "rows",
                 (
@@ -159,19 +164,19 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "can",
-        """Start eight CiA 402 drives on one CAN bus at 1 Mbit/s together, arm them, and stream positions to them.
+        name="can",
+        help="""Start eight CiA 402 drives on one CAN bus at 1 Mbit/s together, arm them, and stream positions to them.
 
         In virtual time, by the simulators' ground truth; in one step with an SMC-4000 by a complete coordinator. The
         last part streams positions for `--hours`: an hour takes half an hour, the rest some three minutes.
         """,
-        "tutti bench can --json",
-        (
-            BenchOption("rounds", "int", "Moves of each method.", 40, 10, 100_000),
-            BenchOption("hours", "float", "Of fleet time.", 0.05, 0.001, 24),
+        example="tutti bench can --json",
+        options=(
+            BenchOption(name="rounds", kind="int", help="Moves of each method.", default=40, low=10, high=100_000),
+            BenchOption(name="hours", kind="float", help="Of fleet time.", default=0.05, low=0.001, high=24),
         ),
-        runs.run_can,
-        (
+        run=runs.run_can,
+        layout=(
             BenchTable(
                 "rows",
                 (BenchColumn("eight CiA 402 drives", lambda row: f"{row.what}, {row.unit}"), *_PERCENTILES),
@@ -180,20 +185,20 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "sim",
-        """Time simulated SMC-4000, polled by their adapters at 10 Hz, in virtual time, and report where the time is
-        spent.
+        name="sim",
+        help="""Time simulated SMC-4000, polled by their adapters at 10 Hz, in virtual time, and report where the time
+        is spent.
 
         Idle, and with all axes moving on commands of another host.
         """,
-        "tutti bench sim --controllers 64 --json",
-        (
-            BenchOption("controllers", "int", "Of four axes each.", 64, 1, 512),
-            BenchOption("seconds", "float", "Of fleet time, each.", 10.0, 1, 200),
+        example="tutti bench sim --controllers 64 --json",
+        options=(
+            BenchOption(name="controllers", kind="int", help="Of four axes each.", default=64, low=1, high=512),
+            BenchOption(name="seconds", kind="float", help="Of fleet time, each.", default=10.0, low=1, high=200),
             BenchOption("step", "flag", "Also in a step of a job; homing all axes first takes long."),
         ),
-        runs.run_sim,
-        (
+        run=runs.run_sim,
+        layout=(
             BenchTable(
                 _label_windows,
                 (
@@ -207,21 +212,21 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "lowering",
-        """Compare the executed with the planned motion, by the simulator's ground truth, in virtual time.
+        name="lowering",
+        help="""Compare the executed with the planned motion, by the simulator's ground truth, in virtual time.
 
         Jerk-limited moves of four axes over crystals of ±100 ppm: the distance to the plan. Trapezoids: the duration,
         as planned, as compiled, and of a seeded part of them as executed; those with a cruise speed below 20,000
         counts/s are a tenth as many. Some minutes for the 10,000. An SMC30 accepts only whole steps/s: its moves are
         compared by their mean rate.
         """,
-        "tutti bench lowering --make smc4000 --json",
-        (
+        example="tutti bench lowering --make smc4000 --json",
+        options=(
             BenchOption("make", "text", "Of the controller.", "smc4000"),
-            BenchOption("moves", "int", "Trapezoids.", 10_000, 10, 1_000_000),
+            BenchOption(name="moves", kind="int", help="Trapezoids.", default=10_000, low=10, high=1_000_000),
         ),
-        runs.run_lowering,
-        (
+        run=runs.run_lowering,
+        layout=(
             BenchTable(
                 "figures",
                 (BenchColumn("trapezoids by cruise, counts/s", lambda row: f"{row.what}, {row.unit}"), *_PERCENTILES),
@@ -231,19 +236,19 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "shrc-chain",
-        """Run chains of prebuffered moves on a simulated SHRC-203 at 38,400 baud, in virtual time.
+        name="shrc-chain",
+        help="""Run chains of prebuffered moves on a simulated SHRC-203 at 38,400 baud, in virtual time.
 
         Measures the duration of a move with its hand-over, for one axis and for three, and whether a chain ran dry.
         Some minutes.
         """,
-        "tutti bench shrc-chain --json",
-        (
-            BenchOption("moves", "int", "Of each chain.", 1000, 2, 100_000),
-            BenchOption("seeds", "int", "Chains of each kind.", 100, 1, 10_000),
+        example="tutti bench shrc-chain --json",
+        options=(
+            BenchOption(name="moves", kind="int", help="Of each chain.", default=1000, low=2, high=100_000),
+            BenchOption(name="seeds", kind="int", help="Chains of each kind.", default=100, low=1, high=10_000),
         ),
-        runs.run_shrc_chain,
-        (
+        run=runs.run_shrc_chain,
+        layout=(
             BenchTable(
                 "rows",
                 (
@@ -259,16 +264,19 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "clock",
-        """Predict controllers' clocks 5 s ahead, from 300 s of samples, over modelled links; in virtual time.
+        name="clock",
+        help="""Predict controllers' clocks 5 s ahead, from 300 s of samples, over modelled links; in virtual time.
 
         Shown with the estimate: its guaranteed bound, how often the true value was outside it, and two estimators
         without a bound: the smallest round trip at the nominal rate, and least squares.
         """,
-        "tutti bench clock --trials 1000",
-        (BenchOption("trials", "int", "Crystals a link.", 200, 10, 100_000), _SEED),
-        runs.run_clock,
-        (
+        example="tutti bench clock --trials 1000",
+        options=(
+            BenchOption(name="trials", kind="int", help="Crystals a link.", default=200, low=10, high=100_000),
+            _SEED,
+        ),
+        run=runs.run_clock,
+        layout=(
             BenchTable(
                 "rows",
                 (
@@ -286,17 +294,20 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "rates",
-        """Learn crystals that cannot be read, and start latencies, from moves of 5 to 60 s; in virtual time.
+        name="rates",
+        help="""Learn crystals that cannot be read, and start latencies, from moves of 5 to 60 s; in virtual time.
 
         Shown with the learned rate: its guaranteed bound, how often the true rate was outside it, the nominal rate of
         the crystal, and the mean of the measured durations. Shown with the learned latency: the declared one, and the
         mean of the acknowledgements. 30 crystals per link take half a minute or so.
         """,
-        "tutti bench rates --json",
-        (BenchOption("trials", "int", "Crystals a link.", 30, 2, 10_000), _SEED),
-        runs.run_rates,
-        (
+        example="tutti bench rates --json",
+        options=(
+            BenchOption(name="trials", kind="int", help="Crystals a link.", default=30, low=2, high=10_000),
+            _SEED,
+        ),
+        run=runs.run_rates,
+        layout=(
             BenchTable(
                 "rates",
                 (
@@ -327,25 +338,32 @@ VIRTUAL_BENCHMARKS = (
         ),
     ),
     Benchmark(
-        "paths",
-        """Move simulated controllers of several makes along circles, and measure how far they are off them; plan random
-        paths, and compare them with their limits, the least time, and their cost; switch an output on the way. In
-        virtual time.
+        name="paths",
+        help="""Move simulated controllers of several makes along circles, and measure how far they are off them; plan
+        random paths, and compare them with their limits, the least time, and their cost; switch an output on the way.
+        In virtual time.
 
         The ground truth comes from the simulators: no path may be above the bound that was stated ahead, and no pulse
         outside its interval. Everything takes a core an hour or so; --quick, with 5 paths of 10 s a row and without the
         long circles, half a minute.
         """,
-        "tutti bench paths --quick --json",
-        (
+        example="tutti bench paths --quick --json",
+        options=(
             BenchOption("quick", "flag", "Few and short paths."),
             _SEED,
             BenchOption("only", "text", "Only rows that match this expression.", "", metavar="REGEX"),
-            BenchOption("paths", "int", "Circles of a row; default: 200, and 10 long ones.", None, 1, 10_000),
-            BenchOption("processes", "int", "That share the work.", 1, 1, 64),
+            BenchOption(
+                name="paths",
+                kind="int",
+                help="Circles of a row; default: 200, and 10 long ones.",
+                default=None,
+                low=1,
+                high=10_000,
+            ),
+            BenchOption(name="processes", kind="int", help="That share the work.", default=1, low=1, high=64),
         ),
-        runs.run_paths,
-        (
+        run=runs.run_paths,
+        layout=(
             BenchTable(
                 "rows",
                 (
@@ -361,25 +379,35 @@ VIRTUAL_BENCHMARKS = (
         has_failed=lambda document: any(row.met is False for row in document["rows"]),
     ),
     Benchmark(
-        "sync",
-        """Start simulated fleets together, by baseline methods and by Tutti's, and measure the skew; in virtual time.
+        name="sync",
+        help="""Start simulated fleets together, by baseline methods and by Tutti's, and measure the skew; in virtual
+        time.
 
         The ground truth comes from the simulators. `misses` counts verdicts that do not contain it. Rows that are slow
         to simulate have fewer trials. A thousand trials take a core an hour or so; a hundred, with --history 60, some
         minutes.
         """,
-        "tutti bench sync --trials 100 --plot skews.png",
-        (
-            BenchOption("trials", "int", "Steps of a row.", 1000, 2, 1_000_000),
+        example="tutti bench sync --trials 100 --plot skews.png",
+        options=(
+            BenchOption(name="trials", kind="int", help="Steps of a row.", default=1000, low=2, high=1_000_000),
             _SEED,
             BenchOption("only", "text", "Only rows whose name matches: '64', 'clock$'.", "", metavar="PATTERN"),
-            BenchOption("history", "int", "Seconds of polls before the start.", 300, 5, 3600),
-            BenchOption("live", "int", "Run this many steps with real sockets and processes instead.", None, 2, 10_000),
+            BenchOption(
+                name="history", kind="int", help="Seconds of polls before the start.", default=300, low=5, high=3600
+            ),
+            BenchOption(
+                name="live",
+                kind="int",
+                help="Run this many steps with real sockets and processes instead.",
+                default=None,
+                low=2,
+                high=10_000,
+            ),
             BenchOption("plot", "file", "Distributions of the start skews, a PNG."),
-            BenchOption("processes", "int", "Number of parallel processes.", 1, 1, 256),
+            BenchOption(name="processes", kind="int", help="Number of parallel processes.", default=1, low=1, high=256),
         ),
-        runs.run_sync,
-        (
+        run=runs.run_sync,
+        layout=(
             BenchTable(
                 _simulated_rows,
                 (

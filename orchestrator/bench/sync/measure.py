@@ -363,15 +363,15 @@ async def _run_trial(fleet: VirtualFleet, move: dict[str, Any], look_ns: int, dr
             for interval in (evidence.start,) if late else (evidence.start, evidence.start_for_verdict):
                 is_missed = is_missed or not interval.earliest_ns <= motion.start_ns - origin_ns <= interval.latest_ns
     return SyncTrial(
-        start_ns,
-        max(ends) - min(ends),
-        _measure_path_skew(recording, origin_ns, positions),
-        budget.predicted_ns,
-        skew.at_most_ns - skew.at_least_ns,
-        sum(sorted(_irreducible_ns(step, name) for name in fleet.controllers)[-2:]),
-        is_missed,
-        late,
-        f"{budget.worst_member}, {budget.worst_term}",
+        start_ns=start_ns,
+        end_ns=max(ends) - min(ends),
+        path_ns=_measure_path_skew(recording, origin_ns, positions),
+        budget_ns=budget.predicted_ns,
+        width_ns=skew.at_most_ns - skew.at_least_ns,
+        irreducible_ns=sum(sorted(_irreducible_ns(step, name) for name in fleet.controllers)[-2:]),
+        missed=is_missed,
+        late=late,
+        worst=f"{budget.worst_member}, {budget.worst_term}",
     )
 
 

@@ -73,7 +73,7 @@ def router(
     from orchestrator.runtime.services.router import RouterPlace, load_security
     from orchestrator.runtime.state.folder import default_state
 
-    router_place = RouterPlace(listen, keys, file, state, links, insecure)
+    router_place = RouterPlace(listen=listen, keys=keys, fleet_file=file, state=state, links=links, insecure=insecure)
     with expected_errors():
         security = load_security(router_place)
     if print_config:

@@ -65,7 +65,15 @@ def start(
             f"records fleet {fleet} in {folder}{with_metrics}; Ctrl-C ends it", highlight=False, soft_wrap=True
         )
 
-    options = RecorderOptions(fleet, connect, folder, quota, folder / "recorder.jsonl", fleet_file, metrics_port)
+    options = RecorderOptions(
+        fleet=fleet,
+        connect=connect,
+        folder=folder,
+        quota=quota,
+        log=folder / "recorder.jsonl",
+        fleet_file=fleet_file,
+        metrics_port=metrics_port,
+    )
     try:
         asyncio.run(record_fleet(options, print_ready))
     except FolderInUse as error:

@@ -47,13 +47,13 @@ def run_path(out: Path | None, *, wanted: bool, as_json: bool) -> None:
     if out is not None:
         times_s = np.linspace(0.0, demo.plan.duration_s, SAMPLES)
         drawn_path = SampledPath(
-            demo.axes,
-            times_s,
-            demo.plan.evaluate(times_s).positions,
-            {axis: (sample.times_s, sample.positions) for axis, sample in demo.samples.items()},
-            demo.times_s,
-            demo.errors,
-            report.bound,
+            axes=demo.axes,
+            times_s=times_s,
+            planned=demo.plan.evaluate(times_s).positions,
+            samples={axis: (sample.times_s, sample.positions) for axis, sample in demo.samples.items()},
+            truth_s=demo.times_s,
+            errors=demo.errors,
+            bound=report.bound,
         )
         makes = ", ".join(dict.fromkeys(controller.adapter for controller in fleet.controllers.values()))
         title = f"{job.name}: {report.length:.0f} {demo.unit} in {report.duration_s:.1f} s, {makes}"

@@ -38,7 +38,13 @@ class AlarmConditions:
         """Take over an alarm that the last leader raised. holds, for_ns: as in `report`."""
         if record.is_active:
             cause = AlarmCause(
-                record.kind, record.subject, record.text, record.action, record.code, record.priority, record.source
+                kind=record.kind,
+                subject=record.subject,
+                text=record.text,
+                action=record.action,
+                code=record.code,
+                priority=record.priority,
+                source=record.source,
             )
             now_ns = self._clock.now_ns()
             until_ns = None if for_ns is None else now_ns + for_ns

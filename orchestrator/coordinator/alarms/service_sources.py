@@ -101,7 +101,13 @@ class ServiceAlarms:
             self._log.warning(f"an alarm of {source} is left out: {field}: {first['msg']}")
             return
         cause = AlarmCause(
-            request.kind, request.subject, request.text, request.action, "", request.priority, source[:MAX_SOURCE]
+            kind=request.kind,
+            subject=request.subject,
+            text=request.text,
+            action=request.action,
+            code="",
+            priority=request.priority,
+            source=source[:MAX_SOURCE],
         )
         if self._has_place(cause, active=request.active):
             self._conditions.report(cause, holds=request.active, for_ns=REQUEST_NS if request.active else None)

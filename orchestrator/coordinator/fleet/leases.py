@@ -142,7 +142,15 @@ class LeaseRegistry:
         self._takings += hold_before is None
         taking = self._takings if hold_before is None else hold_before.acquisition
         hold = self._held[holder] = LeaseHold(
-            holder, user.actor, user.what, own_axes, until_ns, brief, idle, taking, user.session
+            holder=holder,
+            actor=user.actor,
+            what=user.what,
+            axes=own_axes,
+            until_ns=until_ns,
+            brief=brief,
+            idle=idle,
+            acquisition=taking,
+            session=user.session,
         )
         if hold_before is None or set(own_axes) != set(hold_before.axes):
             try:

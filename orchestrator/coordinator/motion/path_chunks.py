@@ -68,4 +68,14 @@ def plan_first_chunk(
     }
     duration_s = chunk.stop_s if len(members) == len(infos) else whole.duration_s
     plan = StepPlan(duration_s, profiles, whole.unmoved)
-    return FirstChunk(course, clock, chunk, plan, members, most_s, min(load_s, most_s), course.find_peaks(), rate)
+    return FirstChunk(
+        course=course,
+        clock=clock,
+        chunk=chunk,
+        plan=plan,
+        members=members,
+        most_s=most_s,
+        load_s=min(load_s, most_s),
+        peaks=course.find_peaks(),
+        rate=rate,
+    )

@@ -79,7 +79,16 @@ def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
         _require_ready(name, state, controller)
         position_here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
         order = max(context.infos[controller].orders)
-        starts.append(PathStart(name, axis, position_here, state.commanded_counts, state.offset, order))
+        starts.append(
+            PathStart(
+                name=name,
+                axis=axis,
+                here=position_here,
+                start_counts=state.commanded_counts,
+                offset=state.offset,
+                order=order,
+            )
+        )
     return starts
 
 

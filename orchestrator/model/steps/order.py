@@ -101,7 +101,7 @@ class StepOrder:
                 passes = (*passes, (pass_count + 1, step.times))
             elif isinstance(step, Scan):
                 point, part = divmod(offset, step.points_steps)
-                return StepPlace(index, step, index - offset, point, part, passes)
+                return StepPlace(index=index, step=step, first=index - offset, point=point, part=part, passes=passes)
             else:
                 return StepPlace(index, step, index, passes=passes)
 

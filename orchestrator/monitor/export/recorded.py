@@ -81,7 +81,17 @@ def _add_state(run: RecordedRun, state: ControllerState, utc_ns: int) -> None:
         readings = run.readings[f"{state.controller}.{name}"]
         # A state is also published without a new reading.
         if not readings or readings[-1].fleet_ns < state.read_fleet_ns:
-            positions = axis.position, axis.commanded, axis.velocity, axis.motor_position, axis.raw_counts
             readings.append(
-                RecordedReading(state.read_fleet_ns, utc_ns, *positions, axis.unit, axis.moving, state.mode)
+                RecordedReading(
+                    fleet_ns=state.read_fleet_ns,
+                    utc_ns=utc_ns,
+                    position=axis.position,
+                    commanded=axis.commanded,
+                    velocity=axis.velocity,
+                    motor_position=axis.motor_position,
+                    raw_counts=axis.raw_counts,
+                    unit=axis.unit,
+                    moving=axis.moving,
+                    mode=state.mode,
+                )
             )

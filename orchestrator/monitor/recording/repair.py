@@ -63,7 +63,9 @@ def repair_recording(path: Path) -> RepairResult:
         path.replace(original)
     copy.replace(path)
     at, reason = (size, "its index is damaged") if damage is None else (damage.at, damage.text)
-    return RepairResult(path, messages, at, reason, size - whole_until, original)
+    return RepairResult(
+        path=path, messages=messages, at=at, reason=reason, lost_bytes=size - whole_until, original=original
+    )
 
 
 def _copy_whole_part(path: Path, copy: Path) -> tuple[int, int]:

@@ -54,5 +54,14 @@ def _find_starts(
             state.notes[f"{name} stands at {position_text} when the path begins"] = None
             motor_here = point - state_before.offset
         order = state.orders.get(controller_of(name), 3)
-        starts.append(PathStart(name, axis, motor_here, axis.to_counts(motor_here), state_before.offset, order))
+        starts.append(
+            PathStart(
+                name=name,
+                axis=axis,
+                here=motor_here,
+                start_counts=axis.to_counts(motor_here),
+                offset=state_before.offset,
+                order=order,
+            )
+        )
     return starts

@@ -127,12 +127,12 @@ def _lower_caps(ladder: Ladder, low: Array, high: Array, level: Array) -> Ladder
         inner = begin + k < end - 1
         np.minimum.at(cell_caps, begin[inner] + k, level[inner])
     return Ladder(
-        s,
-        caps,
-        ladder.acceleration[np.minimum(cells, len(ladder.acceleration) - 1)],
-        cell_caps,
-        ladder.smoothing_s[source],
-        ladder.section[source],
+        s=s,
+        caps=caps,
+        acceleration=ladder.acceleration[np.minimum(cells, len(ladder.acceleration) - 1)],
+        cell_caps=cell_caps,
+        smoothing_s=ladder.smoothing_s[source],
+        section=ladder.section[source],
     )
 
 

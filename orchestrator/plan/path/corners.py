@@ -198,16 +198,16 @@ def _join_spans(
     blend = order != source
     start = np.concatenate([[0.0], np.cumsum(length[keep])])
     return Track(
-        shapes,
-        frame,
-        kind[keep],
-        row[keep],
-        low[keep],
-        length[keep],
-        piece[keep],
-        source[keep],
-        blend[keep],
-        stop[keep],
-        speed[keep],
-        start,
+        shapes=shapes,
+        frame=frame,
+        kind=kind[keep],
+        row=row[keep],
+        low=low[keep],
+        length=length[keep],
+        piece=piece[keep],
+        source=source[keep],
+        blend=blend[keep],
+        stop=stop[keep],
+        speed=speed[keep],
+        start=start,
     )

@@ -93,7 +93,9 @@ def make_grid(track: Track, limits: PathLimits, span: Index, local: Array) -> Gr
     at_rest = (first & after_stop[span]) | (last & track.stop[span])
     section = np.cumsum(after_stop)[span] - 1
     line, even = track.kind[span] == LINE, np.ones(len(span))
-    return Grid(track.start[span] + local, span, line, at_rest, section, caps, even, at)
+    return Grid(
+        s=track.start[span] + local, span=span, line=line, rest=at_rest, section=section, speed=caps, slower=even, at=at
+    )
 
 
 def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local: Array) -> Grid:
@@ -107,12 +109,12 @@ def refine_grid(grid: Grid, track: Track, limits: PathLimits, span: Index, local
 
     at = Slopes(*(np.concatenate(pair, axis=1).take(order, axis=1) for pair in zip(grid.at, more.at, strict=True)))
     return Grid(
-        s[order],
-        np.concatenate([grid.span, more.span])[order],
-        np.concatenate([grid.line, more.line])[order],
-        np.concatenate([grid.rest, more.rest])[order],
-        np.concatenate([grid.section, more.section])[order],
-        np.concatenate([grid.speed, more.speed])[order],
-        np.concatenate([grid.slower, slower])[order],
-        at,
+        s=s[order],
+        span=np.concatenate([grid.span, more.span])[order],
+        line=np.concatenate([grid.line, more.line])[order],
+        rest=np.concatenate([grid.rest, more.rest])[order],
+        section=np.concatenate([grid.section, more.section])[order],
+        speed=np.concatenate([grid.speed, more.speed])[order],
+        slower=np.concatenate([grid.slower, slower])[order],
+        at=at,
     )

@@ -105,7 +105,14 @@ def plan_with_smoothing(track: Track, limits: PathLimits, base: Grid, smoothing_
         [[0.0], np.cumsum(np.where(same_section, np.minimum(dt, 1e3), 2 * width[:-1] + 2 * width[1:]))]
     )
     _, cells = sweep(np.sqrt(fast), times)
-    ladder = Ladder(grid.s, squares, cells, _find_cell_caps(grid) ** 2, width, grid.section)
+    ladder = Ladder(
+        s=grid.s,
+        caps=squares,
+        acceleration=cells,
+        cell_caps=_find_cell_caps(grid) ** 2,
+        smoothing_s=width,
+        section=grid.section,
+    )
     ladder = cap_pieces(ladder, *_find_capped(track, smoothing_s))
     for _ in range(ROUNDS):  # what one changes on a flank the other one has to look at again
         wide = widen_valleys(ladder, ladder.sweep())

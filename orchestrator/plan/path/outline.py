@@ -195,7 +195,9 @@ class OutlineBuilder:
         )
         table = np.array(self._spans, dtype=np.float64).reshape(-1, 6)
         kind, row, piece = (table[:, k].astype(np.int64) for k in (0, 1, 3))
-        return Outline(shapes, kind, row, table[:, 2], piece, table[:, 4], table[:, 5])
+        return Outline(
+            shapes=shapes, kind=kind, row=row, length=table[:, 2], piece=piece, tolerance=table[:, 4], speed=table[:, 5]
+        )
 
     def _scale(self, *points: Array) -> float:
         return max(1e-3, float(np.abs(self.position).max()), *(float(np.abs(point).max()) for point in points))

@@ -129,15 +129,15 @@ def _list_stretches(run: Run, axes: Sequence[str], t0: float, s0: float) -> list
     used = np.maximum.reduceat(use.used, begin)
     return [
         Stretch(
-            t0 + motion.t[k],
-            t0 + ends_s[n],
-            s0 + motion.s[k],
-            s0 + ends[n],
-            piece + 1,
-            bool(blend),
-            order,
-            None if axis < 0 else axes[axis],
-            float(used[n]),
+            t0_s=t0 + motion.t[k],
+            t1_s=t0 + ends_s[n],
+            s0=s0 + motion.s[k],
+            s1=s0 + ends[n],
+            piece=piece + 1,
+            corner=bool(blend),
+            order=order,
+            axis=None if axis < 0 else axes[axis],
+            used=float(used[n]),
         )
         for n, (k, (piece, blend, order, axis)) in enumerate(zip(begin.tolist(), at_begin, strict=True))
     ]

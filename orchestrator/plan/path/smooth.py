@@ -102,7 +102,16 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> P
     v = np.where(sharp, late.speeds, np.maximum(late.positions - soon_window.positions, 0.0) / width)
     a = np.where(sharp, window_ahead.accelerations, (late.speeds - soon_window.speeds) / width)
     s = _sum_sections(dt * (v + dt * (a / 2 + dt * j / 6)), number, coarse.s[np.append(first, len(section) - 1)])
-    return PathMotion(begin - knots[0], s, v, a, j, number, float(knots[-1] - knots[0]), float(coarse.s[-1]))
+    return PathMotion(
+        t=begin - knots[0],
+        s=s,
+        v=v,
+        a=a,
+        j=j,
+        section=number,
+        duration_s=float(knots[-1] - knots[0]),
+        length=float(coarse.s[-1]),
+    )
 
 
 def _sum_sections(steps: Array, number: Index, ends: Array) -> Array:

@@ -89,7 +89,12 @@ def plan_table(table: TimedTable, frame: Frame | None, limits: PathLimits, names
     by_u = curves_t * (np.diff(knots)[:, None] ** np.arange(4))[:, :, None]
     curves = np.concatenate([by_u, np.zeros((len(by_u), 2, by_u.shape[2]))], axis=1)
     return TableRun(
-        table.piece, (knots - knots[0]) * factor, cubics * powers[:, None], curves, measure_curves(curves), row
+        piece=table.piece,
+        knots=(knots - knots[0]) * factor,
+        cubics=cubics * powers[:, None],
+        curves=curves,
+        lengths=measure_curves(curves),
+        row=row,
     )
 
 

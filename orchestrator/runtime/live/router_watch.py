@@ -129,6 +129,14 @@ async def watch_live_router(
 
     try:
         await bus.subscribe(keys.state(), fleet_rest.receive_state)
-        await RouterWatch(endpoint, LiveClock(), probe, fleet_rest.is_moving, raise_alarm, restart, say).run()
+        await RouterWatch(
+            endpoint=endpoint,
+            clock=LiveClock(),
+            probe=probe,
+            is_moving=fleet_rest.is_moving,
+            raise_alarm=raise_alarm,
+            restart=restart,
+            say=say,
+        ).run()
     finally:
         await bus.close()

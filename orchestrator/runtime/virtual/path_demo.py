@@ -91,7 +91,16 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
     course = plan.path(np.linspace(0.0, plan.length, COURSE))
     unit = fleet.axis(step.axes[0]).unit
     samples = _collect_samples(found_samples, done_step.t0_fleet_ns, ends_s)
-    return PathDemo(report, step.axes, unit, plan, samples, times_s, truth, measure_distances(truth, course))
+    return PathDemo(
+        report=report,
+        axes=step.axes,
+        unit=unit,
+        plan=plan,
+        samples=samples,
+        times_s=times_s,
+        truth=truth,
+        errors=measure_distances(truth, course),
+    )
 
 
 def _describe_axis(fleet: Fleet, name: str) -> PathAxis:

@@ -61,5 +61,15 @@ class ArcShape:
 def arc_segment(start: Point, arc: ArcShape, entry: float | None, leave: float | None) -> PathSegment:
     """Make a circular or elliptic segment."""
     length = abs(arc.radius * radians(arc.sweep))
-    shape = PathSegment(start, start, length or 1.0, entry, leave, arc.radius, arc.angle, arc.sweep, arc.scale)
+    shape = PathSegment(
+        start=start,
+        end=start,
+        length=length or 1.0,
+        entry_speed=entry,
+        exit_speed=leave,
+        radius=arc.radius,
+        angle=arc.angle,
+        sweep=arc.sweep,
+        scale=arc.scale,
+    )
     return replace(shape, end=shape.point_at(length), length=length)
