@@ -7,6 +7,7 @@ PRODUCT = ("orchestrator", "adapters", "sim", "tutti")
 
 # Folders of one module, and why each is one.
 ONE_MODULE = {
+    "adapters/compat": "it goes with the release that no longer loads contract version 1",
     "adapters/yaskawa/smc4000": "a make and model has a folder, by contract",
     "tutti/testing": "the entry point of a pytest plug-in: `-p tutti.testing.plugin`",
 }
@@ -19,7 +20,6 @@ SHORT = {
     "orchestrator/monitor/open_bus.py": "a text of several parts that import nothing of each other",
     "orchestrator/plan/forecast/dwell.py": "a kind of step is one module",
     "orchestrator/plan/path/errors.py": "an error of all modules of paths",
-    "adapters/yaskawa/common/program_turns.py": "timing that programs and their gate share",
     "sim/yaskawa/machine/model.py": "a record of both simulated models",
     "sim/yaskawa/motion/codes.py": "codes of the manual that motion and commands share",
     "tutti/adapter/checks.py": "a public name for plug-ins",
