@@ -26,7 +26,6 @@ BEFORE: dict[str, str] = {
     "functions over complexity 15, conditions counted": "80",
     "six or more positional arguments in a call": "220",
     "planted imports that pass": "8 of 8",
-    "local names that are no nouns, per 1,000 lines": "26.0",
     "product lines": "140885",
     "functions with a one-word name": "13 %",
     "classes with a one-word name": "7 %",
@@ -35,6 +34,7 @@ BEFORE: dict[str, str] = {
     "circles of imports": "0",
     "exceptions outside the tree": "0",
     "log calls per 1,000 lines of adapters": "3.3",
+    "local names that are no nouns, per 1,000 lines": "29.5",
 }
 """Counted in the same way at a72ec61."""
 

@@ -171,10 +171,10 @@ class PdoSet:
         """Apply the parameters."""
         get = self._dictionary.get_value
         word = get(pdo.parameter, 1)
-        mapped_range = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
+        mappings = [get(pdo.mapping, sub) for sub in range(1, get(pdo.mapping, 0) + 1)]
         pdo.id, pdo.on, pdo.remote = word & _ID, not word & _OFF, not word & _NO_REMOTE
         pdo.type = get(pdo.parameter, 2)
-        pdo.objects = tuple(((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8) for entry in mapped_range)
+        pdo.objects = tuple(((entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8) for entry in mappings)
         if isinstance(pdo, _ReceivePdo):
             pdo.held = None
         elif isinstance(pdo, _TransmitPdo):

@@ -60,11 +60,11 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[BenchFigure]
     """Measure `rounds` moves with each method, with new drives every `MOVES_PER_BUS` of them; and long moves for
     `hours`."""
     by_script: list[_StreamRound] = []
-    found_rounds: list[_StreamRound] = []
+    results: list[_StreamRound] = []
     for number in range(ceil(rounds / MOVES_PER_BUS)):
         moves = min(MOVES_PER_BUS, rounds - number * MOVES_PER_BUS)
         by_script += run_virtual(lambda clock, s=seed + number, n=moves: _run_scripts(clock, s, n))
-        found_rounds += run_virtual(lambda clock, s=seed + number, n=moves: _run_streams(clock, s, n))
+        results += run_virtual(lambda clock, s=seed + number, n=moves: _run_streams(clock, s, n))
     periods, underruns = run_virtual(lambda clock: _stream_for_hours(clock, seed, hours))
     empty_figure = BenchFigure(
         what=f"underruns in {hours:g} h of streams",
@@ -78,11 +78,11 @@ def bench_stream(rounds: int, hours: float, seed: int = 11) -> list[BenchFigure]
     )
     return [
         make_can_row("path skew, positions by a script's timer", [script.skew_ms for script in by_script], "ms"),
-        make_can_row("path skew, streamed", [stream.skew_ms for stream in found_rounds], "ms", ASKED_SKEW_MS),
+        make_can_row("path skew, streamed", [stream.skew_ms for stream in results], "ms", ASKED_SKEW_MS),
         make_can_row("furthest from the plan, by a script's timer", [script.off_ms for script in by_script], "ms"),
-        make_can_row("furthest from the plan, streamed", [stream.off_ms for stream in found_rounds], "ms"),
+        make_can_row("furthest from the plan, streamed", [stream.off_ms for stream in results], "ms"),
         make_can_row(
-            "bus load, all eight follow at 100 Hz", [100 * stream.load for stream in found_rounds], "%", ASKED_LOAD
+            "bus load, all eight follow at 100 Hz", [100 * stream.load for stream in results], "%", ASKED_LOAD
         ),
         empty_figure,
     ]
