@@ -25,7 +25,7 @@ MOST: dict[str, float] = {
     "adapters/smc30": 26.3,
     "adapters/toolkit": 22.9,
     "adapters/yaskawa": 29.1,
-    "orchestrator/conformance": 85.4,
+    "orchestrator/conformance": 84.0,
 }
 CLEARLY = 1.0  # so far below its figure, a folder gets a lower one
 
