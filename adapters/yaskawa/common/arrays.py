@@ -111,10 +111,12 @@ async def fill_arrays(
     for name, begin, values in parts:
         for first, part in _split_into_packets(values, packets.elements):
             await session.load_array(name, begin + first, part)
-    held = await read_elements(session, [(name, begin, len(values)) for name, begin, values in parts], packets)
-    for (name, begin, values), found in zip(parts, held, strict=True):
-        if found != list(values):
-            at = next((k for k, (a, b) in enumerate(zip(found, values, strict=False)) if a != b), 0)
+    array_contents = await read_elements(
+        session, [(name, begin, len(values)) for name, begin, values in parts], packets
+    )
+    for (name, begin, values), content in zip(parts, array_contents, strict=True):
+        if content != list(values):
+            at = next((k for k, (a, b) in enumerate(zip(content, values, strict=False)) if a != b), 0)
             raise Refusal("read-back", f"{name}[{begin + at}] does not contain the value that was loaded", "try again")
 
 
@@ -123,17 +125,17 @@ async def read_elements(
 ) -> list[list[int]]:
     """Return elements of arrays. parts: array, first element, number of them. They arrive in the position format
     (L9105), which a user may have set to anything."""
-    (before,), _ = await session.read_numbers("_PF")
+    (old_format,), _ = await session.read_numbers("_PF")
     await session.send_command(f"PF {packets.digits}.0")
-    found: list[list[int]] = [[] for _ in parts]
+    arrays: list[list[int]] = [[] for _ in parts]
     try:
-        for (name, begin, count), values in zip(parts, found, strict=True):
+        for (name, begin, count), values in zip(parts, arrays, strict=True):
             for first in range(begin, begin + count, packets.upload_elements):
                 last = min(first + packets.upload_elements, begin + count) - 1
                 values += await session.read_array(name, first, last)
     finally:
-        await session.send_command(f"PF {before:.1f}")
-    return found
+        await session.send_command(f"PF {old_format:.1f}")
+    return arrays
 
 
 def count_exchanges(count: int, lengths: Sequence[int]) -> int:

@@ -68,7 +68,7 @@ def fit_contour(profiles: Mapping[str, Profile], tick_ns: float, room: ContourLi
     fit."""
     tick_s = tick_ns * 1e-9
     require_speed_range(profiles, tick_s, model)
-    each = room.elements // len(profiles)
+    axis_elements = room.elements // len(profiles)
     longest = max(profiles, key=lambda axis: profiles[axis].duration_s)
     for interval in range(max(room.least_interval, model.intervals[0]), model.intervals[1] + 1):
         sag_counts = {
@@ -76,20 +76,20 @@ def fit_contour(profiles: Mapping[str, Profile], tick_ns: float, room: ContourLi
         }
         worst = max(sag_counts, key=lambda axis: sag_counts[axis])
         if interval > room.least_interval and sag_counts[worst] > room.sag_counts:
-            most_s = each * tick_s * (1 << (interval - 1))
+            most_s = axis_elements * tick_s * (1 << (interval - 1))
             raise Refusal(
                 "contour-too-long",
                 f"axis {longest}: {profiles[longest].duration_s:g} s need records of {1 << interval} "
-                f"samples, because the arrays have {each} elements for each of {len(profiles)} axes; "
+                f"samples, because the arrays have {axis_elements} elements for each of {len(profiles)} axes; "
                 f"between records axis {worst} would deviate from its plan by {sag_counts[worst]:.1f} "
                 f"counts, allowed are {room.sag_counts:g}",
                 f"at most {most_s:.1f} s, or fewer axes, or less acceleration, or raise contour_sag_counts",
             )
         require_record_range(profiles, tick_s, interval, model)
         contour = _build_records(profiles, tick_s, interval, sag_counts, model.least_tail)
-        if contour.record_count <= each:
+        if contour.record_count <= axis_elements:
             return contour
-    most_s = each * tick_s * (1 << model.intervals[1])
+    most_s = axis_elements * tick_s * (1 << model.intervals[1])
     raise Refusal(
         "contour-too-long",
         f"axis {longest}: {profiles[longest].duration_s:g} s exceed the longest contour of {len(profiles)} axes",
@@ -109,16 +109,16 @@ def axis_increments(profile: Profile, end: int, contour: Contour, phase: float, 
     tick_s = tick_ns * 1e-9
     at = profile.make_evaluator()
     steps: list[int] = []
-    before = 0
+    last_counts = 0
     for instant in contour.record_ends:
         if instant >= end:
-            here = way
+            counts = way
         else:
-            here = round(at((phase + instant) * tick_s).position)
+            counts = round(at((phase + instant) * tick_s).position)
             if keeps_last:
-                here = min(here, last) if way > 0 else max(here, last)
-        steps.append(here - before)
-        before = here
+                counts = min(counts, last) if way > 0 else max(counts, last)
+        steps.append(counts - last_counts)
+        last_counts = counts
     return steps
 
 
@@ -126,11 +126,11 @@ def _build_records(
     profiles: Mapping[str, Profile], tick_s: float, interval: int, sag_counts: Mapping[str, float], least_tail: int
 ) -> Contour:
     """Return the records that end with the longest profile, to half of the shortest record."""
-    needed = {axis: _least_samples(profile, tick_s) for axis, profile in profiles.items()}
-    total = max(needed.values())
+    least_samples = {axis: _least_samples(profile, tick_s) for axis, profile in profiles.items()}
+    total = max(least_samples.values())
     length = 1 << interval
-    records, rest = divmod(-(-total >> least_tail) << least_tail, length)
-    tail = tuple(n for n in range(interval - 1, least_tail - 1, -1) if rest >> n & 1)
+    records, remainder = divmod(-(-total >> least_tail) << least_tail, length)
+    tail = tuple(n for n in range(interval - 1, least_tail - 1, -1) if remainder >> n & 1)
     if records < FEWEST_RECORDS:
         records, tail = FEWEST_RECORDS, ()
     contour = Contour(interval, records, tail, {}, sag_counts)
@@ -138,7 +138,7 @@ def _build_records(
     ends = {
         # Axes of equal duration end together, even if only the last of them needs one more sample.
         axis: instants[-1] if least >= total - 1 else next(instant for instant in instants if instant >= least)
-        for axis, least in needed.items()
+        for axis, least in least_samples.items()
     }
     return replace(contour, ends=ends)
 

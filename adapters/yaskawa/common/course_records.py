@@ -150,12 +150,12 @@ class RecordMaker:
         drift_s, way_s = true_s - at_s, max(chunk.end_s - at_s, record_s)
         part = min(max(drift_s / way_s, -MOST_CORRECTION), MOST_CORRECTION)
         times = RecordTimes(first, at_s, record_s * (1 + part))
-        held = {index: counts[-1] for index, counts in before.counts.items()}
-        made = self._make(chunk, times, first, held, slot=1 - before.slot)
+        held_counts = {index: counts[-1] for index, counts in before.counts.items()}
+        new_records = self._make(chunk, times, first, held_counts, slot=1 - before.slot)
         left_ns = round((drift_s - part * way_s) * NS_PER_S)
         bound_ns = mapping.bound_at_ns(round(begun.t0_ns + at_s * NS_PER_S))
-        fit = replace(made.fit, drift_ns=round(drift_s * NS_PER_S), left_ns=left_ns, bound_ns=bound_ns)
-        return replace(made, fit=fit, before=replace(before, before=None))
+        fit = replace(new_records.fit, drift_ns=round(drift_s * NS_PER_S), left_ns=left_ns, bound_ns=bound_ns)
+        return replace(new_records, fit=fit, before=replace(before, before=None))
 
     def _cut_short(self, chunk: PathChunk, before: ChunkRecords) -> ChunkRecords:
         """A tail from a record inside what is released on. Raises `Refusal`."""
@@ -165,9 +165,9 @@ class RecordMaker:
         end = part.times.last_before(chunk.end_s)
         if not part.first < end < before.end:
             raise Refusal("late", "the place where the path is to be braked is executed already", "")
-        held = {index: counts[end - part.first] for index, counts in part.counts.items()}
-        kept = {index: counts[: end - part.first + 1] for index, counts in part.counts.items()}
-        return replace(self._make_tail(chunk, replace(part, end=end), held, 1 - before.slot), counts=kept)
+        held_counts = {index: counts[end - part.first] for index, counts in part.counts.items()}
+        kept_counts = {index: counts[: end - part.first + 1] for index, counts in part.counts.items()}
+        return replace(self._make_tail(chunk, replace(part, end=end), held_counts, 1 - before.slot), counts=kept_counts)
 
     def _make(
         self, chunk: PathChunk, times: RecordTimes, first: int, held: Mapping[int, int], slot: int
@@ -181,7 +181,7 @@ class RecordMaker:
             index: [held[index], *_find_positions(chunk.profiles[name], chunk.begin_s, instants[1:])]
             for name, index in self.axes.items()
         }
-        made = ChunkRecords(
+        records = ChunkRecords(
             number=chunk.number,
             first=first,
             end=end,
@@ -194,8 +194,10 @@ class RecordMaker:
             stop_s=0.0,
             targets={},
         )
-        finished = self._make_tail(chunk, made, {index: each[-1] for index, each in counts.items()}, slot)
-        return replace(finished, parts=(*self._place_in_ring(counts, first), *finished.parts))
+        whole_records = self._make_tail(
+            chunk, records, {index: axis_counts[-1] for index, axis_counts in counts.items()}, slot
+        )
+        return replace(whole_records, parts=(*self._place_in_ring(counts, first), *whole_records.parts))
 
     def _make_tail(self, chunk: PathChunk, records: ChunkRecords, held: Mapping[int, int], slot: int) -> ChunkRecords:
         """The records from `records.end` to rest."""
@@ -204,8 +206,8 @@ class RecordMaker:
         samples = max(math.ceil((chunk.stop_s - times.time_s(records.end)) / tick_s - 0.5), 1)
         if chunk.last:
             samples = -(-samples >> self.model.least_tail) << self.model.least_tail
-            full, rest = max(1, samples >> interval), samples & (1 << interval) - 1
-            short = tuple(n for n in range(interval - 1, self.model.least_tail - 1, -1) if rest >> n & 1)
+            full, remainder = max(1, samples >> interval), samples & (1 << interval) - 1
+            short = tuple(n for n in range(interval - 1, self.model.least_tail - 1, -1) if remainder >> n & 1)
             short = short if samples >> interval else ()
         else:
             full, short = -(-samples >> interval), ()
@@ -240,12 +242,12 @@ class RecordMaker:
 
     def _place_in_ring(self, counts: Mapping[int, list[int]], first: int) -> tuple[LoadedPart, ...]:
         """The increments of records from `first` on, in one part or, around the end of the ring, two."""
-        steps = {index: _find_steps(each[0], each[1:]) for index, each in counts.items()}
+        steps = {index: _find_steps(axis_counts[0], axis_counts[1:]) for index, axis_counts in counts.items()}
         at = first % self.room.ring
         split = self.room.ring - at
-        parts = [LoadedPart(at, {index: each[:split] for index, each in steps.items()})]
-        if any(len(each) > split for each in steps.values()):
-            parts.append(LoadedPart(0, {index: each[split:] for index, each in steps.items()}))
+        parts = [LoadedPart(at, {index: axis_steps[:split] for index, axis_steps in steps.items()})]
+        if any(len(axis_steps) > split for axis_steps in steps.values()):
+            parts.append(LoadedPart(0, {index: axis_steps[split:] for index, axis_steps in steps.items()}))
         return tuple(parts)
 
 
@@ -264,4 +266,4 @@ def _find_positions(profile: Profile, begin_s: float, instants: list[float]) -> 
 
 
 def _find_steps(held: int, positions: list[int]) -> list[int]:
-    return [here - before for before, here in zip([held, *positions], positions, strict=False)]
+    return [position - old_position for old_position, position in zip([held, *positions], positions, strict=False)]

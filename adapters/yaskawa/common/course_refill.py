@@ -42,22 +42,22 @@ class ContourRefill:
             raise Refusal("no-room", "the chunk does not fit beside what is still to be executed", "load it later")
         self._loads += 1
         session, load = self._device.session, self._loads
-        wanted = {
-            f"{name}[{first + place}]": value
+        wanted_values = {
+            f"{name}[{first + offset}]": value
             for name, first, values in _list_parts(records)
-            for place, value in enumerate(values)
+            for offset, value in enumerate(values)
         }
-        names = list(wanted)
+        names = list(wanted_values)
         # In small turns: the watchdog is extended, and the clock read, in between.
         for at in range(0, len(names), AT_ONCE):
             self._require_last(load)
-            await session.send_settings([f"{name}={wanted[name]}" for name in names[at : at + AT_ONCE]])
+            await session.send_settings([f"{name}={wanted_values[name]}" for name in names[at : at + AT_ONCE]])
         for at in range(0, len(names), AT_ONCE):
             self._require_last(load)
-            asked = names[at : at + AT_ONCE]
-            for name, held in zip(asked, await session.read_many(asked), strict=True):
-                if held != wanted[name]:
-                    text = f"{name} contains {held:.0f}, not {wanted[name]}"
+            operands = names[at : at + AT_ONCE]
+            for name, held_value in zip(operands, await session.read_many(operands), strict=True):
+                if held_value != wanted_values[name]:
+                    text = f"{name} contains {held_value:.0f}, not {wanted_values[name]}"
                     raise Refusal("read-back", text, "try again")
 
     def _require_last(self, load: int) -> None:
@@ -84,15 +84,15 @@ class ContourRefill:
         right."""
         session = self._device.session
         await session.send_settings([f"XN=(({end}-XN)*(XI<({latest})))+XN"])
-        (held, played), _ = await session.read_numbers("XN", "XI")
-        if int(held) != end or played > end:
+        (held_end, played_count), _ = await session.read_numbers("XN", "XI")
+        if int(held_end) != end or played_count > end:
             raise Refusal("late", "the controller has passed the place where the path was to be continued", "")
 
     async def _set_tail(self, tail: dict[str, int]) -> None:
         session = self._device.session
         await session.send_settings([f"{name}={value}" for name, value in tail.items()])
-        held, _ = await session.read_numbers(*tail)
-        if [int(value) for value in held] != list(tail.values()):
+        held_values, _ = await session.read_numbers(*tail)
+        if [int(value) for value in held_values] != list(tail.values()):
             raise Refusal("read-back", f"{', '.join(tail)} do not contain the values that were loaded", "try again")
 
 

@@ -145,35 +145,35 @@ class YaskawaDecoder:
     def decode_bytes(self, direction: FrameDirection, data: bytes) -> list[DecodedFrame]:
         if direction == "out":
             return [self._describe_sent(printable_text(line)) for line in self._sent.cut_lines(data)]
-        found: list[DecodedFrame] = []
+        frames: list[DecodedFrame] = []
         if self._marked:
             output = bytes(byte & ~_MARK for byte in data if byte & _MARK)
             data = bytes(byte for byte in data if not byte & _MARK)
             lines = self._output.cut_lines(output)
-            found = [DecodedFrame(printable_text(line).strip(), "program output", self._address) for line in lines]
+            frames = [DecodedFrame(printable_text(line).strip(), "program output", self._address) for line in lines]
         self._buffer += data
         while (reply := self._take_reply()) is not None:
-            found.append(reply)
-        return found
+            frames.append(reply)
+        return frames
 
     # Commands
 
     def _describe_sent(self, line: str) -> DecodedFrame:
-        if (selected := _ADDRESS.fullmatch(line)) is not None:
-            self._address = selected[1]
+        if (address_match := _ADDRESS.fullmatch(line)) is not None:
+            self._address = address_match[1]
             self._pending.note_sent(line)
-            return DecodedFrame(line, f"select controller {selected[1]}", self._address)
+            return DecodedFrame(line, f"select controller {address_match[1]}", self._address)
         if self._loads:
             # Only the end of a download is answered.
             self._loads = not any(end in line for end in _ENDS)
             return DecodedFrame(line, "download" if self._loads else "end of download", self._address)
         self._loads = line.startswith(("DL", "QD"))
-        commands = [each.strip() for each in split_commands(line)]
-        for each in commands:
-            if each:
-                self._pending.note_sent(each)
-        words = dict.fromkeys(_describe_command(each) for each in commands)
-        return DecodedFrame(line, ", ".join(each for each in words if each), self._address)
+        commands = [command.strip() for command in split_commands(line)]
+        for command in commands:
+            if command:
+                self._pending.note_sent(command)
+        words = dict.fromkeys(_describe_command(command) for command in commands)
+        return DecodedFrame(line, ", ".join(word for word in words if word), self._address)
 
     # Replies
 
@@ -192,7 +192,7 @@ class YaskawaDecoder:
             return DecodedFrame(printable_text(text), "no reply", self._address)
         self._buffer = self._buffer[reply.used :]
         command = self._take_command(reply.lines)
-        text = " / ".join(printable_text(each.encode("latin-1")) for each in reply.lines[:MAX_REPLY_LINES])
+        text = " / ".join(printable_text(line.encode("latin-1")) for line in reply.lines[:MAX_REPLY_LINES])
         if len(reply.lines) > MAX_REPLY_LINES:
             text += f" … {len(reply.lines)} lines"
         meaning = _describe_reply(reply.lines, command, refused=reply.refused)
@@ -235,9 +235,9 @@ def _describe_command(command: str) -> str:
 
 
 def _describe_reply(lines: Sequence[str], command: str, *, refused: bool) -> str:
-    what = f" {command[:MAX_COMMAND]}" if command else ""
+    command_text = f" {command[:MAX_COMMAND]}" if command else ""
     if refused:
-        return f"refused{':' if what else ''}{what}"
+        return f"refused{':' if command_text else ''}{command_text}"
     if not lines:
-        return f"accepted{':' if what else ''}{what}"
-    return f"answer to{what}" if what else "answer"
+        return f"accepted{':' if command_text else ''}{command_text}"
+    return f"answer to{command_text}" if command_text else "answer"

@@ -158,10 +158,10 @@ class SmcDevice:
 
     async def close(self) -> None:
         """Close both handles; the controller stays as it is."""
-        ended, self._connection = self._connection, None
-        if ended is not None:
-            await ended.stops.close(self._goodbye)
-            await self._close_handle(ended.link)
+        old_connection, self._connection = self._connection, None
+        if old_connection is not None:
+            await old_connection.stops.close(self._goodbye)
+            await self._close_handle(old_connection.link)
 
     async def _close_handle(self, link: Link) -> None:
         if self._goodbye:
@@ -171,10 +171,10 @@ class SmcDevice:
 
     async def install_program(self) -> None:
         """Install the resident program if the controller does not have it. Raises `ControllerFault`."""
-        session, wanted = self.session, self._make_program()
-        self._resident_program = wanted
+        session, program = self.session, self._make_program()
+        self._resident_program = program
         present = [line.rstrip() for line in await session.query_all("UL")]
-        if present == list(wanted):
+        if present == list(program):
             # The adapter's own program may still wait for a start that will never be released, or play a contour to its
             # end.
             (status,), _ = await session.read_numbers("_TB")
@@ -185,16 +185,16 @@ class SmcDevice:
             await self.unload_program()
         else:
             await self._require_replaceable(present)
-            self.log.info("installing the resident program", lines=len(wanted), replaced=len(present))
+            self.log.info("installing the resident program", lines=len(program), replaced=len(present))
             try:
-                await session.download_program(wanted)
+                await session.download_program(program)
             except SmcCommandRefused as refusal:
                 raise ControllerFault(
                     "program-refused",
                     f"the controller does not accept its program: {refusal}",
                     "is its program memory locked (LC), or is a download active on another of its ports?",
                 ) from None
-            if [line.rstrip() for line in await session.query_all("UL")] != list(wanted):
+            if [line.rstrip() for line in await session.query_all("UL")] != list(program):
                 raise ControllerFault(
                     "program-differs", "the program read back is not the one that was sent", "check the link; try again"
                 )
@@ -218,9 +218,9 @@ class SmcDevice:
             await self.session.send_settings((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, OUTPUT_PASSIVE))
 
     async def _require_replaceable(self, present: list[str]) -> None:
-        running, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4)))
+        thread_states, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4)))
         more, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4, THREADS)))
-        threads = [str(thread) for thread, state in enumerate(running + more) if state]
+        threads = [str(thread) for thread, state in enumerate(thread_states + more) if state]
         if threads:
             raise ControllerFault(
                 "other-program",
@@ -272,9 +272,9 @@ class SmcDevice:
 
     async def read_record_with(self, *operands: str) -> tuple[DataRecord, list[float]]:
         """Return a record, and values as `Session.read_numbers` returns them, in one exchange where possible."""
-        asked = print_command(operands)
-        record, _, lines = await self._read_record(asked)
-        return record, parse_numbers("".join(lines[-1:]), len(operands), asked)
+        message = print_command(operands)
+        record, _, lines = await self._read_record(message)
+        return record, parse_numbers("".join(lines[-1:]), len(operands), message)
 
     async def _read_record(self, also: str = "") -> tuple[DataRecord, bool, list[str]]:
         """Return a record, whether its sample number continued from the last reading, and the lines that answer
@@ -297,8 +297,8 @@ class SmcDevice:
         if not went_on:
             self._reconnect_required = not await self._read_time()
             self.log.warning("the sample counter was interrupted", restarted=self._reconnect_required)
-        restarted, self._restarted = self._restarted, False
-        return record, restarted
+        is_restarted, self._restarted = self._restarted, False
+        return record, is_restarted
 
     async def _read_time(self) -> bool:
         """Read the whole counter. Return False when the controller was restarted since the last reading."""
@@ -338,12 +338,12 @@ class SmcDevice:
         repeated after it. Raises `Refusal`; then the axis is at rest, or stops.
         """
         await self.wait_for_stops()
-        sent = False
+        is_sent = False
 
         def check_no_stop() -> None:
-            nonlocal sent
+            nonlocal is_sent
             self.require_no_stop(axis, index, since)
-            sent = True
+            is_sent = True
 
         try:
             await self.session.send_command(f"BG{AXIS_LETTERS[index]}", check_no_stop)
@@ -352,18 +352,18 @@ class SmcDevice:
             raise
         except BaseException:
             # Cancelled, unanswered, or stopped meanwhile: no caller would stop the axis later.
-            self.log.warning(f"the begin of axis {axis} did not succeed", stopped=sent)
-            if sent:
+            self.log.warning(f"the begin of axis {axis} did not succeed", stopped=is_sent)
+            if is_sent:
                 with suppress(LinkClosed):
                     self.brake_axes([index])
             raise
 
     def stop_axes(self, indices: Iterable[int]) -> None:
         """Stop these axes by their ramps, now, without waiting for any reply; no command under way begins them."""
-        chosen = list(indices)
-        for index in chosen:
+        axis_indices = list(indices)
+        for index in axis_indices:
             self._stop_counts[index] += 1
-        self.brake_axes(chosen)
+        self.brake_axes(axis_indices)
 
     def brake_axes(self, indices: Iterable[int]) -> None:
         """Send `ST` to these axes, now; programs and other axes continue (L10124)."""
@@ -378,21 +378,21 @@ class SmcDevice:
 
     def _count_stop(self) -> None:
         """Count a stop of all axes."""
-        self._stop_counts = [given + 1 for given in self._stop_counts]
+        self._stop_counts = [stop_count + 1 for stop_count in self._stop_counts]
         self._all_stopped.set()
         self._all_stopped = asyncio.Event()
 
     async def sleep_to_stop(self, span_ns: int) -> bool:
         """Sleep for `span_ns`, or until all axes are stopped; return whether they were stopped."""
-        given = self._all_stopped
+        all_stopped = self._all_stopped
         sleeping = asyncio.ensure_future(sleep_ns(self._clock, span_ns))
-        stopping = asyncio.ensure_future(given.wait())
+        stopping = asyncio.ensure_future(all_stopped.wait())
         try:
             await asyncio.wait([sleeping, stopping], return_when=asyncio.FIRST_COMPLETED)
         finally:
             sleeping.cancel()
             stopping.cancel()
-        return given.is_set()
+        return all_stopped.is_set()
 
     def _write_stop(self, *commands: str) -> None:
         """Write to the handle for stops, bypassing everything that is under way on the other handle."""
@@ -411,7 +411,7 @@ def stop_commands(*, abort: bool) -> tuple[str, ...]:
     stops all axes and sequences (L10119) and may halt programs too; AB aborts motion and program at once (L2191).
     """
     steps = tuple(f"HX{thread}" for thread in STEP_THREADS)
-    after = (f"HX{WATCHDOG_THREAD}", *LEAVE_CONTOUR, f"HX{EDGE_THREAD}", OUTPUT_PASSIVE)
+    last_commands = (f"HX{WATCHDOG_THREAD}", *LEAVE_CONTOUR, f"HX{EDGE_THREAD}", OUTPUT_PASSIVE)
     if abort:
-        return ("AB", *steps, *after)
-    return ("ST", *steps, "ST", *after)
+        return ("AB", *steps, *last_commands)
+    return ("ST", *steps, "ST", *last_commands)

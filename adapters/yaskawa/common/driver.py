@@ -183,8 +183,8 @@ class YaskawaDriver(
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
         self._jogging.drop_jogs(axes)
-        searched = [(name, self._motors[name], self._config.axes[name]) for name in axes]
-        return await homing.home_axes(self._device, self._clock, searched, found)
+        searched_axes = [(name, self._motors[name], self._config.axes[name]) for name in axes]
+        return await homing.home_axes(self._device, self._clock, searched_axes, found)
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
         await self._jogging.start_jog(axis, move)
@@ -201,8 +201,8 @@ class YaskawaDriver(
     async def clear_faults(self) -> None:
         # Reading the error code clears it (SMC-4000: L10257; SMC-2000: L11681); enabling clears the other traces of a
         # fault.
-        cleared = await self._device.session.query_lines("TC")
-        self._log.info("error code cleared", code=cleared.lines[0])
+        reply = await self._device.session.query_lines("TC")
+        self._log.info("error code cleared", code=reply.lines[0])
         await self._watch.restore_values()
 
     async def send_raw(self, command: str) -> str:

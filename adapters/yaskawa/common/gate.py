@@ -57,16 +57,16 @@ class GateTiming:
         def to_ticks(commands: int) -> int:
             return ceil(commands * command_ns / options.tick_ns)
 
-        room, seen = to_ticks(ROOM), STEP_TICKS + to_ticks(SEEN)
-        decided = room + seen + to_ticks(interleaved)
-        released = RELEASED_COMMANDS + single_conditions
-        follow = FOLLOWING_STEP_TICKS + to_ticks(released + released // 2) + BEGIN_TICKS
-        release, turn = decided + to_ticks(RELEASE), FOLLOWING_COMMANDS + single_conditions
+        room, seen_ticks = to_ticks(ROOM), STEP_TICKS + to_ticks(SEEN)
+        decision_ticks = room + seen_ticks + to_ticks(interleaved)
+        released_commands = RELEASED_COMMANDS + single_conditions
+        follow = FOLLOWING_STEP_TICKS + to_ticks(released_commands + released_commands // 2) + BEGIN_TICKS
+        release, turn = decision_ticks + to_ticks(RELEASE), FOLLOWING_COMMANDS + single_conditions
         return cls(
             wait_after_gate=room,
             usual_delay=STEP_TICKS + to_ticks(SOON),
-            longest_delay=seen,
-            decided_before=decided,
+            longest_delay=seen_ticks,
+            decided_before=decision_ticks,
             release_before=release,
             follow_before=follow,
             command_ns=command_ns,

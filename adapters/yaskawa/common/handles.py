@@ -46,16 +46,20 @@ class HandleCleaner:
         except SmcCommandRefused as refusal:
             self.log.warning(f"handles are not listed: {refusal.text}")
             return
-        others = [each for each in handles.values() if each.letter != own.letter and each.address == own.address]
-        stale = [each for each in others if each in self._last]
+        other_handles = [
+            handle for handle in handles.values() if handle.letter != own.letter and handle.address == own.address
+        ]
+        stale = [handle for handle in other_handles if handle in self._last]
         if free + len(stale) < LEAST_FREE:
-            stale = others
-        for each in stale:
-            self.log.warning("a handle that a lost connection has left is closed", handle=each.letter, port=each.port)
+            stale = other_handles
+        for handle in stale:
+            self.log.warning(
+                "a handle that a lost connection has left is closed", handle=handle.letter, port=handle.port
+            )
             try:
-                await session.send_command(f"IH{each.letter}=>{CLOSING[each.kind]}")
+                await session.send_command(f"IH{handle.letter}=>{CLOSING[handle.kind]}")
             except SmcCommandRefused as refusal:
-                self.log.warning(f"handle {each.letter} stays: {refusal.text}")
+                self.log.warning(f"handle {handle.letter} stays: {refusal.text}")
         self._last = frozenset((own,))
         self._before = frozenset(handles.values()) - frozenset(stale)
 
@@ -65,9 +69,11 @@ class HandleCleaner:
             own, _, handles = await _read_handles(session)
         except SmcCommandRefused:
             return
-        opened = [each for each in handles.values() if each not in self._before and each.address == own.address]
-        if len(opened) == 1:
-            self._last |= frozenset(opened)
+        new_handles = [
+            handle for handle in handles.values() if handle not in self._before and handle.address == own.address
+        ]
+        if len(new_handles) == 1:
+            self._last |= frozenset(new_handles)
 
 
 async def _read_handles(session: CommandSession) -> tuple[OpenHandle, int, Mapping[str, OpenHandle]]:

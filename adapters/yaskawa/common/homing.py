@@ -40,27 +40,27 @@ async def home_axes(
 
     Raises `Refusal` when no axis began.
     """
-    since = {index: device.stop_count(index) for _, index, _ in axes}
+    stop_counts = {index: device.stop_count(index) for _, index, _ in axes}
     searching: list[HomingAxis] = []
     try:
-        failed = await _begin_homing(device, axes, since, searching)
+        failures = await _begin_homing(device, axes, stop_counts, searching)
         while searching:
             # A search begins at a sample after BG: until then the axis rests with the stop code of an earlier search.
             await sleep_ns(clock, POLL_NS)
             record = await device.read_record()
-            for each in [each for each in searching if not record.axes[each[1]].is_moving]:
-                searching.remove(each)
-                error = await _homing_failure(device, each, record.axes[each[1]])
+            for homing_axis in [homing_axis for homing_axis in searching if not record.axes[homing_axis[1]].is_moving]:
+                searching.remove(homing_axis)
+                error = await _homing_failure(device, homing_axis, record.axes[homing_axis[1]])
                 if error is None:
-                    found(each[0])
+                    found(homing_axis[0])
                 else:
-                    failed[each[0]] = error
+                    failures[homing_axis[0]] = error
     except BaseException:
         # After a cancellation the searching axes would continue without supervision.
         with suppress(LinkClosed):
             device.brake_axes(index for _, index, _ in searching)
         raise
-    return failed
+    return failures
 
 
 async def _begin_homing(
@@ -68,21 +68,21 @@ async def _begin_homing(
 ) -> dict[str, Refusal]:
     """Begin homing where possible; return the other axes. Raises `Refusal` when no axis began."""
     record = await device.read_record()
-    failed: dict[str, Refusal] = {}
-    for each in axes:
-        name, index, axis = each
+    failures: dict[str, Refusal] = {}
+    for homing_axis in axes:
+        name, index, axis = homing_axis
         try:
             _require_ready(name, record.axes[index])
             await _load_homing(device, index, axis)
             await device.begin_motion(name, index, since[index])
         except Refusal as error:
-            failed[name] = error
+            failures[name] = error
         else:
-            begun.append(each)
+            begun.append(homing_axis)
     if axes and not begun:
-        first = next(iter(failed.values()))
-        raise Refusal(first.code, "; ".join(str(error) for error in failed.values()), first.remedy)
-    return failed
+        first = next(iter(failures.values()))
+        raise Refusal(first.code, "; ".join(str(error) for error in failures.values()), first.remedy)
+    return failures
 
 
 async def _homing_failure(device: SmcDevice, searched: HomingAxis, now: AxisRecord) -> Refusal | None:

@@ -60,21 +60,21 @@ class YaskawaJogging:
     async def start_jog(self, axis: str, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         index = self._motors[axis]
-        since = self._device.stop_count(index)
+        stop_count = self._device.stop_count(index)
         async with self._turns[index]:
-            self._device.require_no_stop(axis, index, since)
-            wanted = self._in_registers(axis, move, since)
+            self._device.require_no_stop(axis, index, stop_count)
+            wanted_run = self._in_registers(axis, move, stop_count)
             async with self._device.exclusive_turn():
-                now = await self._read_axis(index)
-                if not now.is_moving:
-                    await self._begin_jog(axis, index, wanted, now)
+                state = await self._read_axis(index)
+                if not state.is_moving:
+                    await self._begin_jog(axis, index, wanted_run, state)
                     return
-            held = self._runs.get(index)
-            if held is None:
+            held_run = self._runs.get(index)
+            if held_run is None:
                 raise Refusal("moving", f"axis {axis} is moving", "wait for its end, or stop it")
-            if not await self._change_running(axis, index, held, wanted, now):
-                now = await self._bring_to_rest(axis, index, held)
-                await self._begin_jog(axis, index, wanted, now)
+            if not await self._change_running(axis, index, held_run, wanted_run, state):
+                state = await self._bring_to_rest(axis, index, held_run)
+                await self._begin_jog(axis, index, wanted_run, state)
 
     def _in_registers(self, axis: str, move: JogMove, stops: int) -> _JogRun:
         samples = self._device.samples
@@ -98,8 +98,8 @@ class YaskawaJogging:
         itself."""
         if now.is_stopping or held.stops != wanted.stops or not held.can_change_to(wanted):
             return False
-        still = partial(self._device.require_no_stop, axis, index, wanted.stops)
-        await self._device.session.send_settings(_change_commands(AXIS_LETTERS[index], held, wanted), still)
+        check = partial(self._device.require_no_stop, axis, index, wanted.stops)
+        await self._device.session.send_settings(_change_commands(AXIS_LETTERS[index], held, wanted), check)
         self._runs[index] = wanted
         if self._device.stop_count(index) != wanted.stops:
             # Both commands may have crossed: the manual does not exclude that a speed given to a stopping axis restarts
@@ -113,11 +113,11 @@ class YaskawaJogging:
         self._device.brake_axes([index])
         ramp_samples = held.speed / SPEED_UNIT / (held.ramp / RAMP_UNIT)
         until_ns = self._clock.now_ns() + round(ramp_samples * self._device.samples.tick_ns) + REST_MARGIN_NS
-        while (now := await self._read_axis(index)).is_moving:
+        while (state := await self._read_axis(index)).is_moving:
             if self._clock.now_ns() > until_ns:
                 raise ControllerFault("not-stopping", f"axis {axis} does not stop", "stop it at the controller", axis)
             await sleep_ns(self._clock, POLL_NS)
-        return now
+        return state
 
     async def _begin_jog(self, axis: str, index: int, wanted: _JogRun, now: AxisRecord) -> None:
         if wanted.end is not None and wanted.sign * (wanted.end - now.commanded) <= 0:
@@ -129,8 +129,8 @@ class YaskawaJogging:
         self._runs.pop(index, None)
         commands = _begin_commands(AXIS_LETTERS[index], wanted, now.commanded)
         async with self._device.exclusive_turn():
-            still = partial(self._device.require_no_stop, axis, index, wanted.stops)
-            await self._device.session.send_settings(commands, still)
+            check = partial(self._device.require_no_stop, axis, index, wanted.stops)
+            await self._device.session.send_settings(commands, check)
             self._runs[index] = wanted
             await self._device.begin_motion(axis, index, wanted.stops)
 

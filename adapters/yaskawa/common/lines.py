@@ -65,7 +65,7 @@ class ProgramTriggers:
 
     def make_table(self, ticks: int, first: int, t0_ns: int, mapping: TickMapping) -> list[int]:
         """The samples after XT0, `ticks`. first: samples after XT0 at which a move begins."""
-        return [round(mapping.to_ticks(t0_ns + each)) - first - ticks for each in self.instants_ns]
+        return [round(mapping.to_ticks(t0_ns + instant_ns)) - first - ticks for instant_ns in self.instants_ns]
 
     def level_of(self, number: int) -> int:
         """The level that the output is set to at an instant."""

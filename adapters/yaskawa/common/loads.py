@@ -245,11 +245,11 @@ class ContourLoad:
 
     def array_contents(self, phase: float, tick_ns: float) -> dict[str, list[int]]:
         """Return the contents of the arrays for a start `phase` samples after T0, with samples of `tick_ns`."""
-        filled = {
+        contents = {
             array_name(index): axis_increments(profile, self.ends[index], self.contour, phase, tick_ns)
             for index, profile in self.profiles.items()
         }
-        return filled | ({TAIL: list(self.contour.tail)} if self.contour.tail else {})
+        return contents | ({TAIL: list(self.contour.tail)} if self.contour.tail else {})
 
     @property
     def variables(self) -> dict[str, int]:
@@ -307,9 +307,9 @@ class ContourLoad:
         """Return the timing of the plan. Only its last count is delayed to the end of a record."""
         if index not in self.ends:
             return AT_REST
-        planned, samples = profile.duration_s * 1e9 / tick_ns, self.ends[index]
+        planned_samples, samples = profile.duration_s * 1e9 / tick_ns, self.ends[index]
         return AxisTiming(
-            planned if abs(samples - planned) <= 1.0 else samples,
+            planned_samples if abs(samples - planned_samples) <= 1.0 else samples,
             samples,
             1.0 + self.contour.sag_counts[axis],
             profile.peak_velocity * tick_ns / self.brakes[index] * RAMP_UNIT * tick_ns * 1e-9,

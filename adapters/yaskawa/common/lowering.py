@@ -103,24 +103,24 @@ def lower_moves(
             return _make_lowered(context, course, profiles, start, mapping)
     way = {axis: profile for axis, profile in profiles.items() if not profile.is_still}
     places = _sample_alignments(way, mapping, start) if start.exact and start.wait is None else {}
-    shapes, why = _lower_to_registers(way, bounds, tick_ns, model, places)
+    shapes, refusal_text = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: MoveLoad
     note: tuple[str, ...] = ()
     slow = isinstance(context.packets, arrays.SlowArrayTransfer)
-    if shapes is not None and (slow or not why):
+    if shapes is not None and (slow or not refusal_text):
         load = _build_registers(shapes, way, motors)
-        note = (f"({why})",) if why else ()
+        note = (f"({refusal_text})",) if refusal_text else ()
     else:
         try:
             load = _lower_to_contour(context, way, bounds, tick_ns, start.brake_s)
-            note = (f"({why})",) if why else ()
+            note = (f"({refusal_text})",) if refusal_text else ()
         except Refusal as refusal:
             if shapes is None:
                 raise
             load = _build_registers(shapes, way, motors)
-            note = (f"({why}; no contour: {refusal})",)
-    lowered = _make_lowered(context, load, profiles, start, mapping)
-    return replace(lowered, commands=(*lowered.commands, *note))
+            note = (f"({refusal_text}; no contour: {refusal})",)
+    lowered_move = _make_lowered(context, load, profiles, start, mapping)
+    return replace(lowered_move, commands=(*lowered_move.commands, *note))
 
 
 def _lower_to_registers(
@@ -138,19 +138,19 @@ def _lower_to_registers(
     try:
         shapes = fit_registers(way, bounds, tick_ns, model, places) if places else {}
         # Where the intended sample cannot be reached, choose as if no alignment were given.
-        others = {
+        other_profiles = {
             axis: profile
             for axis, profile in way.items()
             if axis not in shapes
             or shapes[axis].whole_samples != places[axis].last
             or not _stays_near_plan(shapes[axis], profile, tick_ns)
         }
-        shapes |= fit_registers(others, bounds, tick_ns, model) if others else {}
+        shapes |= fit_registers(other_profiles, bounds, tick_ns, model) if other_profiles else {}
     except Refusal as refusal:
         if refusal.code != "shape":
             raise
         return None, ""
-    for axis, profile in others.items():
+    for axis, profile in other_profiles.items():
         shape = shapes[axis]
         if not _registers_suffice(shape, profile, tick_ns):
             return shapes, (
@@ -177,8 +177,8 @@ def _sample_alignments(
 
 def _registers_suffice(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
     in_time = abs(shape.off) <= DURATION_TOLERANCE_SAMPLES
-    held = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
-    return (in_time or held) and _stays_near_plan(shape, profile, tick_ns)
+    is_held = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
+    return (in_time or is_held) and _stays_near_plan(shape, profile, tick_ns)
 
 
 def _stays_near_plan(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:

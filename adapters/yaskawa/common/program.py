@@ -109,19 +109,19 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
     """Return the program's lines for a controller of `axes` axes. contours: whether it has entries for them."""
     lines = ["#TUTTI;EN"]
     for mask in range(1 << axes):
-        moving = axis_letters(mask)
-        begin = (f"BG{moving};" if moving else "") + "XACT=TIME"
+        letters = axis_letters(mask)
+        begin = (f"BG{letters};" if letters else "") + "XACT=TIME"
         lines += [entry_label(mask, contour=False), *_gate_lines(), f"JP #L{mask},XLI<>0", f"WT XT0-TIME;{begin}"]
         # The watchdog of the step before may still run.
         lines.append(f"#A{mask};HX{WATCHDOG_THREAD};XQ #DOG,{WATCHDOG_THREAD}")
-        lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in moving]
+        lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in letters]
         lines += ["XDONE=1;EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
     for mask in range(1, 1 << axes):
         lines += following_lines(mask, axes)
     for mask in range(1, 1 << axes) if contours else ():
         lines += contour_lines(mask, axes)
     halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
-    running = "+".join(f"_HX{thread}" for thread in (*STEP_THREADS, EDGE_THREAD))
+    running_sum = "+".join(f"_HX{thread}" for thread in (*STEP_THREADS, EDGE_THREAD))
     lines += [
         *edge_lines(),
         *trigger_lines(),
@@ -131,7 +131,7 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         "XLATE=1-XOK;EN",
         "#SHUT;EN",
         *take_lines(range(axes)),
-        f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&(({running})>0)",
+        f"#DOG;WT {WATCHDOG_STEP_TICKS};JP #DOG,(TIME<XDL)&(({running_sum})>0)",
         f"JP #SHUT,XDONE&(_HX{EDGE_THREAD}=0)",
         # The program first, or it would begin the contour again.
         f"{halts};ST{axis_letters((1 << axes) - 1)};XDOG=1",
@@ -144,12 +144,12 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
 def following_lines(mask: int, axes: int) -> list[str]:
     """Return the lines of the axes of `mask` as a step that follows another one. It is the last command before the wait
     that decides, so that a turn that takes too long ends without a start."""
-    chosen = [index for index in range(axes) if mask >> index & 1]
+    axis_indices = [index for index in range(axes) if mask >> index & 1]
     letters, everything = axis_letters(mask), axis_letters((1 << axes) - 1)
-    registers = ";".join(register_commands(chosen))
+    registers = ";".join(register_commands(axis_indices))
     off = sum_of_distances(range(axes), AXIS_LETTERS)
     separate = axes > SHORT_CHECK_AXES
-    checked = "XOFF=0" if separate else f"({off})=0"
+    check = "XOFF=0" if separate else f"({off})=0"
     return [
         f"{following_label(mask)};XFARM=XFT",
         f"#G{mask};WT {FOLLOWING_STEP_TICKS};JP #G{mask},(XACT=0)&((XFT-TIME)>{LAST_LOOK_TICKS})",
@@ -157,7 +157,7 @@ def following_lines(mask: int, axes: int) -> list[str]:
         registers,
         f"#H{mask};JP #R{mask},XFGO=1;WT {FOLLOWING_STEP_TICKS};JP #H{mask},(XFT-TIME)>{LAST_LOOK_TICKS}",
         f"#R{mask}" + (f";XOFF={off}" if separate else ""),
-        f"XFOK=XFGO&XDONE&({checked})&((XFT-TIME)>{BEGIN_TICKS})",
+        f"XFOK=XFGO&XDONE&({check})&((XFT-TIME)>{BEGIN_TICKS})",
         f"JP #MISS,XFOK=0;WT XFT-TIME;BG{letters};XFA=TIME",
         f"JS #TAKE;JP #A{mask}",
     ]
@@ -179,9 +179,9 @@ def sum_of_distances(axes: Iterable[int], letters: Sequence[str]) -> str:
 def take_lines(axes: Iterable[int]) -> list[str]:
     """Return the lines that put the following step in the place of the present one, after its begin. XT0 is last: what
     it stands for is complete whenever it is read. axes: by index."""
-    kept = ";".join(["XZA=XACT", *(f"XZ{k + 1}=XE{k + 1}" for k in axes), "XZT=XT0"])
+    copies = ";".join(["XZA=XACT", *(f"XZ{k + 1}=XE{k + 1}" for k in axes), "XZT=XT0"])
     return [
-        f"#TAKE;{kept}",
+        f"#TAKE;{copies}",
         "XDONE=0;XACT=XFA;XLI=0;XLATE=0;XARM=XFT;XT0=XFT;EN",
         "#MISS;XFL=1;EN",
     ]
@@ -197,10 +197,12 @@ def contour_lines(mask: int, axes: int, *, ring: bool = True) -> list[str]:
 
     Contour mode is left by DT 0 and CD 0 (L4274), which are queued after the last record like a record.
     """
-    chosen = [index for index in range(axes) if mask >> index & 1]
+    axis_indices = [index for index in range(axes) if mask >> index & 1]
 
     def increment_command(element: str) -> str:
-        return "CD " + ",".join(f"{array_name(k)}[{element}]" if k in chosen else "" for k in range(chosen[-1] + 1))
+        return "CD " + ",".join(
+            f"{array_name(k)}[{element}]" if k in axis_indices else "" for k in range(axis_indices[-1] + 1)
+        )
 
     return [
         entry_label(mask, contour=True),
@@ -214,7 +216,7 @@ def contour_lines(mask: int, axes: int, *, ring: bool = True) -> list[str]:
         f"#T{mask};JP #U{mask},XJ>=XM",
         f"WC;DT {TAIL}[XJ-XV];{increment_command('XJ')};XJ=XJ+1;JP #T{mask}",
         f"#U{mask};WC;DT 0;CD 0",
-        f"WC;XE{chosen[0] + 1}=TIME;XDONE=1;EN",
+        f"WC;XE{axis_indices[0] + 1}=TIME;XDONE=1;EN",
         f"#K{mask};AI XLI;{increment_command('0')};XACT=TIME;XQ #DOG,{WATCHDOG_THREAD}",
         f"JP #P{mask}",
     ]
@@ -232,8 +234,8 @@ def trigger_lines() -> tuple[str, ...]:
     comes between the two (L14633). A late instant is played at once: the product is 0 then, and its first factor is
     read first, so that it is never negative, which would end the program (code 6).
     """
-    left = f"(XT0+{TABLE}[XRI]-TIME)"
-    wait = f"WT ({left}>0)*{left}"
+    ticks_left = f"(XT0+{TABLE}[XRI]-TIME)"
+    wait = f"WT ({ticks_left}>0)*{ticks_left}"
     return (
         f"{PULSE_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {PULSE_LABEL},XOK=0",
         f"#NEXT;{wait};{TABLE}[XRI]=TIME;OB XLO,XLV",

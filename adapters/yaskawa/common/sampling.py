@@ -95,10 +95,12 @@ class DeviceSampling:
         if recording is None:
             raise Refusal("no-samples", "nothing is being recorded", "begin it first")
         session = self._device.session
-        (running, index), _ = await session.read_numbers("_RC", "_RD")
+        (is_running, index), _ = await session.read_numbers("_RC", "_RD")
         await session.send_command("RC 0")
-        filled = int(index) if running else recording.count
-        counts = {axis: await self._upload(sample_array(number), filled) for number, axis in enumerate(recording.axes)}
+        filled_count = int(index) if is_running else recording.count
+        counts = {
+            axis: await self._upload(sample_array(number), filled_count) for number, axis in enumerate(recording.axes)
+        }
         await self._free()
         mapping = self._device.samples.current_mapping()
         if mapping is None:
@@ -107,7 +109,9 @@ class DeviceSampling:
         first_ns = (mapping.to_host_ns(earliest) + mapping.to_host_ns(latest)) // 2
         bound_ns = mapping.bound_at_ns(mapping.to_host_ns(earliest)) + ceil((latest - earliest) * mapping.tick_ns / 2)
         period_ns = recording.period * mapping.tick_ns
-        return SampledPositions([first_ns + round(number * period_ns) for number in range(filled)], bound_ns, counts)
+        return SampledPositions(
+            [first_ns + round(number * period_ns) for number in range(filled_count)], bound_ns, counts
+        )
 
     async def _allocate(self, axes: Sequence[str], count: int, period_ns: float) -> None:
         session = self._device.session
@@ -128,9 +132,9 @@ class DeviceSampling:
         session, numbers = self._device.session, range(len(axes))
         await session.send_command("RA " + ",".join(f"{sample_array(number)}[]" for number in numbers))
         await session.send_command("RD " + ",".join(f"_TP{AXIS_LETTERS[self._motors[axis]]}" for axis in axes))
-        (before,), _ = await session.read_numbers("TIME")
+        (tick_before,), _ = await session.read_numbers("TIME")
         await session.send_command(f"RC {exponent},{count}")
-        earliest, latest, period = int(before), int(before) + (1 << 30), 1 << exponent
+        earliest, latest, period = int(tick_before), int(tick_before) + (1 << 30), 1 << exponent
         for _ in range(READINGS):
             (ticks, index), _ = await session.read_numbers("TIME", "_RD")
             # Element `index` is the next one: it will be written after now, and the one before it was.
@@ -142,8 +146,8 @@ class DeviceSampling:
 
     async def _upload(self, name: str, count: int) -> list[int]:
         packets = ArrayTransfer(upload_elements=self._limits.upload_elements, digits=POSITION_DIGITS)
-        (found,) = await read_elements(self._device.session, [(name, 0, count)], packets)
-        return found
+        (elements,) = await read_elements(self._device.session, [(name, 0, count)], packets)
+        return elements
 
     async def _free(self) -> None:
         await free_arrays(self._device.session, SAMPLE_ARRAYS[: self._limits.channels])

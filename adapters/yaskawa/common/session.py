@@ -89,8 +89,8 @@ class CommandSession:
 
         Raises `SmcCommandRefused` for the last refused one, whose reason the controller still has.
         """
-        answered, sent_ns = await self._send_packets(commands, before_send)
-        for lines in answered:
+        answers, sent_ns = await self._send_packets(commands, before_send)
+        for lines in answers:
             self.unsolicited.extend(lines)
         return sent_ns
 
@@ -102,26 +102,26 @@ class CommandSession:
         """
         parts = [operands[at : at + OPERANDS_OF_LINE] for at in range(0, len(operands), OPERANDS_OF_LINE)]
         messages = [print_command(part) for part in parts]
-        found: list[float] = []
-        answered, _ = await self._send_packets([*commands, *messages, then])
-        for lines in answered[: len(commands)]:
+        values: list[float] = []
+        answers, _ = await self._send_packets([*commands, *messages, then])
+        for lines in answers[: len(commands)]:
             self.unsolicited.extend(lines)
-        for part, command, lines in zip(parts, messages, answered[len(commands) :], strict=False):
+        for part, command, lines in zip(parts, messages, answers[len(commands) :], strict=False):
             self.unsolicited.extend(lines[:-1])
-            found += parse_numbers("".join(lines[-1:]), len(part), command)
-        return found
+            values += parse_numbers("".join(lines[-1:]), len(part), command)
+        return values
 
     async def read_many(self, operands: Sequence[str]) -> list[float]:
         """Return the values of any number of operands, as `read_numbers` does, with as few packets as possible. Raises
         `SmcCommandRefused`."""
         parts = pack_operands(operands)
         messages = [print_command(part) for part in parts]
-        answered, _ = await self._send_packets(messages)
-        found: list[float] = []
-        for part, command, lines in zip(parts, messages, answered, strict=True):
+        answers, _ = await self._send_packets(messages)
+        values: list[float] = []
+        for part, command, lines in zip(parts, messages, answers, strict=True):
             self.unsolicited.extend(lines[:-1])
-            found += parse_numbers("".join(lines[-1:]), len(part), command)
-        return found
+            values += parse_numbers("".join(lines[-1:]), len(part), command)
+        return values
 
     async def sums_to_zero(self, terms: Sequence[str]) -> bool:
         """Return whether all of these terms, none of which is negative, are 0: by their sum, a single number on the
@@ -137,7 +137,7 @@ class CommandSession:
     ) -> tuple[list[list[str]], int]:
         """Send some commands, as many per packet as fit; return the lines that answer each, and when the last packet
         was written."""
-        found: list[list[str]] = []
+        answers: list[list[str]] = []
         sent_ns = 0
         async with self._turn:
             await self._resynchronise()
@@ -150,21 +150,21 @@ class CommandSession:
                     replies.clear()
                     used = 0
                     for _ in packet:
-                        parsed = parse_reply(self._buffer[used:])
-                        if parsed is None:
+                        reply = parse_reply(self._buffer[used:])
+                        if reply is None:
                             return None
-                        replies.append(parsed)
-                        used += parsed.used
-                    lines = [line for each in replies for line in each.lines]
-                    return _Parsed(lines, any(each.refused for each in replies), used)
+                        replies.append(reply)
+                        used += reply.used
+                    lines = [line for reply in replies for line in reply.lines]
+                    return _Parsed(lines, any(reply.refused for reply in replies), used)
 
                 _, sent_ns = await self._run_exchange("\r".join(packet), all_replies)
-                refused = [command for command, reply in zip(packet, replies, strict=True) if reply.refused]
-                if refused:
-                    raise await self._read_refusal(refused[-1])
+                refused_commands = [command for command, reply in zip(packet, replies, strict=True) if reply.refused]
+                if refused_commands:
+                    raise await self._read_refusal(refused_commands[-1])
                 self._in_step = True
-                found += (reply.lines for reply in replies)
-        return found, sent_ns
+                answers += (reply.lines for reply in replies)
+        return answers, sent_ns
 
     async def query_lines(
         self, command: str, lines: int = 1, before_send: Callable[[], None] | None = None
@@ -178,15 +178,15 @@ class CommandSession:
             await self._resynchronise()
             if before_send is not None:
                 before_send()
-            parsed, sent_ns = await self._run_exchange(command, lambda: parse_reply(self._buffer))
-            if parsed.refused:
+            reply, sent_ns = await self._run_exchange(command, lambda: parse_reply(self._buffer))
+            if reply.refused:
                 raise await self._read_refusal(command)
             self._in_step = True
-            if len(parsed.lines) < lines:
-                raise self._garbage_fault(command, f"{lines} lines", repr(parsed.lines))
-            split = len(parsed.lines) - lines
-            self.unsolicited.extend(parsed.lines[:split])
-            return CommandReply(parsed.lines[split:], b"", sent_ns, self._at_ns)
+            if len(reply.lines) < lines:
+                raise self._garbage_fault(command, f"{lines} lines", repr(reply.lines))
+            split = len(reply.lines) - lines
+            self.unsolicited.extend(reply.lines[:split])
+            return CommandReply(reply.lines[split:], b"", sent_ns, self._at_ns)
 
     async def query_all(self, command: str) -> list[str]:
         """Send a command whose reply has any number of data lines. On a serial port, where a listing takes seconds,
@@ -194,22 +194,22 @@ class CommandSession:
         async with self._turn:
             await self._resynchronise()
             by_silence = bool(self._link.char_ns)
-            parsed, _ = await self._run_exchange(command, lambda: parse_reply(self._buffer), by_silence=by_silence)
-            if parsed.refused:
+            reply, _ = await self._run_exchange(command, lambda: parse_reply(self._buffer), by_silence=by_silence)
+            if reply.refused:
                 raise await self._read_refusal(command)
             self._in_step = True
-            return parsed.lines
+            return reply.lines
 
     async def read_revision(self) -> str:
         """Return the firmware's revision. The carriage return after the two bytes is part of the command or one of its
         own, with another prompt (the manual is silent): the next exchange discards it."""
         async with self._turn:
             await self._resynchronise()
-            parsed, _ = await self._run_exchange(_REVISION, lambda: parse_reply(self._buffer), terminated=True)
-            if parsed.refused:
+            reply, _ = await self._run_exchange(_REVISION, lambda: parse_reply(self._buffer), terminated=True)
+            if reply.refused:
                 raise await self._read_refusal("control R control U")
             self._buffer.clear()
-            return " ".join(parsed.lines)
+            return " ".join(reply.lines)
 
     async def query_record(self, command: str, header: bytes, length: int, also: str = "") -> CommandReply:
         """Send a command that is answered by a binary record of `length` bytes that begins with `header`, and a prompt.
@@ -229,13 +229,13 @@ class CommandSession:
                         return None
                 return parse_reply(self._buffer) if also else _Parsed([], refused=False, used=0)
 
-            said, sent_ns = await self._run_exchange(f"{command}\r{also}" if also else command, find_whole_reply)
+            reply, sent_ns = await self._run_exchange(f"{command}\r{also}" if also else command, find_whole_reply)
             if not record:
                 raise await self._read_refusal(command)
-            if said.refused:
+            if reply.refused:
                 raise await self._read_refusal(also)
             self._in_step = True
-            return CommandReply(said.lines, record, sent_ns, received_ns)
+            return CommandReply(reply.lines, record, sent_ns, received_ns)
 
     def _take_record(self, command: str, header: bytes, length: int) -> bytes | None:
         """Take the record from the buffer and return it; None: it is not complete; b"": the command was refused."""
@@ -253,11 +253,11 @@ class CommandSession:
         if self._buffer[at + length] != ord(":"):
             end = bytes(self._buffer[at + length :])
             raise self._garbage_fault(command, f"`:` after {length} bytes", repr(end[:16]))
-        found = bytes(self._buffer[at : at + length])
+        record = bytes(self._buffer[at : at + length])
         if at:
             self.unsolicited.append(self._buffer[:at].decode("latin-1").strip())
         del self._buffer[: at + length + 1]
-        return found
+        return record
 
     def write_at_once(self, *commands: str) -> None:
         """Write at once, whatever is under way, each command in a packet of its own; the replies are assigned later."""
@@ -286,8 +286,8 @@ class CommandSession:
                 packet += data
             self._link.write(packet)
             await self._anything_within(self._wire_s(packet))
-            parsed, _ = await self._run_exchange(END_OF_DATA, lambda: parse_reply(self._buffer))
-            if parsed.refused:
+            reply, _ = await self._run_exchange(END_OF_DATA, lambda: parse_reply(self._buffer))
+            if reply.refused:
                 raise await self._read_refusal("DL")
             self._in_step = True
 
@@ -301,8 +301,8 @@ class CommandSession:
             await self._resynchronise()
             command = f"QD {name}[],{first},{first + len(values) - 1}"
             data = f"{command}\r" + "\r\n".join(map(str, values)) + END_OF_DATA
-            parsed, _ = await self._run_exchange(data, lambda: parse_reply(self._buffer), terminated=True)
-            if parsed.refused:
+            reply, _ = await self._run_exchange(data, lambda: parse_reply(self._buffer), terminated=True)
+            if reply.refused:
                 raise await self._read_refusal(command)
             self._in_step = True
 
@@ -312,10 +312,10 @@ class CommandSession:
 
         def find_whole_reply() -> str | None:
             text = bytes(self._buffer).decode("latin-1")
-            body, end, rest = text.partition(END_OF_DATA)
+            body, end, remainder = text.partition(END_OF_DATA)
             if not end:
                 return "?" if text.strip() == "?" else None
-            if not rest.endswith(":"):
+            if not remainder.endswith(":"):
                 return None
             self._buffer.clear()
             return body
@@ -360,9 +360,9 @@ class CommandSession:
         try:
             async with asyncio.timeout(self._timeout_s + self._wire_s(data)) as limit:
                 while True:
-                    received = await self._link.read()
-                    self._buffer += received.data
-                    self._at_ns = received.at_ns
+                    chunk = await self._link.read()
+                    self._buffer += chunk.data
+                    self._at_ns = chunk.at_ns
                     if by_silence:
                         limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
                     reply = whole()
@@ -372,17 +372,17 @@ class CommandSession:
                             self._check_text(command, reply.lines)
                         return reply, sent_ns
         except TimeoutError:
-            got = f"only {bytes(self._buffer)!r}" if self._buffer else "nothing"
+            received_text = f"only {bytes(self._buffer)!r}" if self._buffer else "nothing"
             raise ControllerFault(
                 "no-answer",
-                f"{self._link.endpoint}: {got} came within {self._timeout_s:g} s after {command!r}",
+                f"{self._link.endpoint}: {received_text} came within {self._timeout_s:g} s after {command!r}",
                 "check power and cable; does another program occupy the controller's interpreter?",
             ) from None
 
     async def _read_refusal(self, command: str) -> SmcCommandRefused:
         """Query the reason of a refusal (TC1, L10254): code and text."""
-        parsed, _ = await self._run_exchange("TC1", lambda: parse_reply(self._buffer))
-        words = parsed.lines[-1] if parsed.lines and not parsed.refused else ""
+        reply, _ = await self._run_exchange("TC1", lambda: parse_reply(self._buffer))
+        words = reply.lines[-1] if reply.lines and not reply.refused else ""
         code = parse_error_code(words)
         if code is None:
             raise self._garbage_fault("TC1", "an error code with its text", repr(words))
@@ -498,7 +498,7 @@ def _group_packets(commands: Iterable[str]) -> Iterator[list[str]]:
     """Group commands into packets, as many as fit in each."""
     packet: list[str] = []
     for command in commands:
-        if packet and sum(len(each) + 1 for each in packet) + len(command) + 1 > MAX_PACKET:
+        if packet and sum(len(packet_command) + 1 for packet_command in packet) + len(command) + 1 > MAX_PACKET:
             yield packet
             packet = []
         packet.append(command)

@@ -38,12 +38,12 @@ async def load_soft_limits(
     Raises `ControllerFault` (`config-mismatch`)."""
     for name, ends in limits.items():
         low, high = ends or NO_LIMITS
-        wanted = {"BL": low, "FL": high}
-        operands = {command: f"_{command}{AXIS_LETTERS[motors[name]]}" for command in wanted}
+        limit_values = {"BL": low, "FL": high}
+        operands = {command: f"_{command}{AXIS_LETTERS[motors[name]]}" for command in limit_values}
         for operand in operands.values():
             watch.expect_value(operand, None)
-        await _load_registers(device, name, motors[name], wanted)
-        for command, value in wanted.items():
+        await _load_registers(device, name, motors[name], limit_values)
+        for command, value in limit_values.items():
             watch.expect_value(operands[command], value)
 
 
@@ -80,13 +80,13 @@ async def _load_registers(device: SmcDevice, name: str, index: int, wanted: Mapp
     letter = AXIS_LETTERS[index]
     for command, value in wanted.items():
         await device.session.send_command(f"{command}{letter}={value}")
-        (held,), _ = await device.session.read_numbers(f"_{command}{letter}")
-        if held != value:
+        (held_value,), _ = await device.session.read_numbers(f"_{command}{letter}")
+        if held_value != value:
             raise _mismatch_fault(
-                f"{command}{letter}", f"{held:.0f}", str(value), "does the controller accept this value?", name
+                f"{command}{letter}", f"{held_value:.0f}", str(value), "does the controller accept this value?", name
             )
 
 
 def _mismatch_fault(item: str, found: str, wanted: str, remedy: str, axis: str | None = None) -> ControllerFault:
-    where = f"axis {axis}: " if axis else ""
-    return ControllerFault("config-mismatch", f"{where}{item} is {found}, wanted {wanted}", remedy, axis)
+    axis_text = f"axis {axis}: " if axis else ""
+    return ControllerFault("config-mismatch", f"{axis_text}{item} is {found}, wanted {wanted}", remedy, axis)

@@ -94,7 +94,7 @@ class SampleStart:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
         if mapping.to_ticks(began_ns) > ticks - self._device.gate.release_before:
             raise Refusal("late", "T0 is too near to arm", "increase the lead time")
-        loaded = LoadedMove(lowered, ticks, t0_ns, mapping, {})
+        loaded_move = LoadedMove(lowered, ticks, t0_ns, mapping, {})
         await self._device.wait_for_stops()
         self._require_ready(await self._device.read_record(), lowered)
         session, drives = self._device.session, lowered.drives
@@ -105,9 +105,9 @@ class SampleStart:
         # started (L10305).
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", "XLO=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog_command(ticks))
-        place = SamplePlace(phase, mapping.tick_ns)
-        lowered = loaded.lowered = await lowered.load.upload(self._refill, lowered, place)
-        self._loaded = loaded
+        sample_place = SamplePlace(phase, mapping.tick_ns)
+        lowered = loaded_move.lowered = await lowered.load.upload(self._refill, lowered, sample_place)
+        self._loaded = loaded_move
         await self._load_move(
             lowered,
             gate,
@@ -118,24 +118,24 @@ class SampleStart:
             await session.send_command(f"XQ #EDGE,{EDGE_THREAD}")
         self.player.forget()
         if lowered.switches is not None:
-            await self.player.load(lowered.switches, loaded)
+            await self.player.load(lowered.switches, loaded_move)
         return {"check": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
 
     async def _load_move(self, lowered: YaskawaLowered, gate: Sequence[str], then: str) -> None:
         """Load the move and the variables in `gate`, read back what was loaded, and send `then` after it. Raises
         `Refusal` if a value differs."""
         load = lowered.load
-        wanted = {
+        wanted_values = {
             f"_{command}{AXIS_LETTERS[index]}": value
             for command, values in self._verified_registers(lowered).items()
             for index, value in values.items()
         }
-        wanted |= load.variables
-        wanted["XLI"] = _wait_input_number(lowered)
-        held = await self._device.session.set_and_read((*gate, *load.commands), list(wanted), then)
-        for (operand, value), found in zip(wanted.items(), held, strict=True):
-            if found != value:
-                raise Refusal("read-back", f"{operand} reads back as {found:.0f}, not {value}", "try again")
+        wanted_values |= load.variables
+        wanted_values["XLI"] = _wait_input_number(lowered)
+        held_values = await self._device.session.set_and_read((*gate, *load.commands), list(wanted_values), then)
+        for (operand, value), held_value in zip(wanted_values.items(), held_values, strict=True):
+            if held_value != value:
+                raise Refusal("read-back", f"{operand} reads back as {held_value:.0f}, not {value}", "try again")
 
     def _verified_registers(self, lowered: YaskawaLowered) -> Mapping[str, Mapping[int, int]]:
         """Return the registers to read back, by command and axis."""
@@ -174,19 +174,19 @@ class SampleStart:
         if loaded.follows:
             await self._verify_following(loaded)
             return
-        asked = ("XARM", f"_HX{STEP_THREAD}", "XLATE")
-        record, (armed, running, late) = await self._device.read_record_with(*asked)
+        operands = ("XARM", f"_HX{STEP_THREAD}", "XLATE")
+        record, (armed_ticks, is_running, late) = await self._device.read_record_with(*operands)
         self._require_ready(record, loaded.lowered)
         while True:
             # The program also ends by itself if it reaches its gate after the closing time.
             if late or self._clock.now_ns() > loaded.t0_ns:
                 raise Refusal("late", "the gate is already shut", "increase the lead time")
-            if not running:
+            if not is_running:
                 raise Refusal("not-armed", "the controller no longer waits for this start", "arm again")
-            if armed:
+            if armed_ticks:
                 break
-            (armed, running, late), _ = await self._device.session.read_numbers(*asked)
-        if int(armed) != loaded.ticks:
+            (armed_ticks, is_running, late), _ = await self._device.session.read_numbers(*operands)
+        if int(armed_ticks) != loaded.ticks:
             raise Refusal("not-armed", "the controller waits for another start", "arm it again")
 
     async def release_move(self, loaded: LoadedMove, advance_ns: int) -> None:
@@ -197,25 +197,25 @@ class SampleStart:
             await self._release_following(loaded, advance_ns)
             return
         session = self._device.session
-        sent, asked = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
+        commands, operands = ["XGO=1"], ["XOK", "XLATE", f"_HX{STEP_THREAD}"]
         if advance_ns:
             loaded.ticks -= round(advance_ns / loaded.mapping.tick_ns)
             loaded.t0_ns -= advance_ns
-            sent = [f"XT0={loaded.ticks}", self._watchdog_command(loaded.ticks), *sent]
-            asked.append("XT0")
+            commands = [f"XT0={loaded.ticks}", self._watchdog_command(loaded.ticks), *commands]
+            operands.append("XT0")
         if loaded.mapping.to_ticks(self._clock.now_ns()) > loaded.ticks - self._device.gate.release_before:
             raise Refusal("late", "it is too late to release the start", "increase the lead time")
-        opened_ns = await session.send_settings(sent)
+        opened_ns = await session.send_settings(commands)
         await sleep_until_ns(self._clock, opened_ns + round(self._device.gate.usual_delay * loaded.mapping.tick_ns))
         while True:
-            (passed, late, running, *ticks), _ = await session.read_numbers(*asked)
+            (is_passed, late, is_running, *ticks), _ = await session.read_numbers(*operands)
             if ticks and ticks[0] != loaded.ticks:
                 raise Refusal("read-back", f"XT0 reads back as {ticks[0]:.0f}, not {loaded.ticks}", "try again")
             if late:
                 raise Refusal("late", "the gate was shut before the release came", "increase the lead time")
-            if not running:
+            if not is_running:
                 raise Refusal("not-armed", "the controller no longer waits for this start", "arm again")
-            if passed:
+            if is_passed:
                 return
             await sleep_ns(self._clock, round(self._device.gate.longest_delay * loaded.mapping.tick_ns / 4))
 
@@ -225,8 +225,8 @@ class SampleStart:
         session = self._device.session
         await self._device.unload_program()
         await session.send_settings(("XGO=0", "XFGO=0"))
-        running, _ = await session.read_numbers(*(f"_HX{thread}" for thread in self._device.STEP_THREADS))
-        if any(running):
+        thread_states, _ = await session.read_numbers(*(f"_HX{thread}" for thread in self._device.STEP_THREADS))
+        if any(thread_states):
             raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
 
     def drop_move(self) -> None:
@@ -271,10 +271,10 @@ class SampleStart:
             if positions[move.index] != move.start:
                 text = f"axis {move.axis} ends at {positions[move.index]} counts; the plan starts at {move.start}"
                 raise Refusal("other-start", text, "plan again from the present position")
-        wanted = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
-        wanted |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
+        wanted_values = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
+        wanted_values |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
         for command, values in load.registers.items():
-            wanted |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
+            wanted_values |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
         following = LoadedMove(
             lowered,
             ticks,
@@ -286,19 +286,19 @@ class SampleStart:
             taken=False,
         )
         self._next = following
-        held = await self._device.session.set_and_read(
-            [f"{name}={value}" for name, value in wanted.items()],
-            list(wanted),
+        held_values = await self._device.session.set_and_read(
+            [f"{name}={value}" for name, value in wanted_values.items()],
+            list(wanted_values),
             f"XQ {following_label(lowered.mask)},{following.thread}",
         )
-        for (name, value), found in zip(wanted.items(), held, strict=True):
-            if found != value and name != "XFARM":
-                raise Refusal("read-back", f"{name} reads back as {found:.0f}, not {value}", "try again")
+        for (name, value), held_value in zip(wanted_values.items(), held_values, strict=True):
+            if held_value != value and name != "XFARM":
+                raise Refusal("read-back", f"{name} reads back as {held_value:.0f}, not {value}", "try again")
         return {"wire": self._clock.now_ns() - began_ns}
 
     def _gap_ticks(self, move: LoadedMove) -> int:
-        axes, moved = len(self._device.program_axes), len(move.lowered.moving_axes)
-        return self._device.gate.gap_ticks(moved, axes, move.mapping.tick_ns)
+        axes, axis_count = len(self._device.program_axes), len(move.lowered.moving_axes)
+        return self._device.gate.gap_ticks(axis_count, axes, move.mapping.tick_ns)
 
     async def _wait_until_taken(self, present: LoadedMove) -> None:
         """Wait until the program no longer uses the variables of the following move for the present one."""
@@ -320,28 +320,30 @@ class SampleStart:
         return positions
 
     async def _verify_following(self, following: LoadedMove) -> None:
-        (armed, running, missed), _ = await self._device.session.read_numbers("XFARM", f"_HX{following.thread}", "XFL")
-        if missed or self._clock.now_ns() > following.t0_ns:
+        (armed_ticks, is_running, is_missed), _ = await self._device.session.read_numbers(
+            "XFARM", f"_HX{following.thread}", "XFL"
+        )
+        if is_missed or self._clock.now_ns() > following.t0_ns:
             raise Refusal("late", "the step before has not ended in time", "increase the lead time")
-        if not running or int(armed) != following.ticks:
+        if not is_running or int(armed_ticks) != following.ticks:
             raise Refusal("not-armed", "the controller does not wait for this start", "arm it again")
 
     async def _release_following(self, following: LoadedMove, advance_ns: int) -> None:
-        session, sent = self._device.session, list[str]()
+        session, commands = self._device.session, list[str]()
         if advance_ns:
             following.ticks -= round(advance_ns / following.mapping.tick_ns)
             following.t0_ns -= advance_ns
-            sent = [f"XFT={following.ticks}", f"XFARM={following.ticks}"]
+            commands = [f"XFT={following.ticks}", f"XFARM={following.ticks}"]
         if following.mapping.to_ticks(self._clock.now_ns()) > following.ticks - self._device.gate.follow_before:
             raise Refusal("late", "it is too late to release the start", "increase the lead time")
         following.released = True  # before that, so that no query of the present move sets an earlier deadline
-        await session.send_settings([*sent, self._watchdog_command(following.ticks), "XFGO=1"])
-        (ticks, released, missed, running), _ = await session.read_numbers(
+        await session.send_settings([*commands, self._watchdog_command(following.ticks), "XFGO=1"])
+        (ticks, is_released, is_missed, is_running), _ = await session.read_numbers(
             "XFT", "XFGO", "XFL", f"_HX{following.thread}"
         )
-        if missed or not running:
+        if is_missed or not is_running:
             raise Refusal("late", "the controller no longer waits for this start", "increase the lead time")
-        if int(ticks) != following.ticks or not released:
+        if int(ticks) != following.ticks or not is_released:
             raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
 
     async def unload_beside(self) -> None:
@@ -349,8 +351,8 @@ class SampleStart:
         following, self._next = self._next, None
         if following is not None:
             await self._device.session.send_settings(("XFGO=0", f"HX{following.thread}"))
-            (running,), _ = await self._device.session.read_numbers(f"_HX{following.thread}")
-            if running:
+            (is_running,), _ = await self._device.session.read_numbers(f"_HX{following.thread}")
+            if is_running:
                 raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
 
     def take_over(self) -> None:
@@ -365,11 +367,11 @@ class SampleStart:
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known", "wait a second")
         first, _ = self._options.begin_ticks(present.mapping.tick_ns, interleaved=True)
-        begun = BegunPath(present.ticks + first, present.t0_ns)
-        records = load.maker.make_next(chunk, load.records, mapping, begun)
-        played = max(0, round(mapping.to_ticks(self._clock.now_ns())) - begun.tick) >> load.maker.interval
+        begun_path = BegunPath(present.ticks + first, present.t0_ns)
+        records = load.maker.make_next(chunk, load.records, mapping, begun_path)
+        played_count = max(0, round(mapping.to_ticks(self._clock.now_ns())) - begun_path.tick) >> load.maker.interval
         present.loaded = None
-        await self._refill.load(records, load.maker.room, played)
+        await self._refill.load(records, load.maker.room, played_count)
         present.loaded = records
         return records.fit
 
@@ -400,73 +402,81 @@ class SampleStart:
         the one after it. Hence from XACT - 1, and not before XT0, to XACT + 1; each edge is uncertain by the bound of
         the clock mapping. For a start by trigger line, XT0 is irrelevant.
         """
-        loaded = self._require_loaded()
-        mapping, waits = loaded.mapping, loaded.lowered.waits
+        loaded_move = self._require_loaded()
+        mapping, waits = loaded_move.mapping, loaded_move.lowered.waits
         _, last = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
-        late_ns = loaded.lowered.window_ns[1]
+        late_ns = loaded_move.lowered.window_ns[1]
         await sleep_until_ns(
-            self._clock, mapping.to_host_ns(loaded.ticks + last + 1) + mapping.bound_at_ns(loaded.t0_ns)
+            self._clock, mapping.to_host_ns(loaded_move.ticks + last + 1) + mapping.bound_at_ns(loaded_move.t0_ns)
         )
-        asked = ("XACT", "XFL" if loaded.follows else "XLATE", f"_HX{loaded.thread}", "XT0")
+        operands = ("XACT", "XFL" if loaded_move.follows else "XLATE", f"_HX{loaded_move.thread}", "XT0")
         while True:
-            (acted, late, running, ticks), _ = await self._device.session.read_numbers(*asked)
-            if int(ticks) != loaded.ticks:
-                acted = 0  # of the step before: this one has not taken its place yet
+            (acted_tick, late, is_running, ticks), _ = await self._device.session.read_numbers(*operands)
+            if int(ticks) != loaded_move.ticks:
+                acted_tick = 0  # of the step before: this one has not taken its place yet
             if late:
                 raise ControllerFault("late", "the gate was shut before the release came; nothing started", "try again")
-            if acted:
+            if acted_tick:
                 break
-            if not running or self._clock.now_ns() > loaded.t0_ns + late_ns + EVIDENCE_WAIT_NS:
+            if not is_running or self._clock.now_ns() > loaded_move.t0_ns + late_ns + EVIDENCE_WAIT_NS:
                 words = (await self._device.session.query_lines("TC1")).lines[0]
                 text = f"the controller did not start; its last error: {words}"
                 raise ControllerFault("not-started", text, "try again")
             await sleep_ns(self._clock, SETTLE_NS)
-        loaded.taken = True
-        bound_ns = mapping.bound_at_ns(loaded.t0_ns)
-        not_before = int(acted) - 1 if waits is not None else max(int(acted) - 1, loaded.ticks)
-        span = HostInterval(mapping.to_host_ns(not_before) - bound_ns, mapping.to_host_ns(int(acted) + 1) + bound_ns)
-        loaded.started = dict.fromkeys((move.axis for move in loaded.lowered.moves), span)
-        return loaded.started
+        loaded_move.taken = True
+        bound_ns = mapping.bound_at_ns(loaded_move.t0_ns)
+        not_before = int(acted_tick) - 1 if waits is not None else max(int(acted_tick) - 1, loaded_move.ticks)
+        span = HostInterval(
+            mapping.to_host_ns(not_before) - bound_ns, mapping.to_host_ns(int(acted_tick) + 1) + bound_ns
+        )
+        loaded_move.started = dict.fromkeys((move.axis for move in loaded_move.lowered.moves), span)
+        return loaded_move.started
 
     async def wait_for_end(self) -> MoveOutcome:
         """Watch until no axis of the step moves, then return how it ended."""
-        loaded = self._require_loaded()
-        seen_ns = {move.axis: loaded.started[move.axis].earliest_ns for move in loaded.lowered.moves}
-        ended: dict[str, HostInterval] = {}
-        stopped = False
+        loaded_move = self._require_loaded()
+        seen_ns = {move.axis: loaded_move.started[move.axis].earliest_ns for move in loaded_move.lowered.moves}
+        end_spans: dict[str, HostInterval] = {}
+        is_stopped = False
         while True:
             # A path becomes longer by every chunk.
-            moves = loaded.lowered.moves
-            planned_ns = {axis: loaded.t0_ns + round(s * 1e9) for axis, s in loaded.lowered.durations_s.items()}
+            moves = loaded_move.lowered.moves
+            planned_ns = {
+                axis: loaded_move.t0_ns + round(s * 1e9) for axis, s in loaded_move.lowered.durations_s.items()
+            }
             record, present_ticks = await self._read_present()
-            if present_ticks not in (None, loaded.ticks):
-                return await self._followed_outcome(loaded)
+            if present_ticks not in (None, loaded_move.ticks):
+                return await self._followed_outcome(loaded_move)
             for move in moves:
                 if record.axes[move.index].is_moving:
                     seen_ns[move.axis] = record.sent_ns
-                elif move.axis not in ended:
-                    ended[move.axis] = HostInterval(seen_ns[move.axis], record.received_ns)
-            if len(ended) == len(moves) and (loaded.lowered.switches is None or not await self.player.is_playing()):
+                elif move.axis not in end_spans:
+                    end_spans[move.axis] = HostInterval(seen_ns[move.axis], record.received_ns)
+            if len(end_spans) == len(moves) and (
+                loaded_move.lowered.switches is None or not await self.player.is_playing()
+            ):
                 break
-            ticks = round((self._device.samples.current_mapping() or loaded.mapping).to_ticks(record.received_ns))
+            ticks = round((self._device.samples.current_mapping() or loaded_move.mapping).to_ticks(record.received_ns))
             await self._device.session.send_command(self._watchdog_command(max(ticks, self._released_ticks())))
             # Poll again soon after the next planned end: the stamps record only the last end.
-            ends_ns = min((planned_ns[axis] for axis in seen_ns if axis not in ended), default=loaded.switched_ns)
+            ends_ns = min(
+                (planned_ns[axis] for axis in seen_ns if axis not in end_spans), default=loaded_move.switched_ns
+            )
             left_ns = ends_ns + SETTLE_NS - self._clock.now_ns()
-            watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not stopped else SETTLE_NS
-            if not stopped:
+            watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not is_stopped else SETTLE_NS
+            if not is_stopped:
                 watch_ns = self._spare_turn(watch_ns)
-            stopped = await self._device.sleep_to_stop(watch_ns) or stopped
+            is_stopped = await self._device.sleep_to_stop(watch_ns) or is_stopped
         reasons = {move.axis: self._end_reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
         if states <= {"done"}:
-            late = await self._narrow_ends(loaded, ended)
-            return MoveOutcome("fault", ended, late) if late else MoveOutcome("done", ended)
+            late = await self._narrow_ends(loaded_move, end_spans)
+            return MoveOutcome("fault", end_spans, late) if late else MoveOutcome("done", end_spans)
         text = "; ".join(f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state != "done")
         (watchdog_fired,), _ = await self._device.session.read_numbers("XDOG")
         if watchdog_fired:
             text += "; by its own watchdog: the adapter did not extend its deadline, or its program had failed"
-        return MoveOutcome("fault" if "fault" in states else "stopped", ended, text)
+        return MoveOutcome("fault" if "fault" in states else "stopped", end_spans, text)
 
     def _spare_turn(self, watch_ns: int) -> int:
         """Return how long to wait before the next query: queries take time from the program between a move and the one
@@ -496,13 +506,13 @@ class SampleStart:
         ticks, *values = await self._device.session.read_many(["XZT", *(f"XZ{move.index + 1}" for move in way)])
         if int(ticks) != loaded.ticks:
             return MoveOutcome("fault", {}, "the controller has begun another step; its stamps are lost")
-        ended = {move.axis: loaded.started[move.axis] for move in loaded.lowered.moves}
+        end_spans = {move.axis: loaded.started[move.axis] for move in loaded.lowered.moves}
         for move, value in zip(way, values, strict=True):
             begun_ns = loaded.started[move.axis].earliest_ns
             by_ns = mapping.to_host_ns(int(value) + 1)
             not_before_ns = begun_ns + round((move.samples - 1) * mapping.tick_ns)
-            ended[move.axis] = HostInterval(not_before_ns, by_ns + mapping.bound_at_ns(by_ns))
-        return MoveOutcome("done", ended)
+            end_spans[move.axis] = HostInterval(not_before_ns, by_ns + mapping.bound_at_ns(by_ns))
+        return MoveOutcome("done", end_spans)
 
     def _end_reason(self, move: YaskawaAxisMove, record: DataRecord) -> tuple[str, str]:
         if not move.samples:
@@ -525,14 +535,14 @@ class SampleStart:
         contour = load.contour
         # A contour has one stamp for all its axes. A command line for all stamps would be too long (L12254).
         names = [f"XE{move.index + 1}" for move in way]
-        asked = names if contour is None else [names[0], "XACT"]
+        operands = names if contour is None else [names[0], "XACT"]
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
         while True:
-            (done, ticks, *values) = await self._device.session.read_many(["XDONE", "XT0", *asked])
+            (is_done, ticks, *values) = await self._device.session.read_many(["XDONE", "XT0", *operands])
             if int(ticks) != loaded.ticks:
                 ended.update((await self._followed_outcome(loaded)).ended)
                 return ""
-            if done:
+            if is_done:
                 break
             if self._clock.now_ns() > until_ns:
                 return ""
@@ -543,15 +553,15 @@ class SampleStart:
         for move in loaded.lowered.moves:
             if not move.samples:
                 ended[move.axis] = loaded.started[move.axis]
-        for place, move in enumerate(way):
-            start, seen = loaded.started[move.axis], ended[move.axis]
+        for number, move in enumerate(way):
+            start, end_span = loaded.started[move.axis], ended[move.axis]
             not_before_ns = start.earliest_ns + round((move.samples - 1) * mapping.tick_ns)
             if contour is None:
-                by_ns = mapping.to_host_ns(int(values[place]) + 1)
-                not_before_ns = max(seen.earliest_ns, not_before_ns)
+                by_ns = mapping.to_host_ns(int(values[number]) + 1)
+                not_before_ns = max(end_span.earliest_ns, not_before_ns)
             else:
                 by_ns = mapping.to_host_ns(int(values[0]) + 1 - total + move.samples)
-            ended[move.axis] = HostInterval(not_before_ns, min(seen.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
+            ended[move.axis] = HostInterval(not_before_ns, min(end_span.latest_ns, by_ns + mapping.bound_at_ns(by_ns)))
         late = 0 if contour is None else int(values[0] - values[1]) - total
         if late > self.LATE_TICKS:
             return (

@@ -37,7 +37,7 @@ class StopHandle:
         """
         async with self._query_lock:
             while self._executed < self._written:
-                written = self._written
+                written_count = self._written
                 self._markers += 1
                 marker = f"<{self._markers}>"
                 self._heard.clear()
@@ -55,7 +55,7 @@ class StopHandle:
                         f"{self._link.endpoint}: the handle for stops has not answered within {self._timeout_s:g} s",
                         "check power and cable; does another program occupy the controller's interpreter?",
                     ) from None
-                self._executed = written
+                self._executed = written_count
 
     async def close(self, goodbye: bytes = b"") -> None:
         if goodbye and self.open:
@@ -67,9 +67,9 @@ class StopHandle:
     async def _discard_replies(self) -> None:
         try:
             while True:
-                received = await self._link.read()
+                chunk = await self._link.read()
                 if self._query_lock.locked():
-                    self._heard += received.data
+                    self._heard += chunk.data
                     self._heard_more.set()
         except LinkClosed:
             return

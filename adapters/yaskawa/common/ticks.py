@@ -80,9 +80,9 @@ class SampleClock:
         last = self._last
         if last is None:
             return None
-        mapped = self._mapped
-        if mapped is not last and (
-            mapped is None or self._taken <= 16 or last.received_ns - mapped.received_ns >= REFRESH_NS
+        mapped_sample = self._mapped
+        if mapped_sample is not last and (
+            mapped_sample is None or self._taken <= 16 or last.received_ns - mapped_sample.received_ns >= REFRESH_NS
         ):
             self._mapping, self._mapped = self._estimator.compute_mapping(), last
         return self._mapping
@@ -100,8 +100,8 @@ class SampleClock:
             return
         second = self._second
         if second is not None and sample.sent_ns // REFRESH_NS != second.latest.sent_ns // REFRESH_NS:
-            for chosen in sorted({second.earliest, second.latest}, key=_get_ticks):
-                self._estimator.add_sample(chosen)
+            for reading in sorted({second.earliest, second.latest}, key=_get_ticks):
+                self._estimator.add_sample(reading)
             if sample.sent_ns - second.latest.sent_ns > 2 * REFRESH_NS:
                 # After a pause the newest reading is more valuable than others.
                 self._estimator.add_sample(sample)

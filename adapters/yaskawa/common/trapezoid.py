@@ -111,12 +111,14 @@ class _CandidateMotions:
 
     def position_at(self, t: Array) -> Array:
         rise, fall = self.peak / self.up, self.peak / self.down
-        left = self.length - t
+        length_left = self.length - t
         cruise = self.peak * (t - rise / 2)
         way = np.where(
-            t <= rise, self.up * t * t / 2, np.where(left <= fall, self.way - self.down * left * left / 2, cruise)
+            t <= rise,
+            self.up * t * t / 2,
+            np.where(length_left <= fall, self.way - self.down * length_left * length_left / 2, cruise),
         )
-        return np.where(t <= 0.0, 0.0, np.where(left <= 0.0, self.way, way))
+        return np.where(t <= 0.0, 0.0, np.where(length_left <= 0.0, self.way, way))
 
     @property
     def segment_ends(self) -> tuple[Array, Array, Array]:
@@ -147,9 +149,9 @@ class _MoveTargets:
         laws, plan = _CandidateMotions.from_registers(self.way, candidates), self.plan
         rise, fall, _ = plan.segment_ends
         faster = laws.peak - plan.peak
-        behind = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * self.phase
-        apart = np.maximum(abs(faster * rise - behind), abs(faster * fall - behind))
-        return self.length_penalty(laws.length) + apart
+        lag = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * self.phase
+        distance = np.maximum(abs(faster * rise - lag), abs(faster * fall - lag))
+        return self.length_penalty(laws.length) + distance
 
 
 def fit_registers(
@@ -168,39 +170,39 @@ def fit_registers(
 
     Raises `Refusal` that states what would fit.
     """
-    wanted = _MoveTargets(
+    targets = _MoveTargets(
         [
             _target_row(
                 axis,
-                each,
+                profile,
                 _RegisterRange.of_axis(bounds[axis], tick_ns, model),
                 None if places is None else places[axis],
             )
-            for axis, each in profiles.items()
+            for axis, profile in profiles.items()
         ]
     )
-    candidates = _candidates_by_speed(wanted, model)
-    ranks = wanted.rank_candidates(candidates)
-    poor = (ranks.min(axis=1, keepdims=True) > GOOD_ENOUGH * wanted.plan.peak)[:, 0]
+    candidates = _candidates_by_speed(targets, model)
+    ranks = targets.rank_candidates(candidates)
+    poor = (ranks.min(axis=1, keepdims=True) > GOOD_ENOUGH * targets.plan.peak)[:, 0]
     finalists = np.empty((len(ranks), FINALISTS, len(_UNITS)))
     if not poor.all():
         finalists[~poor] = _best_candidates(candidates[~poor], ranks[~poor])
     if poor.any():
-        more = _candidates_by_ramps(wanted, model)
+        more = _candidates_by_ramps(targets, model)
         candidates = np.concatenate([candidates, more], axis=1)
         finalists[poor] = _best_candidates(
-            candidates[poor], np.concatenate([ranks, wanted.rank_candidates(more)], axis=1)[poor]
+            candidates[poor], np.concatenate([ranks, targets.rank_candidates(more)], axis=1)[poor]
         )
-    laws = _CandidateMotions.from_registers(wanted.way, finalists)
+    laws = _CandidateMotions.from_registers(targets.way, finalists)
     # Relative to the samples for the choice; relative to T0 for the reported value.
-    errors = _path_errors(wanted, laws)
-    chosen = (wanted.length_penalty(laws.length) + errors[:, 0]).argmin(axis=1)
+    errors = _path_errors(targets, laws)
+    best_numbers = (targets.length_penalty(laws.length) + errors[:, 0]).argmin(axis=1)
     shapes: dict[str, RegisterTrapezoid] = {}
     for k, (axis, profile) in enumerate(profiles.items()):
-        best = chosen[k]
-        length, planned = float(laws.length[k, best]), float(wanted.planned[k, 0])
-        speed, up, down = (int(each) for each in finalists[k, best])
-        at_limit = length > planned and (speed == wanted.top_speed[k, 0] or up == wanted.top_ramp[k, 0])
+        best = best_numbers[k]
+        length, planned_length = float(laws.length[k, best]), float(targets.planned[k, 0])
+        speed, up, down = (int(register) for register in finalists[k, best])
+        at_limit = length > planned_length and (speed == targets.top_speed[k, 0] or up == targets.top_ramp[k, 0])
         distance = profile.end_counts - profile.start_counts
         error = float(errors[k, -1, best])
         shapes[axis] = RegisterTrapezoid(
@@ -209,7 +211,7 @@ def fit_registers(
             up=up,
             down=down,
             length=length,
-            off=length - planned,
+            off=length - planned_length,
             at_limit=at_limit,
             path_error_counts=error,
         )
@@ -256,11 +258,11 @@ def _target_row(
             f"{registers.least_speed:g} counts/s and {registers.least_ramp:g} counts/s²",
             "raise the limits in the fleet file",
         )
-    planned = profile.duration_s / tick_s
-    phase, early, late = 0.0, planned - FREE_SAMPLES, planned + FREE_SAMPLES
+    planned_length = profile.duration_s / tick_s
+    phase, early, late = 0.0, planned_length - FREE_SAMPLES, planned_length + FREE_SAMPLES
     if place is not None:
         phase, early, late = place.phase, place.last - 1 + FREE_SAMPLES, place.last - FREE_SAMPLES
-    return float(abs(distance)), planned, ramp_s / tick_s, phase, early, late, top_speed, top_ramp
+    return float(abs(distance)), planned_length, ramp_s / tick_s, phase, early, late, top_speed, top_ramp
 
 
 def _ramp_s(name: str, profile: Profile) -> float:
@@ -300,17 +302,17 @@ def _best_candidates(candidates: Array, ranks: Array) -> Array:
     # Equal candidates have equal ranks, so that they are usually adjacent.
     new = np.ones(order.shape, bool)
     new[:, 1:] = (rows[:, 1:] != rows[:, :-1]).any(axis=2)
-    chosen: list[list[list[float]]] = []
+    finalists: list[list[list[float]]] = []
     for k in range(len(rows)):
-        found: list[list[float]] = []
-        for place in np.flatnonzero(new[k]):
-            row: list[float] = rows[k, place].tolist()
-            if row not in found:
-                found.append(row)
-                if len(found) == FINALISTS:
+        axis_finalists: list[list[float]] = []
+        for column in np.flatnonzero(new[k]):
+            row: list[float] = rows[k, column].tolist()
+            if row not in axis_finalists:
+                axis_finalists.append(row)
+                if len(axis_finalists) == FINALISTS:
                     break
-        chosen.append(found + found[-1:] * (FINALISTS - len(found)))
-    return np.array(chosen)
+        finalists.append(axis_finalists + axis_finalists[-1:] * (FINALISTS - len(axis_finalists)))
+    return np.array(finalists)
 
 
 def _combine_registers(speed: Array, up: Array, down: Array) -> Array:
@@ -325,8 +327,8 @@ def _candidates_by_speed(wanted: _MoveTargets, model: ModelTraits) -> Array:
     compensates for the remaining deviation."""
     # Axes of the array: moves, speeds, ways to choose the ramps, ramps up, ramps down.
     way, length, top_speed, top_ramp, peak = (
-        each.reshape(-1, 1, 1, 1, 1)
-        for each in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.peak)
+        column.reshape(-1, 1, 1, 1, 1)
+        for column in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.peak)
     )
     speed = _nearby_values(peak * SPEED_UNIT, model.speed_step, top_speed, _ABOUT.reshape(-1, 1, 1, 1))
     v = speed / SPEED_UNIT
@@ -336,8 +338,8 @@ def _candidates_by_speed(wanted: _MoveTargets, model: ModelTraits) -> Array:
     with np.errstate(divide="ignore"):
         even = np.where(inverse > 0.0, 2.0 / inverse, math.inf) * RAMP_UNIT
         up = _nearby_values(even, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1))
-        rest = inverse - RAMP_UNIT / up
-        low = np.where(rest > 0.0, RAMP_UNIT / rest, math.inf)
+        inverse_rest = inverse - RAMP_UNIT / up
+        low = np.where(inverse_rest > 0.0, RAMP_UNIT / inverse_rest, math.inf)
     return _combine_registers(speed, up, _nearby_values(low, model.ramp_step, top_ramp, _AND_NEXT))
 
 
@@ -346,8 +348,8 @@ def _candidates_by_ramps(wanted: _MoveTargets, model: ModelTraits) -> Array:
     coarse ramps."""
     # Axes of the array: moves, ramps up, ramps down, speeds.
     way, length, top_speed, top_ramp, ramp = (
-        each.reshape(-1, 1, 1, 1)
-        for each in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.up)
+        column.reshape(-1, 1, 1, 1)
+        for column in (wanted.way, wanted.length, wanted.top_speed, wanted.top_ramp, wanted.plan.up)
     )
     up = _nearby_values(ramp * RAMP_UNIT, model.ramp_step, top_ramp, _ABOUT.reshape(-1, 1, 1))
     down = up.swapaxes(1, 2)
@@ -382,5 +384,5 @@ def _path_errors(wanted: _MoveTargets, laws: _CandidateMotions) -> Array:
 def _insert_axes(law: _CandidateMotions, shape: tuple[int, ...]) -> _CandidateMotions:
     """Insert further array axes after that of the moves."""
     way = law.way.reshape(-1, 1, 1, 1)
-    peak, up, down, length = (each.reshape(-1, *shape) for each in (law.peak, law.up, law.down, law.length))
+    peak, up, down, length = (values.reshape(-1, *shape) for values in (law.peak, law.up, law.down, law.length))
     return _CandidateMotions(way, peak, up, down, length)

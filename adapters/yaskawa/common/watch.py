@@ -104,10 +104,10 @@ class _Item:
         return found != expected if not expected else abs(found - expected) > self.setting.tolerance
 
     def to_difference(self, found: float, expected: float) -> SettingDifference:
-        where = f" of axis {self.axis}" if self.axis else ""
+        axis_text = f" of axis {self.axis}" if self.axis else ""
         remedy = self.setting.remedy.format(value=format_value(expected))
         return SettingDifference(
-            item=f"{self.setting.command}{self.letter}{where}",
+            item=f"{self.setting.command}{self.letter}{axis_text}",
             found=format_value(found),
             expected=format_value(expected),
             axis=self.axis,
@@ -161,9 +161,9 @@ class SettingsWatch:
         self._expected = {}
         for part in pack_operands([item.operand for item in self._items]):
             self._expected |= await self._read_known(part)
-        known = self._known_items()
-        self._critical = self._select_critical(known)
-        self._setting_parts = self._split_rest(known)
+        known_items = self._known_items()
+        self._critical = self._select_critical(known_items)
+        self._setting_parts = self._split_rest(known_items)
         self._program_parts = self._split_program()
         self._turn = 0
 
@@ -172,19 +172,19 @@ class SettingsWatch:
             values, _ = await self._device.session.read_numbers(*operands)
         except SmcCommandRefused as refusal:
             if len(operands) > 1:
-                found: dict[str, float] = {}
+                known_values: dict[str, float] = {}
                 for operand in operands:
-                    found |= await self._read_known([operand])
-                return found
+                    known_values |= await self._read_known([operand])
+                return known_values
             self._device.log.warning(f"{operands[0]} is not watched: {refusal.text}")
             return {}
         return dict(zip(operands, values, strict=True))
 
     def _split_rest(self, known: Sequence[_Item]) -> list[Sequence[_Item]]:
         """Split what is not critical into the parts of single checks."""
-        rest = [item for item in known if item not in self._critical]
+        other_items = [item for item in known if item not in self._critical]
         size = SLOW_SETTINGS_AT_ONCE if self._slow else SETTINGS_AT_ONCE
-        return [rest[at : at + size] for at in range(0, len(rest), size)]
+        return [other_items[at : at + size] for at in range(0, len(other_items), size)]
 
     def _split_program(self) -> list[range]:
         count, size = len(self._device.resident_program), SLOW_LINES_AT_ONCE if self._slow else LINES_AT_ONCE
@@ -204,10 +204,10 @@ class SettingsWatch:
                 return await self._compare(self._critical if self._slow else self._known_items())
             part = self._next_part()
             if isinstance(part, range):
-                found = await self._compare_program(part)
+                differences = await self._compare_program(part)
             else:
-                found = await self._compare(part)
-            return found if self._slow else [*await self._compare(self._critical), *found]
+                differences = await self._compare(part)
+            return differences if self._slow else [*await self._compare(self._critical), *differences]
         except SmcCommandRefused as refusal:
             # For example at level 2 of LC, which locks everything (L6735).
             return [
@@ -243,29 +243,29 @@ class SettingsWatch:
         return settings[(turn - turn // every) % len(settings)]
 
     async def _compare(self, items: Sequence[_Item]) -> list[SettingDifference]:
-        before = dict(self._expected)
+        expected_before = dict(self._expected)
         if self._slow and items is self._critical and await self._device.session.sums_to_zero(self._deviations()):
             return []
-        found = await self._read_values(items)
+        values = await self._read_values(items)
         differences: list[SettingDifference] = []
         for item in items:
-            expected = self._expected.get(item.operand)
+            expected_value = self._expected.get(item.operand)
             # What was changed by the adapter itself meanwhile (soft limits) is compared in the next check.
-            if expected is None or before.get(item.operand) != expected:
+            if expected_value is None or expected_before.get(item.operand) != expected_value:
                 continue
-            value = found[item.operand]
-            if item.differs(value, expected):
+            value = values[item.operand]
+            if item.differs(value, expected_value):
                 self._changed.add(item.operand)
                 self._program_differs |= item.setting.command == LABELS
-                differences.append(item.to_difference(value, expected))
+                differences.append(item.to_difference(value, expected_value))
         return differences
 
     def _deviations(self) -> list[str]:
         """Return terms, none of which is negative, that are all 0 as long as the critical settings are as expected."""
         return [
-            f"@ABS[{item.operand}-{format_value(expected)}]" if expected else f"@ABS[{item.operand}]"
+            f"@ABS[{item.operand}-{format_value(expected_value)}]" if expected_value else f"@ABS[{item.operand}]"
             for item in self._critical
-            for expected in [self._expected[item.operand]]
+            for expected_value in [self._expected[item.operand]]
         ]
 
     async def _read_values(self, items: Iterable[_Item]) -> dict[str, float]:
@@ -274,10 +274,10 @@ class SettingsWatch:
         return dict(zip(operands, values, strict=True))
 
     async def _compare_program(self, lines: range) -> list[SettingDifference]:
-        wanted = self._device.resident_program[lines.start : lines.stop]
-        held = await self._device.list_program_lines(lines.start, lines.stop - 1)
-        for number, line in zip(lines, wanted, strict=True):
-            text = held[number - lines.start] if number - lines.start < len(held) else ""
+        wanted_lines = self._device.resident_program[lines.start : lines.stop]
+        held_lines = await self._device.list_program_lines(lines.start, lines.stop - 1)
+        for number, line in zip(lines, wanted_lines, strict=True):
+            text = held_lines[number - lines.start] if number - lines.start < len(held_lines) else ""
             if text != line:
                 self._program_differs = True
                 return [SettingDifference(f"line {number} of the resident program", repr(text), repr(line))]
@@ -300,13 +300,15 @@ class SettingsWatch:
             return
         await self._leave_contour_mode()
         items = [item for item in self._known_items() if item in self._critical or item.operand in self._changed]
-        found = await self._read_values(items)
+        values = await self._read_values(items)
         for item in items:
-            expected = self._expected[item.operand]
+            expected_value = self._expected[item.operand]
             writable = not item.setting.remedy and item.setting.command != LABELS
-            if writable and item.differs(found[item.operand], expected):
-                self._device.log.info(f"{item.operand} is written again", found=found[item.operand], value=expected)
-                await self._device.session.send_command(self._write_command(item, expected))
+            if writable and item.differs(values[item.operand], expected_value):
+                self._device.log.info(
+                    f"{item.operand} is written again", found=values[item.operand], value=expected_value
+                )
+                await self._device.session.send_command(self._write_command(item, expected_value))
         if self._program_differs:
             await self._device.install_program()
         self._changed.clear()
@@ -320,8 +322,10 @@ class SettingsWatch:
 
 
 def _list_items(watched: WatchedSettings, motors: Mapping[str, int]) -> list[_Item]:
-    shared = [_Item(setting, None, "") for setting in watched.controller]
-    return shared + [_Item(each, name, AXIS_LETTERS[index]) for name, index in motors.items() for each in watched.axis]
+    controller_items = [_Item(setting, None, "") for setting in watched.controller]
+    return controller_items + [
+        _Item(setting, name, AXIS_LETTERS[index]) for name, index in motors.items() for setting in watched.axis
+    ]
 
 
 async def require_uncoupled(device: SmcDevice, motors: Mapping[str, int], *, gantry: Callable[[str], str]) -> None:
@@ -347,14 +351,14 @@ async def require_uncoupled(device: SmcDevice, motors: Mapping[str, int], *, gan
             continue
         letter = AXIS_LETTERS[index]
         (speed,), _ = await device.session.read_numbers(f"_TV{letter}")
-        coupled = 0.0
+        gantry_mode = 0.0
         if gantry(letter):
-            (coupled,), _ = await device.session.read_numbers(gantry(letter))
-        if speed or coupled:
-            why = "in gantry mode (GM)" if coupled else "and it moves"
+            (gantry_mode,), _ = await device.session.read_numbers(gantry(letter))
+        if speed or gantry_mode:
+            reason = "in gantry mode (GM)" if gantry_mode else "and it moves"
             raise ControllerFault(
                 "config-mismatch",
-                f"axis {name}: gearing (GR{letter}) is {ratio:g} {why}, wanted 0",
+                f"axis {name}: gearing (GR{letter}) is {ratio:g} {reason}, wanted 0",
                 f"remove the axis from the fleet file if it belongs to its master; otherwise set GR{letter}=0, then BN",
                 name,
             )

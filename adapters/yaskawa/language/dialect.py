@@ -39,15 +39,15 @@ async def send_raw(line: str, query_all: Callable[[str], Awaitable[list[str]]], 
         replies = [await query_all(part) for part in parts]
     except Refusal as refusal:
         return f"? {refusal}"
-    return "\n".join(each for lines in replies for each in lines)
+    return "\n".join(line for lines in replies for line in lines)
 
 
 def split_commands(line: str) -> list[str]:
     """Split a command line at semicolons outside quotes."""
-    parts, quoted = [""], False
+    parts, is_quoted = [""], False
     for character in line:
-        quoted ^= character == '"'
-        if character == ";" and not quoted:
+        is_quoted ^= character == '"'
+        if character == ";" and not is_quoted:
             parts.append("")
         else:
             parts[-1] += character

@@ -27,8 +27,8 @@ def parse_numbers(line: str, count: int, command: str) -> list[float]:
 
 def parse_error_code(words: str) -> int | None:
     """Return the code of the reply to TC1 (L10254); None for anything else."""
-    found = _ERROR_CODE.fullmatch(words)
-    return None if found is None else int(found[1])
+    code_match = _ERROR_CODE.fullmatch(words)
+    return None if code_match is None else int(code_match[1])
 
 
 def parse_sizes(line: str) -> list[int]:

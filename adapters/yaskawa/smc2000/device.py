@@ -124,32 +124,32 @@ class SerialDevice(SmcDevice):
         await self._line.detach_controller(self._unit)
 
     async def install_program(self) -> None:
-        session, chained = self.session, self._unit is not None
-        wanted = smc2000_program.program_lines(
-            self._axes, chained=chained, inputs=self._inputs, outputs=self._outputs, gate=self.gate
+        session, is_chained = self.session, self._unit is not None
+        program = smc2000_program.program_lines(
+            self._axes, chained=is_chained, inputs=self._inputs, outputs=self._outputs, gate=self.gate
         )
-        self._resident_program = wanted
+        self._resident_program = program
         await self._unload_own_program()
-        if not await self._holds_program(wanted):
+        if not await self._holds_program(program):
             await self._require_no_other_program()
-            self.log.info("installing the resident program", lines=len(wanted))
+            self.log.info("installing the resident program", lines=len(program))
             try:
-                await session.download_program(wanted)
+                await session.download_program(program)
             except SmcCommandRefused as refusal:
                 raise ControllerFault(
                     "program-refused",
                     f"the controller does not accept its program: {refusal}",
                     "is its program memory locked (LC)?",
                 ) from None
-            if not await self._holds_program(wanted):
+            if not await self._holds_program(program):
                 raise ControllerFault(
                     "program-differs",
                     "the program read back is not the one that was sent",
                     "check the cable; the adapter keeps retrying",
                 )
-        for name in smc2000_program.program_variables(self._axes, chained=chained):
+        for name in smc2000_program.program_variables(self._axes, chained=is_chained):
             await session.send_command(f"{name}=0")
-        if chained:
+        if is_chained:
             await session.send_command(f"{ADDRESS}={self._unit}")
             session.verify_address()
         await arrays.free_arrays(session, (*smc2000_program.contour_arrays(self._axes), TABLE))
@@ -180,10 +180,10 @@ class SerialDevice(SmcDevice):
     async def _list_lines(self, first: int, last: int, characters: int = 0) -> list[str]:
         """Return lines of the program by their numbers (LS, L10135); none where it has none, or does not list them."""
         try:
-            listed = await self.session.query_all(f"LS {first},{last}", characters)
+            listing = await self.session.query_all(f"LS {first},{last}", characters)
         except SmcCommandRefused:
             return []
-        return [line.partition(" ")[2].rstrip() for line in listed]
+        return [line.partition(" ")[2].rstrip() for line in listing]
 
     async def _list_program(self) -> list[str]:
         try:
@@ -194,8 +194,8 @@ class SerialDevice(SmcDevice):
             ) from None
 
     async def _require_no_other_program(self) -> None:
-        running, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(THREADS)))
-        threads = [str(thread) for thread, state in enumerate(running) if state]
+        thread_states, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(THREADS)))
+        threads = [str(thread) for thread, state in enumerate(thread_states) if state]
         if threads:
             raise ControllerFault(
                 "other-program",
@@ -245,13 +245,13 @@ class SerialDevice(SmcDevice):
             self._restarted = True
             self.log.warning("the sample counter began again: the controller was restarted")
             raise ControllerRestarted()
-        restarted, self._restarted = self._restarted, False
-        return record, restarted
+        is_restarted, self._restarted = self._restarted, False
+        return record, is_restarted
 
     async def _poll_record(self) -> tuple[DataRecord, bool]:
-        chained = self._unit is not None
-        before = len(smc2000_program.printed_head(chained=chained, inputs=self._inputs, outputs=self._outputs))
-        count = before + AXIS_VALUES * len(self._axes)
+        is_chained = self._unit is not None
+        head_size = len(smc2000_program.printed_head(chained=is_chained, inputs=self._inputs, outputs=self._outputs))
+        count = head_size + AXIS_VALUES * len(self._axes)
         try:
             status = await self.session.request_status(smc2000_program.POLL_COMMAND, count)
         except SmcCommandRefused:
@@ -261,14 +261,14 @@ class SerialDevice(SmcDevice):
                 "its resident program is missing; the connection is set up again from the beginning"
             ) from None
         values = status.values
-        if chained:
+        if is_chained:
             values = values[1:]
-            before -= 1
+            head_size -= 1
         # Two commands were executed before the counter was read: XQ, and MG of the program.
         went_on = self.samples.add_full_reading(
             self._earliest_ns(self._earliest_ns(status.sent_ns)), status.received_ns, values[0]
         )
-        words = values[1:before]
+        words = values[1:head_size]
         inputs = _join_words(words[: self._inputs], smc2000_program.INPUTS_OF_WORD)
         outputs = _join_words(words[self._inputs :], smc2000_program.OUTPUTS_OF_WORD)
         return DataRecord(
@@ -276,27 +276,27 @@ class SerialDevice(SmcDevice):
             inputs=inputs,
             outputs=outputs,
             program_runs=False,
-            axes=self._axis_records(values[0], values[before:]),
+            axes=self._axis_records(values[0], values[head_size:]),
             sent_ns=status.sent_ns,
             received_ns=status.complete_ns,
         ), went_on
 
     def _axis_records(self, ticks: int, values: Sequence[int]) -> tuple[AxisRecord, ...]:
         records = [_NOTHING] * (self._axes[-1] + 1)
-        before, positions = self._last_positions, dict[int, int]()
+        last_positions, positions = self._last_positions, dict[int, int]()
         for number, index in enumerate(self._axes):
-            commanded, error, byte, code = values[AXIS_VALUES * number : AXIS_VALUES * (number + 1)]
-            positions[index] = commanded - error
+            commanded_position, error, byte, code = values[AXIS_VALUES * number : AXIS_VALUES * (number + 1)]
+            positions[index] = commanded_position - error
             # TV would average over a quarter of a second (L12193), and need to be printed as well.
             velocity = 0.0
-            if before is not None and ticks > before[0]:
-                way = positions[index] - before[1][index]
-                velocity = way / ((ticks - before[0]) * self.samples.tick_ns) * NS_PER_S
+            if last_positions is not None and ticks > last_positions[0]:
+                way = positions[index] - last_positions[1][index]
+                velocity = way / ((ticks - last_positions[0]) * self.samples.tick_ns) * NS_PER_S
             records[index] = AxisRecord(
                 status=_axis_status(byte, code),
                 switches=byte & SWITCHES,
                 stop_code=code,
-                commanded=commanded,
+                commanded=commanded_position,
                 actual=positions[index],
                 error=error,
                 auxiliary=0,
@@ -354,10 +354,10 @@ def _join_words(words: Iterable[int], size: int) -> int:
 
 def _axis_status(byte: int, code: int) -> int:
     """Convert the switch byte (TS) and the stop code to the terms of the SMC-4000's record."""
-    moving = bool(byte & TS_MOVING)
+    is_moving = bool(byte & TS_MOVING)
     return (
-        (MOVING if moving else 0)
-        | (STOPPING if moving and code in STOPPING_CODES else 0)
+        (MOVING if is_moving else 0)
+        | (STOPPING if is_moving and code in STOPPING_CODES else 0)
         | (MOTOR_OFF if byte & TS_MOTOR_OFF else 0)
         | (OFF_ON_ERROR if byte & TS_MOTOR_OFF and code == 8 else 0)
     )

@@ -87,12 +87,12 @@ def _word_count(points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput]
 
 def _make_trigger_traits(axes: int, char_ns: int) -> TriggerTraits:
     """Return how a controller of `axes` axes plays triggers: a poll takes a command for each of them, and two more."""
-    others = smc2000_program.WATCHDOG_COMMANDS + smc2000_program.HOST_COMMANDS + axes + 2
+    other_commands = smc2000_program.WATCHDOG_COMMANDS + smc2000_program.HOST_COMMANDS + axes + 2
     return TriggerTraits(
         level_label=PULSE_LABEL,
         pulse_commands=smc2000_program.PULSE_COMMANDS,
         level_commands=smc2000_program.LEVEL_COMMANDS,
-        other_commands=others,
+        other_commands=other_commands,
         beside=smc2000_program.TRIGGER_BESIDE,
         contour_commands=LOOP_COMMANDS,
         packet=ARRAY_CHARACTERS,
@@ -182,14 +182,14 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
     # Polling
 
     async def poll(self) -> ControllerReading:
-        record, restarted = await self._device.poll_state()
+        record, is_restarted = await self._device.poll_state()
         return ControllerReading(
             at_ns=(record.sent_ns + record.received_ns) // 2,
             axes={name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()},
             inputs=_point_levels(record.inputs, self._points[0]),
             outputs=_point_levels(record.outputs, self._points[1]),
             faults=await self._read_faults(record),
-            restarted=restarted,
+            restarted=is_restarted,
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
@@ -328,7 +328,8 @@ class SMC2000Make:
         link = config.link
         broadcast = "!" if isinstance(link, SerialLink) and link.address is not None else ""
         return "".join(
-            f"{command}\r" for command in ("\\", *(broadcast + each for each in stop_commands(abort=False)))
+            f"{command}\r"
+            for command in ("\\", *(broadcast + stop_command for stop_command in stop_commands(abort=False)))
         ).encode()
 
 

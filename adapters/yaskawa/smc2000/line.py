@@ -117,8 +117,8 @@ class SharedSerialLine:
         """
         self.stops += 1
         # During a download commands would be taken as program text; a backslash ends it (L8205).
-        ended = "\\\r" if self.loading or unknown else ""
-        text = ended + address_command(unit) + "".join(f"{command}\r" for command in commands)
+        data_end = "\\\r" if self.loading or unknown else ""
+        text = data_end + address_command(unit) + "".join(f"{command}\r" for command in commands)
         self.mark_out_of_step()
         try:
             link.write(text.encode("ascii"))

@@ -54,21 +54,21 @@ class PolledSession(SerialCommandSession):
         """
         line = self._line
         self._poll_command = command
-        alone = False
+        is_alone = False
         while True:
             await self._wait_until_allowed()
-            async with LineTurn(line, self._unit, None if alone else self):
+            async with LineTurn(line, self._unit, None if is_alone else self):
                 if self._is_suspended():
                     continue
                 stops, self._overlapped = line.stops, False
                 try:
-                    return await self._poll_once(command, count, alone=alone)
+                    return await self._poll_once(command, count, alone=is_alone)
                 except (ControllerFault, SmcCommandRefused):
                     line.mark_out_of_step()
                     if line.stops == stops:
                         if not self._overlapped:
                             raise
-                        alone = True
+                        is_alone = True
                 except LinkClosed:
                     line.drop_link(self._link)
                     raise
@@ -97,14 +97,14 @@ class PolledSession(SerialCommandSession):
 
     async def _poll_once(self, command: str, count: int, *, alone: bool) -> PrintedStatus:
         line = self._line
-        ahead, line.ahead = line.ahead, None
-        if ahead is not None and ahead.poller is self:
+        request_ahead, line.ahead = line.ahead, None
+        if request_ahead is not None and request_ahead.poller is self:
             self._overlapped = True
-            self._reset_buffer(ahead.plain, ahead.marked)
-            self._at_ns = max(self._at_ns, ahead.at_ns)
-            prefix, sent_ns = address_command(self._unit), ahead.sent_ns
+            self._reset_buffer(request_ahead.plain, request_ahead.marked)
+            self._at_ns = max(self._at_ns, request_ahead.at_ns)
+            prefix, sent_ns = address_command(self._unit), request_ahead.sent_ns
         else:
-            if ahead is not None:
+            if request_ahead is not None:
                 line.mark_out_of_step()
             if line.half_line or not (line.in_step and self._settled):
                 await self._select_controller()
@@ -121,8 +121,8 @@ class PolledSession(SerialCommandSession):
         if line.stops != stops:
             line.mark_out_of_step()
         elif line.ahead is not None:
-            rest = {"plain": bytes(self._plain), "marked": bytes(self._marked)}
-            line.ahead = replace(line.ahead, at_ns=self._at_ns, **rest)
+            buffers = {"plain": bytes(self._plain), "marked": bytes(self._marked)}
+            line.ahead = replace(line.ahead, at_ns=self._at_ns, **buffers)
         else:
             line.in_step = True
         begun_ns = self._begun_ns(sent_ns, len(prefix) + len(command) + 1)
@@ -151,11 +151,11 @@ class PolledSession(SerialCommandSession):
             until_ns = min(give_up_ns, over_ns) if leads else give_up_ns
             try:
                 async with asyncio.timeout((until_ns - now_ns) / NS_PER_S):
-                    received = await self._link.read()
+                    chunk = await self._link.read()
             except TimeoutError:
                 continue
-            self._plain += received.data
-            self._at_ns = received.at_ns
+            self._plain += chunk.data
+            self._at_ns = chunk.at_ns
 
     def _let_next_begin(self) -> None:
         line = self._line
@@ -178,8 +178,8 @@ class PolledSession(SerialCommandSession):
             raise SmcCommandRefused(command, 0, "its resident program is missing")
         while (end := self._marked.find(b"\r\n")) >= 0:
             text = self._marked[:end].decode("ascii")
-            printed, mark, report = text.partition("?")
-            self._marked[: end + 2] = printed.encode() if mark else b""
+            printed_text, mark, report = text.partition("?")
+            self._marked[: end + 2] = printed_text.encode() if mark else b""
             if not mark:
                 return text
             self.unsolicited.append(mark + report)

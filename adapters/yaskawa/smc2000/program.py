@@ -128,16 +128,16 @@ def program_lines(
 def _start_lines(axes: Sequence[int], gate: GateTiming, *, follows: bool) -> Iterable[str]:
     yield f"{HEADING};EN"
     for count in range(len(axes) + 1):
-        for chosen in combinations(axes, count):
-            begin = f"BG{''.join(LETTERS[index] for index in chosen)};" if chosen else ""
-            mask = sum(1 << index for index in chosen)
+        for chosen_axes in combinations(axes, count):
+            begin = f"BG{''.join(LETTERS[index] for index in chosen_axes)};" if chosen_axes else ""
+            mask = sum(1 << index for index in chosen_axes)
             yield f"{entry_label(mask, contour=False)};JS#GATE;JP#SHUT,XOK=0;JP#L{mask},XLI<>0"
             yield f"WT XT0-TIME;{begin}XACT=TIME;JP#DONE"
             yield f"#L{mask};AI XLI;{begin}XACT=TIME;JP#DONE"
-            if chosen and supports_contours(axes):
-                yield from contour_lines(mask, chosen[-1] + 1, ring=False)
-            if chosen and follows:
-                yield from _following_lines(chosen, axes)
+            if chosen_axes and supports_contours(axes):
+                yield from contour_lines(mask, chosen_axes[-1] + 1, ring=False)
+            if chosen_axes and follows:
+                yield from _following_lines(chosen_axes, axes)
     # An axis that does not move does not delay the others here. The watchdog of the step before may still run.
     yield f"#DONE;HX{WATCHDOG_THREAD};XQ#DOG,{WATCHDOG_THREAD}"
     for index in axes:
@@ -182,7 +182,7 @@ def _trigger_lines() -> Iterable[str]:
 def _following_lines(chosen: Sequence[int], axes: Sequence[int]) -> Iterable[str]:
     """Return the lines of the axes `chosen` as a step that follows another one, like the SMC-4000's."""
     mask = sum(1 << index for index in chosen)
-    letters, everything = ("".join(LETTERS[index] for index in each) for each in (chosen, axes))
+    letters, everything = ("".join(LETTERS[index] for index in indices) for indices in (chosen, axes))
     position, speed, up, down = register_commands(chosen)
     look = f"XFR=XFT-TIME;JP#{{}}{mask},XFR>{LAST_LOOK_TICKS}"
     yield f"{following_label(mask)};XFARM=XFT"

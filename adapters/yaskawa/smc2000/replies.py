@@ -23,15 +23,15 @@ def parse_serial_reply(buffer: bytes | bytearray) -> SerialReply | None:
     ends a listing, are skipped. `?` and a digit is not a prompt but the report of a program's error (L3473).
     """
     lines: list[str] = []
-    at, size, echoed = 0, len(buffer), False
+    at, size, is_echoed = 0, len(buffer), False
     while at < size:
         first = buffer[at]
         if first in b"\r\n\x1a":
             at += 1
         elif first == PROMPT:
-            return SerialReply(lines, refused=False, echoed=echoed, used=at + 1)
+            return SerialReply(lines, refused=False, echoed=is_echoed, used=at + 1)
         elif first == REFUSAL and not buffer[at + 1 : at + 2].isdigit():
-            return SerialReply(lines, refused=True, echoed=echoed, used=at + 1)
+            return SerialReply(lines, refused=True, echoed=is_echoed, used=at + 1)
         else:
             end = buffer.find(b"\r", at)
             if end < 0 or end + 1 == size:
@@ -40,6 +40,6 @@ def parse_serial_reply(buffer: bytes | bytearray) -> SerialReply | None:
                 lines.append(buffer[at:end].decode("latin-1").strip())
                 at = end + 2
             else:
-                echoed = True
+                is_echoed = True
                 at = end + 1
     return None

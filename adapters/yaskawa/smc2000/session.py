@@ -90,25 +90,25 @@ class SerialCommandSession(CommandSession):
 
     async def send_settings(self, commands: Iterable[str], before_send: Callable[[], None] | None = None) -> int:
         """Send settings in one turn: each has its own prompt, and a refused one does not prevent the others."""
-        given = list(commands)
-        return (await self._query_once("\r".join(given), before_send))[1].sent_ns if given else 0
+        setting_commands = list(commands)
+        return (await self._query_once("\r".join(setting_commands), before_send))[1].sent_ns if setting_commands else 0
 
     async def set_and_read(self, commands: Sequence[str], operands: Sequence[str], then: str) -> list[float]:
         await self.send_settings(commands)
-        found: list[float] = []
+        values: list[float] = []
         for at in range(0, len(operands), _OPERANDS_OF_LINE):
-            found += (await self.read_numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]
+            values += (await self.read_numbers(*operands[at : at + _OPERANDS_OF_LINE]))[0]
         await self.send_command(then)
-        return found
+        return values
 
     async def query_lines(
         self, command: str, lines: int = 1, before_send: Callable[[], None] | None = None
     ) -> CommandReply:
-        found, answer = await self._query_once(command, before_send)
-        if len(found) < lines:
+        reply_lines, answer = await self._query_once(command, before_send)
+        if len(reply_lines) < lines:
             self._line.mark_out_of_step()
-            raise self._garbage_fault(command, f"{lines} lines", repr(found))
-        return CommandReply(found[len(found) - lines :], b"", answer.sent_ns, answer.received_ns)
+            raise self._garbage_fault(command, f"{lines} lines", repr(reply_lines))
+        return CommandReply(reply_lines[len(reply_lines) - lines :], b"", answer.sent_ns, answer.received_ns)
 
     async def query_all(self, command: str, characters: int = 0) -> list[str]:
         """Send a command whose reply has any number of data lines. characters: length of text that may precede the
@@ -138,10 +138,10 @@ class SerialCommandSession(CommandSession):
         return parse_numbers(answer.lines[0], len(operands), command), answer
 
     async def read_many(self, operands: Sequence[str]) -> list[float]:
-        found: list[float] = []
+        values: list[float] = []
         for part in pack_texts(operands, lambda part: len(_print_command(part))):
-            found += (await self.read_numbers(*part))[0]
-        return found
+            values += (await self.read_numbers(*part))[0]
+        return values
 
     def write_at_once(self, *commands: str) -> None:
         self._own_stops += 1
@@ -197,7 +197,7 @@ class SerialCommandSession(CommandSession):
         line = self._line
         async with self.exclusive_turn():
             await self._select_controller()
-            stops, loaded = line.stops, False
+            stops, is_loaded = line.stops, False
             try:
                 # Until its end all bytes are taken as elements; a backslash ends this mode, too.
                 line.in_step, self._settled, line.loading = False, False, True
@@ -210,13 +210,13 @@ class SerialCommandSession(CommandSession):
                 reply, _ = await self._run_exchange(_END_OF_DATA, self._parse_buffer)
                 if reply.refused:
                     raise SmcCommandRefused(command, 0, "the elements are not accepted")
-                loaded = line.stops == stops
+                is_loaded = line.stops == stops
             except LinkClosed:
                 line.drop_link(self._link)
                 raise
             finally:
                 line.loading = False
-                if loaded:
+                if is_loaded:
                     line.in_step = self._settled = line.half_line = True
                 else:
                     line.mark_out_of_step()
@@ -228,10 +228,10 @@ class SerialCommandSession(CommandSession):
 
         def find_whole_reply() -> str | None:
             self._separate_output()
-            body, end, rest = self._plain.decode("latin-1").partition(_END_OF_DATA)
+            body, end, remainder = self._plain.decode("latin-1").partition(_END_OF_DATA)
             if not end:
                 return "?" if body.strip() == "?" else None
-            return body if rest.endswith(":") else None
+            return body if remainder.endswith(":") else None
 
         async def request_elements() -> list[int]:
             body, _ = await self._run_exchange(command, find_whole_reply)
@@ -268,7 +268,7 @@ class SerialCommandSession(CommandSession):
                     if before_send is not None:
                         before_send()
                     line.in_step = False
-                    found = await request()
+                    answer = await request()
                     if line.stops - stops != self._own_stops - own:
                         raise self._garbage_fault(command, "its own reply", "a stop of another controller")
                 except SmcCommandRefused:
@@ -288,26 +288,26 @@ class SerialCommandSession(CommandSession):
                     line.in_step = True
                     if line.stops != stops:
                         line.mark_out_of_step()
-                    return found
+                    return answer
 
     async def _send_once(self, command: str, characters: int) -> tuple[list[str], CommandReply]:
         """Send one command, or several settings separated by CR; report the first refused one."""
-        left, refused = deque(command.split("\r")), list[str]()
+        commands_left, refused_commands = deque(command.split("\r")), list[str]()
 
         def find_whole_reply() -> list[str] | None:
             while (reply := self._parse_buffer()) is not None:
-                asked = left.popleft()
+                next_command = commands_left.popleft()
                 if reply.refused:
-                    refused.append(asked)
-                if not left:
+                    refused_commands.append(next_command)
+                if not commands_left:
                     return reply.lines
             return None
 
         lines, sent_ns = await self._run_exchange(command, find_whole_reply, room=characters)
-        answered = sum(len(each) + 2 for each in lines) + 1
-        answer = CommandReply(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(answered))
-        if refused:
-            raise await self._query_refusal(refused[0])
+        answer_size = sum(len(line) + 2 for line in lines) + 1
+        answer = CommandReply(lines, b"", self._begun_ns(sent_ns, len(command) + 1), self._emitted_ns(answer_size))
+        if refused_commands:
+            raise await self._query_refusal(refused_commands[0])
         return lines, answer
 
     async def _query_refusal(self, command: str) -> SmcCommandRefused:
@@ -328,25 +328,27 @@ class SerialCommandSession(CommandSession):
         if line.ahead is not None:
             line.mark_out_of_step()
         # A controller that is already missing does not take the others' time twice.
-        left = 1 if self._unit in line.missing else _TRIES
+        tries_left = 1 if self._unit in line.missing else _TRIES
         while not (line.in_step and line.selected == self._unit and self._settled):
             stops, line.in_step, line.selected = line.stops, False, None
             marker = line.next_marker()
-            asked = f'MG "{marker}",{ADDRESS}' if self._address_known else f'MG "{marker}"'
+            query = f'MG "{marker}",{ADDRESS}' if self._address_known else f'MG "{marker}"'
             # A half-typed line is spoiled before it is ended; an operator's entry and a download end (L4812, L8205).
             opening = "" if self._settled and not line.half_line else "\\\r"
             settings = () if self._settled else _SETTINGS
-            opening += self._address_prefix(left) + "".join(f"{command}\r" for command in settings)
+            opening += self._address_prefix(tries_left) + "".join(f"{command}\r" for command in settings)
             try:
-                said = await self._marked_reply(opening, asked, marker)
-                if self._address_known and said != str(self._unit) and line.stops == stops:
-                    raise self._garbage_fault(f"%{self._unit}", f"the controller with address {self._unit}", repr(said))
+                reply = await self._marked_reply(opening, query, marker)
+                if self._address_known and reply != str(self._unit) and line.stops == stops:
+                    raise self._garbage_fault(
+                        f"%{self._unit}", f"the controller with address {self._unit}", repr(reply)
+                    )
             except ControllerFault as error:
                 if line.stops == stops:
                     self._settled = False
-                    left -= 1
-                    self.log.warning(f"the controller is not selected: {error.text}", tries_left=left)
-                    if not left:
+                    tries_left -= 1
+                    self.log.warning(f"the controller is not selected: {error.text}", tries_left=tries_left)
+                    if not tries_left:
                         if self._unit is not None:
                             line.missing.add(self._unit)
                         raise
@@ -370,11 +372,11 @@ class SerialCommandSession(CommandSession):
 
         def find_whole_reply() -> str | None:
             self._separate_output()
-            found = pattern.search(self._plain)
-            return None if found is None else found[1].decode().strip()
+            reply_match = pattern.search(self._plain)
+            return None if reply_match is None else reply_match[1].decode().strip()
 
-        said, _ = await self._run_exchange(query, find_whole_reply, opening)
-        return said
+        reply, _ = await self._run_exchange(query, find_whole_reply, opening)
+        return reply
 
     async def _run_exchange(  # pyright: ignore[reportIncompatibleMethodOverride]
         self, command: str, whole: Callable[[], T | None], opening: str = "", room: int = 0
@@ -393,18 +395,18 @@ class SerialCommandSession(CommandSession):
         """Read until `whole` returns a result. quiet_ns: silence is allowed until then; after that, and between bytes,
         silence is a timeout."""
         while True:
-            found = whole()
-            if found is not None:
+            answer = whole()
+            if answer is not None:
                 self._line.answered = True
-                return found
+                return answer
             left_ns = max(quiet_ns, self._at_ns) + self._silence_ns - self._clock.now_ns()
             try:
                 async with asyncio.timeout(max(left_ns, 0) / NS_PER_S):
-                    received = await self._link.read()
+                    chunk = await self._link.read()
             except TimeoutError:
                 raise self._silence_fault(command) from None
-            self._plain += received.data
-            self._at_ns = received.at_ns
+            self._plain += chunk.data
+            self._at_ns = chunk.at_ns
 
     def _reset_buffer(self, plain: bytes = b"", marked: bytes = b"") -> None:
         """Clear the input buffer; it then contains these bytes."""
@@ -414,17 +416,17 @@ class SerialCommandSession(CommandSession):
     def _parse_buffer(self) -> SerialReply | None:
         """Return the whole reply to a command, if complete."""
         self._separate_output()
-        parsed = parse_serial_reply(self._plain)
-        if parsed is None:
+        reply = parse_serial_reply(self._plain)
+        if reply is None:
             return None
-        del self._plain[: parsed.used]
-        if parsed.echoed:
+        del self._plain[: reply.used]
+        if reply.echoed:
             # Only a controller that was reset echoes; its settings are loaded again.
             self._settled = False
-        for line in parsed.lines:
+        for line in reply.lines:
             if not (line.isascii() and line.isprintable()):
                 raise self._garbage_fault("a command", "text", repr(line[:40]))
-        return parsed
+        return reply
 
     def _separate_output(self) -> None:
         """Separate program output from replies."""
@@ -457,8 +459,8 @@ class SerialCommandSession(CommandSession):
         try:
             while True:
                 async with asyncio.timeout(max(until_ns - self._clock.now_ns(), 0) / NS_PER_S):
-                    received = await self._link.read()
-                if b"?" in received.data:
+                    chunk = await self._link.read()
+                if b"?" in chunk.data:
                     raise SmcCommandRefused(text, 0, "the program is not accepted")
         except TimeoutError:
             return
@@ -468,7 +470,7 @@ class SerialCommandSession(CommandSession):
         self._address_known = self._unit is not None
 
     def _silence_fault(self, command: str) -> ControllerFault:
-        got = f"only {bytes(self._plain + self._marked)!r}" if self._plain or self._marked else "nothing"
+        received_text = f"only {bytes(self._plain + self._marked)!r}" if self._plain or self._marked else "nothing"
         origin = "" if self._unit is None else f" from the controller with address {self._unit}"
         remedy = "check power and cable; does another program occupy the controller's interpreter?"
         if self._unit is None:
@@ -477,12 +479,14 @@ class SerialCommandSession(CommandSession):
             remedy = "no controller of the chain answers: is the first one, next to this computer, switched on?"
         else:
             remedy += " A controller that is off disconnects all controllers that follow it in the chain."
-        return ControllerFault("no-answer", f"{self._link.endpoint}: {got} came{origin} after {command!r}", remedy)
+        return ControllerFault(
+            "no-answer", f"{self._link.endpoint}: {received_text} came{origin} after {command!r}", remedy
+        )
 
 
 def _print_command(operands: Sequence[str]) -> str:
-    shown = (f"{operand}{{F4.4}}" if operand[:3] in _FRACTIONS else operand for operand in operands)
-    return "MG " + ',",",'.join(shown)
+    operand_texts = (f"{operand}{{F4.4}}" if operand[:3] in _FRACTIONS else operand for operand in operands)
+    return "MG " + ',",",'.join(operand_texts)
 
 
 def _element_lines(values: Sequence[int]) -> Iterable[str]:

@@ -117,8 +117,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             letter, switches = AXIS_LETTERS[index], record.axes[index].switches
             operands = (f"_LF{letter}", f"_LR{letter}", f"_MT{letter}")
             (forward_free, reverse_free, motor_type), _ = await self._device.session.read_numbers(*operands)
-            pressed = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
-            self._open_switches[name] = (switches ^ pressed) & (FORWARD_SWITCH | REVERSE_SWITCH)
+            pressed_switches = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
+            self._open_switches[name] = (switches ^ pressed_switches) & (FORWARD_SWITCH | REVERSE_SWITCH)
             (self._steppers.add if abs(motor_type) >= STEPPER_TYPE else self._steppers.discard)(name)
         await self._watch.learn_values()
 
@@ -164,7 +164,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
     # Polling
 
     async def poll(self) -> ControllerReading:
-        record, restarted = await self._device.poll_state()
+        record, is_restarted = await self._device.poll_state()
         axes = {name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()}
         return ControllerReading(
             at_ns=(record.sent_ns + record.received_ns) // 2,
@@ -172,18 +172,18 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             inputs=_BITS[record.inputs],
             outputs=_BITS[record.outputs],
             faults=await self._read_faults(record),
-            restarted=restarted,
+            restarted=is_restarted,
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
-        closed = axis.switches ^ self._open_switches.get(name, axis.switches)
+        closed_switches = axis.switches ^ self._open_switches.get(name, axis.switches)
         return AxisReading(
             commanded_counts=axis.commanded,
             actual_counts=axis.actual,
             velocity_counts_s=axis.velocity / VELOCITY_SCALE,
             moving=axis.is_moving,
             enabled=axis.is_enabled,
-            limit=LIMITS[bool(closed & FORWARD_SWITCH), bool(closed & REVERSE_SWITCH)],
+            limit=LIMITS[bool(closed_switches & FORWARD_SWITCH), bool(closed_switches & REVERSE_SWITCH)],
             # A servo's encoder keeps counting while it is off (L7573), and SH begins from there (L9924).
             position_lost=name in self._steppers and not axis.is_enabled,
         )

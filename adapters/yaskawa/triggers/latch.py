@@ -35,8 +35,8 @@ class PositionLatch:
         until_ns, armed_ns = self._clock.now_ns() + within_ns, self._clock.now_ns()
         await session.send_command(f"AL{letter}")
         while True:
-            (armed, counts), answer = await session.read_numbers(f"_AL{letter}", f"_RL{letter}")
-            if not armed:
+            (is_armed, counts), answer = await session.read_numbers(f"_AL{letter}", f"_RL{letter}")
+            if not is_armed:
                 return LatchedPosition(int(counts), HostInterval(armed_ns, answer.received_ns))
             armed_ns = answer.sent_ns
             if self._clock.now_ns() >= until_ns:

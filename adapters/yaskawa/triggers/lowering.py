@@ -124,14 +124,14 @@ class TriggerPace:
 def _require_rate(trigger: OutputTrigger, pace: TriggerPace) -> None:
     """Raise `Refusal` for instants that follow faster than the interpreter plays them."""
     needs_ns = pace.find_round_ns(trigger)
-    gap_ns = min((after - before for before, after in pairwise(trigger.instants_ns)), default=needs_ns)
+    gap_ns = min((next_ns - instant_ns for instant_ns, next_ns in pairwise(trigger.instants_ns)), default=needs_ns)
     if gap_ns < needs_ns:
-        beside = "" if pace.contour is None else " beside a contour"
+        contour_text = "" if pace.contour is None else " beside a contour"
         least_ms = math.ceil(needs_ns / NS_PER_MS * 10) / 10
         raise Refusal(
             "trigger-rate",
             f"output {trigger.output}: two triggers are {gap_ns / NS_PER_MS:.3g} ms apart; the controller's program "
-            f"plays one in {least_ms:g} ms{beside}",
+            f"plays one in {least_ms:g} ms{contour_text}",
             f"write at least {least_ms:g} ms, or a distance that takes as long at the highest speed, or move slower, "
             "or a shorter `pulse`",
         )

@@ -52,46 +52,46 @@ class TriggerPlayer:
             raise Refusal(refusal.code, text, "write a longer `every`, or divide the step") from None
         await fill_arrays(session, [(TABLE, 0, table)], self._transfer)
         self._played = _PlayedTable(switches, table, step)
-        wanted = {"XLO": output.number, "XLV": output.level, "XLH": output.active_ticks}
-        wanted |= {"XRN": len(table), "XRI": 0, "XRV": output.level}
-        commands = [f"{name}={value}" for name, value in wanted.items()]
+        wanted_values = {"XLO": output.number, "XLV": output.level, "XLH": output.active_ticks}
+        wanted_values |= {"XRN": len(table), "XRI": 0, "XRV": output.level}
+        commands = [f"{name}={value}" for name, value in wanted_values.items()]
         entry = self._traits.level_label if switches.turns else self._traits.pulse_label
-        held = await session.set_and_read(commands, list(wanted), f"XQ {entry},{EDGE_THREAD}")
-        for (name, value), found in zip(wanted.items(), held, strict=True):
-            if found != value:
-                raise Refusal("read-back", f"{name} reads back as {found:.0f}, not {value}", "try again")
+        held_values = await session.set_and_read(commands, list(wanted_values), f"XQ {entry},{EDGE_THREAD}")
+        for (name, value), held_value in zip(wanted_values.items(), held_values, strict=True):
+            if held_value != value:
+                raise Refusal("read-back", f"{name} reads back as {held_value:.0f}, not {value}", "try again")
 
     async def is_playing(self) -> bool:
         """Whether the program still plays the table."""
-        (running,), _ = await self._device.session.read_numbers(f"_HX{EDGE_THREAD}")
-        return bool(running)
+        (is_running,), _ = await self._device.session.read_numbers(f"_HX{EDGE_THREAD}")
+        return bool(is_running)
 
     async def take(self) -> Mapping[str, SwitchedOutput]:
         """What the output did, by the stamps of the program. Raises `Refusal`."""
-        played, session = self._played, self._device.session
-        if played is None:
+        played_table, session = self._played, self._device.session
+        if played_table is None:
             return {}
         try:
-            (begun, index), _ = await session.read_numbers("XOK", "XRI")
-            held = played.table
-            if begun:
-                (held,) = await read_elements(session, [(TABLE, 0, len(held))], self._transfer)
+            (is_begun, index), _ = await session.read_numbers("XOK", "XRI")
+            held_table = played_table.table
+            if is_begun:
+                (held_table,) = await read_elements(session, [(TABLE, 0, len(held_table))], self._transfer)
         except SmcCommandRefused as refusal:
             raise Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "") from None
-        count = int(index) if begun else 0
-        mappings = self._find_mappings(played, held[:count])
-        edges = [self._find_edge(played, number, held[number], mappings[number]) for number in range(count)]
+        count = int(index) if is_begun else 0
+        mappings = self._find_mappings(played_table, held_table[:count])
+        edges = [self._find_edge(played_table, number, held_table[number], mappings[number]) for number in range(count)]
         # The program may have been halted between a stamp and its count: before OB, or after it.
-        unknown = count < len(held) and held[count] != played.table[count]
-        return {played.switches.output.name: SwitchedOutput(edges, unknown)}
+        unknown = count < len(held_table) and held_table[count] != played_table.table[count]
+        return {played_table.switches.output.name: SwitchedOutput(edges, unknown)}
 
     def _find_mappings(self, played: _PlayedTable, stamps: Sequence[int]) -> list[TickMapping]:
         """The estimate of the clock for each stamp: as it is known near it, at most half a span away."""
-        found: dict[int, TickMapping] = {}
+        mappings: dict[int, TickMapping] = {}
         for span in {stamp // SPAN_TICKS for stamp in stamps}:
             middle = span * SPAN_TICKS + SPAN_TICKS // 2
-            found[span] = self._device.samples.find_mapping_near(middle) or played.step.mapping
-        return [found[stamp // SPAN_TICKS] for stamp in stamps]
+            mappings[span] = self._device.samples.find_mapping_near(middle) or played.step.mapping
+        return [mappings[stamp // SPAN_TICKS] for stamp in stamps]
 
     def _find_edge(self, played: _PlayedTable, number: int, stamp: int, mapping: TickMapping) -> HostInterval:
         """The interval of an edge: after its wait had ended the stamp was read, during its sample, and OB came next,
