@@ -29,8 +29,8 @@ class PrebufferControl:
         return await self._read_queue("?:WIW")
 
     async def _read_queue(self, query: str) -> dict[int, int | None]:
-        found = parse_entries(await self._session.send_query(query, pulse_list(len(self._controllable))))
-        return dict(zip(self._controllable, found, strict=True))
+        entries = parse_entries(await self._session.send_query(query, pulse_list(len(self._controllable))))
+        return dict(zip(self._controllable, entries, strict=True))
 
     async def read_interpolation(self) -> str:
         """Return the queued linear interpolation (KP:) in the controller's notation; `NS` for none."""
@@ -40,18 +40,22 @@ class PrebufferControl:
         """Return the motors that a `G:` would move.
 
         intended: intended distances, by motor. interpolation: the intended interpolation."""
-        meant = intended or {}
-        found = {motor for motor, each in (await self.read_moves()).items() if (each or 0) != meant.get(motor, 0)}
+        intended_distances = intended or {}
+        dangerous_motors = {
+            motor
+            for motor, distance in (await self.read_moves()).items()
+            if (distance or 0) != intended_distances.get(motor, 0)
+        }
         for query in ("?:APW", "?:WTW", "?:WIW"):
-            found |= {motor for motor, each in (await self._read_queue(query)).items() if each is not None}
+            dangerous_motors |= {motor for motor, entry in (await self._read_queue(query)).items() if entry is not None}
         if await self._session.send_query("?:EP", NOT_SET) != "NS" or await self.read_interpolation() != interpolation:
-            found |= set(self._controllable)
-        return found
+            dangerous_motors |= set(self._controllable)
+        return dangerous_motors
 
     async def overwrite_moves(self, motors: set[int]) -> None:
         """Overwrite the queued moves of `motors`. The controller refuses this while their excitation is off."""
-        for each in sorted(motors):
-            await self._session.try_setting(f"MP:{each}+P0")
+        for motor in sorted(motors):
+            await self._session.try_setting(f"MP:{motor}+P0")
 
     async def make_harmless(self, excited: dict[int, bool]) -> bool:
         """Ensure that no queued move can move an axis, without starting one. Return whether the prebuffers are empty.
@@ -61,28 +65,29 @@ class PrebufferControl:
         start before the error is cleared. Raises `ControllerFault` (code `still-armed`).
         """
         for _ in range(_TRIES):
-            found = {each for each in await self.find_dangerous() if excited.get(each, True)}
-            if not found:
+            dangerous_motors = {motor for motor in await self.find_dangerous() if excited.get(motor, True)}
+            if not dangerous_motors:
                 return True
-            await self.overwrite_moves(found)
-        found = {each for each in await self.find_dangerous() if excited.get(each, True)}
-        if not found:
+            await self.overwrite_moves(dangerous_motors)
+        dangerous_motors = {motor for motor in await self.find_dangerous() if excited.get(motor, True)}
+        if not dangerous_motors:
             return True
-        now = parse_status(await self._session.send_query("Q:SPC", STATUS), self._controllable)
-        found -= {motor for motor, each in now.items() if each.word & ERRORS}
-        if found:
+        states = parse_status(await self._session.send_query("Q:SPC", STATUS), self._controllable)
+        dangerous_motors -= {motor for motor, state in states.items() if state.word & ERRORS}
+        if dangerous_motors:
             raise ControllerFault(
                 "still-armed",
-                f"the controller keeps a queued move on axis {axis_argument(found)} although it was overwritten",
+                f"the controller keeps a queued move on axis {axis_argument(dangerous_motors)} "
+                "although it was overwritten",
                 "switch the controller off and on",
             )
         return False
 
     async def end_input_waits(self, busy: set[int]) -> None:
         """End input waits left on `busy` axes, without starting the moves queued after them."""
-        for each in sorted(busy):
-            await self._session.try_setting(f"MP:{each}+P0")
-            if (await self.read_moves())[each]:
+        for motor in sorted(busy):
+            await self._session.try_setting(f"MP:{motor}+P0")
+            if (await self.read_moves())[motor]:
                 continue  # not overwritten, as in a motor that is off: do not cancel
-            await self._session.try_setting(f"WI:{each},C")
-            await self._session.try_setting(f"WT:{each},0")
+            await self._session.try_setting(f"WI:{motor},C")
+            await self._session.try_setting(f"WT:{motor},0")

@@ -103,14 +103,14 @@ class _ChainAxis:
         (L3100)."""
         move = self.moves[self.loaded]
         speeds = f"S{move.shape.s}F{move.shape.f}R{move.shape.r}"
-        shown = f",{speeds}" if speeds != self.speeds else ""
+        speeds_text = f",{speeds}" if speeds != self.speeds else ""
         self.speeds = speeds
         self.loaded += 1
-        return f"MP:{self.motor}{'-' if move.distance < 0 else '+'}P{abs(move.distance)}{shown}"
+        return f"MP:{self.motor}{'-' if move.distance < 0 else '+'}P{abs(move.distance)}{speeds_text}"
 
     def position_after(self, done: int) -> int:
         """Return the position of the axis after `done` moves."""
-        return self.start + sum(each.distance for each in self.moves[:done])
+        return self.start + sum(move.distance for move in self.moves[:done])
 
 
 class MoveChain:
@@ -161,7 +161,7 @@ class MoveChain:
             unit.chaining = False
         await self._check_end()
         return ChainReport(
-            {each.name: each.done for each in self._axes.values()},
+            {thread.name: thread.done for thread in self._axes.values()},
             tuple(self._underruns),
             self._least_ahead_ns,
             self._reason,
@@ -171,16 +171,16 @@ class MoveChain:
 
     async def _check_ready(self, moves: Mapping[str, Sequence[ChainMove]]) -> None:
         unit, session = self._unit, self._unit.session
-        now = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
-        for name, each in moves.items():
+        states = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
+        for name, axis_moves in moves.items():
             axis = self._config.axes[name]
             number = motor_number(axis)
-            if now[number].is_busy:
+            if states[number].is_busy:
                 raise Refusal("moving", f"axis {name} is moving", "wait for its end, or stop it")
-            if now[number].word & ERRORS:
-                raise Refusal("fault", stop_reason(name, now[number]), "clear it with `tutti reset`")
-            check_chain(name, axis, now[number].counts, each)
-            self._axes[number] = _ChainAxis(name, number, now[number].counts, each)
+            if states[number].word & ERRORS:
+                raise Refusal("fault", stop_reason(name, states[number]), "clear it with `tutti reset`")
+            check_chain(name, axis, states[number].counts, axis_moves)
+            self._axes[number] = _ChainAxis(name, number, states[number].counts, axis_moves)
         unit.jogging_motors -= set(self._axes)
         await unit.make_harmless()
         await session.send_setting(f"GC:{axis_argument(self._axes)}")
@@ -212,7 +212,7 @@ class MoveChain:
 
     @property
     def _is_stopped(self) -> bool:
-        return any(self._unit.stops.stop_count(number) != since for number, since in self._stops.items())
+        return any(self._unit.stops.stop_count(number) != stop_count for number, stop_count in self._stops.items())
 
     # During the chain
 
@@ -257,10 +257,16 @@ class MoveChain:
             self._unit.session.send_command("?:CMD", COMMAND).add_done_callback(
                 lambda reply: self._compare_line(reply, name, command)
             )
-        elif all(each.load is None or _is_answered(each.load) for each in self._axes.values() if each is not thread):
-            meant = {number: each.moves[each.loaded - 1].distance for number, each in self._axes.items()}
+        elif all(
+            other_thread.load is None or _is_answered(other_thread.load)
+            for other_thread in self._axes.values()
+            if other_thread is not thread
+        ):
+            distances = {
+                number: axis_thread.moves[axis_thread.loaded - 1].distance for number, axis_thread in self._axes.items()
+            }
             self._unit.session.send_command("?:MPW", pulse_list(len(self._unit.controllable))).add_done_callback(
-                lambda reply: self._compare_distances(reply, meant)
+                lambda reply: self._compare_distances(reply, distances)
             )
 
     def _compare_line(self, reply: "asyncio.Future[ShrcLine]", name: str, command: str) -> None:
@@ -272,11 +278,11 @@ class MoveChain:
         position."""
         if not _has_reply(reply):
             return
-        found = dict(zip(self._unit.controllable, parse_entries(reply.result().text), strict=True))
+        entries = dict(zip(self._unit.controllable, parse_entries(reply.result().text), strict=True))
         for number, distance in meant.items():
-            if found[number] not in (None, distance):
+            if entries[number] not in (None, distance):
                 self._halt_chain(
-                    f"axis {self._axes[number].name}: {found[number]} pulses are loaded instead of {distance}"
+                    f"axis {self._axes[number].name}: {entries[number]} pulses are loaded instead of {distance}"
                 )
 
     def _halt_chain(self, reason: str) -> None:
@@ -288,13 +294,15 @@ class MoveChain:
         """Load the next move when the prebuffer is free. This requires a completion line, and that the last load came
         in time: a load without a running move stays in the prebuffer, and must not be overwritten."""
         self._unit.session.changed.set()
-        taken = thread.load is None or (_is_answered(thread.load) and thread.load.result().text == _DEFERRED)
-        if taken and thread.free:
+        is_taken = thread.load is None or (_is_answered(thread.load) and thread.load.result().text == _DEFERRED)
+        if is_taken and thread.free:
             self._load_next(thread)
 
     async def _follow_chain(self) -> None:
         session = self._unit.session
-        while not (self._reason or self._is_stopped or all(each.has_ended for each in self._axes.values())):
+        while not (
+            self._reason or self._is_stopped or all(axis_thread.has_ended for axis_thread in self._axes.values())
+        ):
             await session.wait_changed(self._clock.now_ns() + _POLL_NS)
             for thread in self._axes.values():
                 await self._handle_unusual_reply(thread)
@@ -330,29 +338,31 @@ class MoveChain:
         if await self._is_busy(thread):
             self._break_chain(f"axis {thread.name} exceeds the longest duration of move {thread.done + 1}")
             return
-        now = await self._read_axis(thread)
-        done = next((n for n in range(thread.done, thread.loaded + 1) if thread.position_after(n) == now.counts), None)
-        if done is None or now.word & ERRORS:
-            self._break_chain(self._stray_text(thread, now))
-        elif done < thread.loaded:
+        state = await self._read_axis(thread)
+        done_count = next(
+            (n for n in range(thread.done, thread.loaded + 1) if thread.position_after(n) == state.counts), None
+        )
+        if done_count is None or state.word & ERRORS:
+            self._break_chain(self._stray_text(thread, state))
+        elif done_count < thread.loaded:
             self._break_chain(f"axis {thread.name} does not continue, although move {thread.loaded} is loaded")
         else:
-            thread.done, thread.free = done, True
+            thread.done, thread.free = done_count, True
             self._expect_end(thread, self._clock.now_ns())
             self._continue_loading(thread)
 
     async def _restart_load(self, thread: _ChainAxis) -> None:
         """Start the last load, if its axis has completed all moves before it."""
-        waiting = thread.loaded
-        now = await self._read_axis(thread)
-        if now.counts != thread.position_after(waiting - 1) or now.word & ERRORS:
-            self._break_chain(self._stray_text(thread, now))
+        load_number = thread.loaded
+        state = await self._read_axis(thread)
+        if state.counts != thread.position_after(load_number - 1) or state.word & ERRORS:
+            self._break_chain(self._stray_text(thread, state))
             return
-        thread.done = waiting - 1
+        thread.done = load_number - 1
         self._underruns.append(ChainUnderrun(thread.name, thread.done, self._clock.now_ns()))
         self._report_underrun(
             f"axis {thread.name} ran out of moves after {thread.done} of {len(thread.moves)}: move "
-            f"{waiting} came too late; it is started again"
+            f"{load_number} came too late; it is started again"
         )
         try:
             await self._unit.session.send_setting(f"G:{thread.motor}", self._require_no_stop)
@@ -384,15 +394,15 @@ class MoveChain:
         unit = self._unit
         give_up_ns = self._clock.now_ns() + 2 * NS_PER_S
         while True:
-            now = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
-            if not any(now[number].is_busy for number in self._axes) or self._clock.now_ns() > give_up_ns:
+            states = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
+            if not any(states[number].is_busy for number in self._axes) or self._clock.now_ns() > give_up_ns:
                 break
         for number, thread in self._axes.items():
-            if not self._reason and now[number].counts != thread.position_after(thread.done):
-                self._reason = stop_reason(thread.name, now[number]) or (
-                    f"axis {thread.name} is at {now[number].counts}, not at {thread.position_after(thread.done)}"
+            if not self._reason and states[number].counts != thread.position_after(thread.done):
+                self._reason = stop_reason(thread.name, states[number]) or (
+                    f"axis {thread.name} is at {states[number].counts}, not at {thread.position_after(thread.done)}"
                 )
-        if any(now[number].word & ERRORS for number in self._axes):
+        if any(states[number].word & ERRORS for number in self._axes):
             unit.untidy = True  # in an emergency stop nothing can be overwritten, and nothing starts
             return
         async with unit.loading:
@@ -411,7 +421,7 @@ def _has_reply(query: "asyncio.Future[ShrcLine]") -> bool:
 def check_chain(name: str, axis: Axis, start: int, moves: Sequence[ChainMove]) -> None:
     """Raise `Refusal` for a chain with an empty move or a move that exceeds the axis's limits."""
     limits, soft = axis_bounds(axis), axis.soft_limits_counts
-    place = start
+    position = start
     for number, move in enumerate(moves, 1):
         shape = move.shape
         if move.distance == 0 or abs(move.distance) != shape.distance:
@@ -422,9 +432,9 @@ def check_chain(name: str, axis: Axis, start: int, moves: Sequence[ChainMove]) -
             raise Refusal("velocity-limit", f"axis {name}, move {number}: {shape} exceeds its speed or start rate")
         if shape.acceleration > limits.acceleration * (1 + _ROOM):
             raise Refusal("acceleration-limit", f"axis {name}, move {number}: {shape} exceeds its acceleration")
-        place += move.distance
-        if soft is not None and not soft[0] <= place <= soft[1]:
+        position += move.distance
+        if soft is not None and not soft[0] <= position <= soft[1]:
             raise Refusal(
                 "soft-limit",
-                f"axis {name}, move {number} ends at {place} pulses; its soft limits are {soft[0]} to {soft[1]}",
+                f"axis {name}, move {number} ends at {position} pulses; its soft limits are {soft[0]} to {soft[1]}",
             )

@@ -11,17 +11,17 @@ from orchestrator.model.errors import Refusal
 
 async def check_rest(unit: ShrcState, moves: tuple[ShrcAxisMove, ...]) -> None:
     """Raise `Refusal` unless all axes are at rest, without errors, where the plan starts."""
-    now = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
-    for each in moves:
-        axis = now[each.motor]
+    states = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
+    for move in moves:
+        axis = states[move.motor]
         if axis.is_busy:
-            raise Refusal("moving", f"axis {each.name} is moving", "wait for its end, or stop it")
+            raise Refusal("moving", f"axis {move.name} is moving", "wait for its end, or stop it")
         if axis.word & ERRORS:
-            raise Refusal("fault", stop_reason(each.name, axis), "clear it with `tutti reset`")
-        if axis.counts != each.start_counts:
+            raise Refusal("fault", stop_reason(move.name, axis), "clear it with `tutti reset`")
+        if axis.counts != move.start_counts:
             raise Refusal(
                 "other-start",
-                f"axis {each.name} is at {axis.counts} counts; the plan starts at {each.start_counts}",
+                f"axis {move.name} is at {axis.counts} counts; the plan starts at {move.start_counts}",
                 "plan again from the present position",
             )
 
@@ -30,13 +30,15 @@ async def check_loaded(unit: ShrcState, lowered: ShrcLowered) -> None:
     """Raise `Refusal` unless the prebuffers contain exactly the loaded move."""
     straight = lowered.straight
     if straight is not None:
-        others = await unit.prebuffers.find_dangerous(interpolation=straight.loaded_reply)
+        dangerous_motors = await unit.prebuffers.find_dangerous(interpolation=straight.loaded_reply)
     else:
-        others = await unit.prebuffers.find_dangerous({each.motor: each.distance for each in lowered.first_moves})
-    if others:
+        dangerous_motors = await unit.prebuffers.find_dangerous(
+            {first_move.motor: first_move.distance for first_move in lowered.first_moves}
+        )
+    if dangerous_motors:
         raise Refusal(
             "not-loaded",
-            f"the prebuffer of axis {axis_argument(others)} does not contain the loaded move",
+            f"the prebuffer of axis {axis_argument(dangerous_motors)} does not contain the loaded move",
             "arm it again",
         )
 
@@ -53,10 +55,10 @@ def compare_path(meant: str, found: str) -> None:
 
 def compare_moves(lowered: ShrcLowered, found: Mapping[int, int | None]) -> None:
     """Raise `Refusal` when another distance is loaded for an axis."""
-    for each in lowered.first_moves:
-        if found[each.motor] != each.distance:
+    for first_move in lowered.first_moves:
+        if found[first_move.motor] != first_move.distance:
             raise Refusal(
                 "not-loaded",
-                f"axis {each.name}: {found[each.motor]} pulses are loaded instead of {each.distance}",
+                f"axis {first_move.name}: {found[first_move.motor]} pulses are loaded instead of {first_move.distance}",
                 "arm it again; was the controller switched off?",
             )

@@ -102,7 +102,7 @@ class ShrcDriver(
         unit.controllable = await startup.controllable_axes(session, self._clock, self._options.busy_wait_s)
         await self._read_motors(unit)
         await unit.make_harmless()
-        if fleetaxes.TRIGGER_NUMBER in (each.number for each in self._config.outputs.values()):
+        if fleetaxes.TRIGGER_NUMBER in (output.number for output in self._config.outputs.values()):
             # A step of an earlier connection may have left it set; one that is refused now is repeated.
             unit.trigger_set = not await session.try_setting("T:S")
         self.log_identity(link.endpoint, identity)
@@ -112,7 +112,7 @@ class ShrcDriver(
         unit = self.connection.state
         await startup.compare_settings(unit.session, self._config, self._options, unit.controllable)
         loops = await unit.session.send_query("?:FW", flag_list(len(unit.controllable)))
-        unit.closed_loop = {m: each == "0" for m, each in zip(unit.controllable, loops.split(","), strict=True)}
+        unit.closed_loop = {m: digit == "0" for m, digit in zip(unit.controllable, loops.split(","), strict=True)}
         if self._sentinel is not None:
             unit.sentinel = self._sentinel
             if await unit.is_restarted():
@@ -150,8 +150,8 @@ class ShrcDriver(
             self._log.info("emptying the prebuffers, and ending triggers, after a stop")
             with suppress(Refusal):  # of an axis that is still busy: the next poll repeats it
                 await mover.empty_prebuffers()
-        restarted, self._restarted = self._restarted, False
-        return replace(reading, restarted=restarted)
+        is_restarted, self._restarted = self._restarted, False
+        return replace(reading, restarted=is_restarted)
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Query pulse length and loop mode, or the next setting in turn."""
@@ -172,22 +172,26 @@ class ShrcDriver(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> ShrcLowered:
         loops = {} if self._connection is None else self._connection.state.closed_loop
-        closed_loop = frozenset(motor for motor, closed in loops.items() if closed)
-        known = self._crystal.estimate_at(self._clock.now_ns())
-        pulsed = require_trigger(self._config, self._options, profiles, start.triggers) if start.triggers else None
+        closed_loop = frozenset(motor for motor, is_closed in loops.items() if is_closed)
+        estimate = self._crystal.estimate_at(self._clock.now_ns())
+        pulse_trigger = (
+            require_trigger(self._config, self._options, profiles, start.triggers) if start.triggers else None
+        )
         wire = ConnectionTraits(
             char_ns=self._char_ns,
             line_starts=self._supports_line_starts,
             costs=self._costs,
             line_costs=self._line_costs,
-            known=known,
+            known=estimate,
             closed_loop=closed_loop,
-            pulsed=pulsed,
+            pulsed=pulse_trigger,
         )
-        lowered = lower_step(self._config, self._options, wire, profiles, start)
-        if pulsed is None:
-            return lowered
-        return add_trigger(lowered, self._config, self._options, wire, (start.triggers[0], profiles[pulsed]))
+        lowered_step = lower_step(self._config, self._options, wire, profiles, start)
+        if pulse_trigger is None:
+            return lowered_step
+        return add_trigger(
+            lowered_step, self._config, self._options, wire, (start.triggers[0], profiles[pulse_trigger])
+        )
 
     async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
         with log_refusals(self._log, "the fetching of triggers"):
@@ -248,7 +252,7 @@ class ShrcDriver(
         Raises `Refusal`; then nothing has moved. report_underrun: called with the text of every underrun.
         """
         unit = self.connection.state
-        wrong = [name for name, each in moves.items() if name not in self._config.axes or not each]
+        wrong = [name for name, axis_moves in moves.items() if name not in self._config.axes or not axis_moves]
         if wrong or not moves:
             raise Refusal(
                 "bad-chain",
@@ -275,8 +279,8 @@ class ShrcDriver(
                 "busy", "a step drives an output, and all outputs are written together", "wait for the end of the step"
             )
         async with self._outputs:
-            now, bit = int(await unit.session.send_query("?:O", BITS)), 1 << (number - 1)
-            unit.outputs = now | bit if on else now & ~bit
+            levels, bit = int(await unit.session.send_query("?:O", BITS)), 1 << (number - 1)
+            unit.outputs = levels | bit if on else levels & ~bit
             await unit.session.send_setting(f"O:{unit.outputs}")
 
     async def clear_faults(self) -> None:
@@ -292,9 +296,9 @@ class ShrcDriver(
 
         kind: `place` for stage positions, in present coordinates (PIT:), or `coordinates` (PAV:). Raises `Refusal`.
         """
-        found = await read_registered(self.connection.state.session, kind)
+        records = await read_registered(self.connection.state.session, kind)
         motors = fleetaxes.motor_numbers(self._config)
-        return {number: {name: record[motors[name] - 1] for name in motors} for number, record in found.items()}
+        return {number: {name: record[motors[name] - 1] for name in motors} for number, record in records.items()}
 
     async def send_raw(self, command: str) -> str:
         session = self.connection.state.session
@@ -309,17 +313,17 @@ class ShrcDriver(
         return await session.send_raw(command)
 
     async def close(self) -> None:
-        ended, self._connection = self._connection, None
-        if ended is not None:
+        old_connection, self._connection = self._connection, None
+        if old_connection is not None:
             self._log.info("link closed")
-            ended.mover.drop_move()
-            await ended.state.session.close()
+            old_connection.mover.drop_move()
+            await old_connection.state.session.close()
 
     # Internals
 
     async def _read_motors(self, unit: ShrcState) -> None:
         answer = await unit.session.send_query("?:CW", flag_list(len(unit.controllable)))
-        unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
+        unit.excited = {m: digit == "1" for m, digit in zip(unit.controllable, answer.split(","), strict=True)}
 
 
 def _char_ns(setup: DriverSetup, options: ShrcOptions) -> int:

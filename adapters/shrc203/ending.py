@@ -61,8 +61,8 @@ class ShrcEndTimes:
 
     def learn_crystal(self, move: ArmedMove, timing: ShrcTiming, completed_ns: int | None, rest_ns: int) -> None:
         """Learn the crystal's rate and the start delay from a move that has ended as planned."""
-        axis, now = timing.axis, move.seen[timing.axis.motor]
-        if now.is_busy or now.word & ERRORS or now.counts != axis.end_counts or move.stopped_ns is not None:
+        axis, state = timing.axis, move.seen[timing.axis.motor]
+        if state.is_busy or state.word & ERRORS or state.counts != axis.end_counts or move.stopped_ns is not None:
             return
         timing.timed.mark_ended(self._seen_ns(completed_ns, rest_ns))
         self._crystal.learn_from_move(

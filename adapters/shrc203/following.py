@@ -47,32 +47,36 @@ class ShrcFollower:
         session = self._session
         await self._wait_for_completions(move, timing)
         rest_ns = await self._wait_for_rest(move, self._clock.now_ns() + self._settle_ns)
-        completed = dict(session.completed)
+        completions_ns = dict(session.completed)
         session.expect_no_completion()
         if timing is not None and not unloaded:
-            self._end_times.learn_crystal(move, timing, completed.get(timing.axis.motor), rest_ns)
-        ended = resting_intervals(move.lowered.durations_s, move.t0_ns)
-        for each in move.lowered.moves:
-            arrived = move.seen[each.motor].counts == each.end_counts
+            self._end_times.learn_crystal(move, timing, completions_ns.get(timing.axis.motor), rest_ns)
+        end_spans = resting_intervals(move.lowered.durations_s, move.t0_ns)
+        for axis_move in move.lowered.moves:
+            has_arrived = move.seen[axis_move.motor].counts == axis_move.end_counts
             # The input wait may send a completion line of its own: then only the query counts.
-            said_ns = None if move.waits_for_input else completed.get(each.motor)
-            ended[each.name] = self._end_times.end_interval(move, each, said_ns, rest_ns, arrived=arrived)
-        reasons, failed = self._evaluate_end(move)
+            said_ns = None if move.waits_for_input else completions_ns.get(axis_move.motor)
+            end_spans[axis_move.name] = self._end_times.end_interval(
+                move, axis_move, said_ns, rest_ns, arrived=has_arrived
+            )
+        reasons, has_failed = self._evaluate_end(move)
         wrong = await move.output.wait_until_passive() if move.output is not None else ""
-        reasons = [each for each in (unloaded, *reasons, wrong) if each]
-        failed = failed or bool(unloaded) or bool(wrong)
+        reasons = [reason for reason in (unloaded, *reasons, wrong) if reason]
+        has_failed = has_failed or bool(unloaded) or bool(wrong)
         forget_move()
         if reasons:
-            if any(each.word & ERRORS for each in move.seen.values()):
+            if any(state.word & ERRORS for state in move.seen.values()):
                 self._unit.untidy = True  # in an emergency stop nothing can be overwritten, and nothing starts
             else:
                 await self._unit.make_harmless()
-        return moved_outcome(ended, reasons, stopped=move.stopped_ns is not None, failed=failed)
+        return moved_outcome(end_spans, reasons, stopped=move.stopped_ns is not None, failed=has_failed)
 
     async def _wait_for_completions(self, move: ArmedMove, timing: ShrcTiming | None) -> None:
         """Wait for the completion lines; query the controller when they do not arrive, or after a stop."""
         session = self._session
-        look_ns = move.start.latest_ns + max(self._end_times.duration_bounds_ns(each)[1] for each in move.lowered.moves)
+        look_ns = move.start.latest_ns + max(
+            self._end_times.duration_bounds_ns(axis_move)[1] for axis_move in move.lowered.moves
+        )
         look_ns += COMPLETION_LATE_NS
         give_up_ns = look_ns + self._settle_ns
         self._discard_early_completions(move)
@@ -90,32 +94,34 @@ class ShrcFollower:
     def _evaluate_end(self, move: ArmedMove) -> tuple[list[str], bool]:
         """Return the failures at the end, and whether they are more than a requested stop."""
         reasons: list[str] = []
-        failed = False
-        for each in move.lowered.moves:
-            now = move.seen[each.motor]
-            if now.is_busy:
-                failed = True
-                what = "does not settle in its in-position range" if now.word & UNSETTLED else "does not come to rest"
-                reasons.append(f"axis {each.name} {what}")
-            failed = failed or bool(now.word & ERRORS)
-            if now.counts != each.end_counts or now.word & ERRORS:
-                reasons.append(stop_reason(each.name, now) or stray_text(each, now.counts))
-        return reasons, failed
+        has_failed = False
+        for axis_move in move.lowered.moves:
+            state = move.seen[axis_move.motor]
+            if state.is_busy:
+                has_failed = True
+                failure = (
+                    "does not settle in its in-position range" if state.word & UNSETTLED else "does not come to rest"
+                )
+                reasons.append(f"axis {axis_move.name} {failure}")
+            has_failed = has_failed or bool(state.word & ERRORS)
+            if state.counts != axis_move.end_counts or state.word & ERRORS:
+                reasons.append(stop_reason(axis_move.name, state) or stray_text(axis_move, state.counts))
+        return reasons, has_failed
 
     def _discard_early_completions(self, move: ArmedMove) -> None:
         """Discard completion lines that come before the move can have ended: the input wait sent them."""
         if not move.waits_for_input:
             return
-        for each in move.lowered.moves:
-            ended_ns = move.start.earliest_ns + self._end_times.duration_bounds_ns(each)[0]
-            if self._session.completed.get(each.motor, ended_ns) < ended_ns:
-                self._session.expect_again(each.motor)
+        for axis_move in move.lowered.moves:
+            ended_ns = move.start.earliest_ns + self._end_times.duration_bounds_ns(axis_move)[0]
+            if self._session.completed.get(axis_move.motor, ended_ns) < ended_ns:
+                self._session.expect_again(axis_move.motor)
 
     async def _is_at_rest(self, move: ArmedMove) -> bool:
         line = await self._session.query_line("Q:SPC", STATUS)
-        now = parse_status(line.text, self._unit.controllable)
-        move.seen = now
-        return not any(now[motor].is_busy for motor in move.motor_numbers)
+        states = parse_status(line.text, self._unit.controllable)
+        move.seen = states
+        return not any(states[motor].is_busy for motor in move.motor_numbers)
 
     async def _wait_for_rest(self, move: ArmedMove, until_ns: int) -> int:
         """Wait until all axes of the move are READY, or until that instant; return the instant of the last query."""
@@ -144,10 +150,12 @@ async def load_followup_moves(unit: ShrcState, lowered: ShrcLowered, before_send
         wrong = f"sent {lowered.load_followup!r}, the controller has understood {reply!r}"
     else:
         return f"the follow-up move could not be loaded: {wrong}"
-    now = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
-    for each in lowered.moves:
-        if len(each.executed_moves) > 1 and not now[each.motor].is_busy:
-            return stop_reason(each.name, now[each.motor]) or stray_text(each, now[each.motor].counts)
+    states = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
+    for axis_move in lowered.moves:
+        if len(axis_move.executed_moves) > 1 and not states[axis_move.motor].is_busy:
+            return stop_reason(axis_move.name, states[axis_move.motor]) or stray_text(
+                axis_move, states[axis_move.motor].counts
+            )
     return ""
 
 

@@ -35,47 +35,47 @@ async def home_axes(
     Return the axes that failed, with reasons. Raises `Refusal` when no axis began.
     """
     session = unit.session
-    waiting = [_make_search(config, unit, name) for name in axes]
-    failed: dict[str, Refusal] = {}
-    begun = False
-    running: list[_OriginSearch] = []
+    pending_searches = [_make_search(config, unit, name) for name in axes]
+    failures: dict[str, Refusal] = {}
+    has_begun = False
+    begun_searches: list[_OriginSearch] = []
     session.expect_completions(set())
     try:
-        while waiting:
-            refused: list[_OriginSearch] = []
-            for each in waiting:
+        while pending_searches:
+            refused_searches: list[_OriginSearch] = []
+            for search in pending_searches:
                 try:
-                    await _begin_search(unit, each)
+                    await _begin_search(unit, search)
                 except Refusal as error:
-                    failed[each.axis] = error
-                    refused.append(each)
+                    failures[search.axis] = error
+                    refused_searches.append(search)
                 else:
-                    failed.pop(each.axis, None)
-                    running.append(each)
-            if not running:
+                    failures.pop(search.axis, None)
+                    begun_searches.append(search)
+            if not begun_searches:
                 break
-            begun = True
-            while running:
+            has_begun = True
+            while begun_searches:
                 await session.wait_changed(clock.now_ns() + _POLL_NS)
-                for each, error in await _finished_searches(unit, running):
-                    running.remove(each)
+                for search, error in await _finished_searches(unit, begun_searches):
+                    begun_searches.remove(search)
                     if error is None:
-                        found(each.axis)
+                        found(search.axis)
                     else:
-                        failed[each.axis] = error
+                        failures[search.axis] = error
             # A controller may refuse a second axis while one moves (the manual does not state whose busy state counts).
-            waiting = [each for each in refused if failed[each.axis].code == "refused"]
+            pending_searches = [search for search in refused_searches if failures[search.axis].code == "refused"]
     except BaseException:
         # After a cancellation nothing waits for the searching axes or their completion lines.
         with suppress(LinkClosed):
-            unit.brake_motors(each.motor for each in running)
+            unit.brake_motors(search.motor for search in begun_searches)
         session.abandon_completions()
         raise
     session.expect_no_completion()
-    if failed and not begun:
-        first = next(iter(failed.values()))
-        raise Refusal(first.code, "; ".join(str(error) for error in failed.values()), first.remedy)
-    return failed
+    if failures and not has_begun:
+        first = next(iter(failures.values()))
+        raise Refusal(first.code, "; ".join(str(error) for error in failures.values()), first.remedy)
+    return failures
 
 
 def _make_search(config: Controller, unit: ShrcState, name: str) -> _OriginSearch:
@@ -105,24 +105,28 @@ async def _finished_searches(
     """Return those of `running` that have come to rest, each with its failure, or None, from everything that the
     controller reports."""
     session = unit.session
-    now = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
-    ended = [each for each in running if not (now[each.motor].is_busy or now[each.motor].word & MECHANICAL_RETURN)]
-    if not ended:
+    states = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
+    ended_searches = [
+        search
+        for search in running
+        if not (states[search.motor].is_busy or states[search.motor].word & MECHANICAL_RETURN)
+    ]
+    if not ended_searches:
         return []
-    limited = parse_limit_stops(await session.send_query("SRQ:", STOPS))
-    restarted = await unit.is_restarted()
-    judged: list[tuple[_OriginSearch, Refusal | None]] = []
-    for each in ended:
-        axis, why = now[each.motor], ""
-        if restarted:
-            why = "the controller was restarted"
-        elif unit.stops.stop_count(each.motor) != each.stops:
-            why = "it was stopped"
-        elif axis.word & ERRORS or each.motor in limited:
+    limit_motors = parse_limit_stops(await session.send_query("SRQ:", STOPS))
+    is_restarted = await unit.is_restarted()
+    results: list[tuple[_OriginSearch, Refusal | None]] = []
+    for search in ended_searches:
+        axis, reason = states[search.motor], ""
+        if is_restarted:
+            reason = "the controller was restarted"
+        elif unit.stops.stop_count(search.motor) != search.stops:
+            reason = "it was stopped"
+        elif axis.word & ERRORS or search.motor in limit_motors:
             # A limit sensor may be at a position whose coordinate was 0 before.
-            why = stop_reason(each.axis, axis) or "it was stopped by a limit sensor"
+            reason = stop_reason(search.axis, axis) or "it was stopped by a limit sensor"
         elif axis.counts != 0:
-            why = f"it is at {axis.counts}, not at the origin"
-        text = f"axis {each.axis} has not found its origin: {why}"
-        judged.append((each, Refusal("homing-failed", text, "check its sensors") if why else None))
-    return judged
+            reason = f"it is at {axis.counts}, not at the origin"
+        text = f"axis {search.axis} has not found its origin: {reason}"
+        results.append((search, Refusal("homing-failed", text, "check its sensors") if reason else None))
+    return results

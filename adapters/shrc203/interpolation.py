@@ -48,7 +48,7 @@ class StraightPath:
     def load_command(self) -> str:
         """Return `KP:A+P1000-P200,S100F100R1`: the speed is the S of the first axis (L4756), and F must not be below
         it."""
-        way = "".join(f"{'-' if each < 0 else '+'}P{abs(each)}" for each in self.distances.values())
+        way = "".join(f"{'-' if distance < 0 else '+'}P{abs(distance)}" for distance in self.distances.values())
         return f"KP:{axis_argument(self.distances)}{way},S{self.speed}F{self.speed}R1"
 
     @property
@@ -75,7 +75,7 @@ def fit_straight_path(
     speed = floor(length / (profiles[names[0]].duration_s * factor) * (1 + _ROUNDING))
     by_motor = {motor_number(axis): axis for axis in axes}
     if not 1 <= speed <= SPEED_MAX or not all(
-        _may_begin(by_motor[number], speed * abs(each) / length) for number, each in distances.items()
+        _may_begin(by_motor[number], speed * abs(distance) / length) for number, distance in distances.items()
     ):
         return None
     return StraightPath(distances, speed)
@@ -85,8 +85,9 @@ def _one_shape(profiles: Sequence[Profile]) -> bool:
     """Return whether all profiles have one shape, each with its scale: a straight path in the space of the axes."""
     first = profiles[0]
     return all(
-        tuple(each.durations_s) == tuple(first.durations_s) and tuple(each.accelerations) == tuple(first.accelerations)
-        for each in profiles[1:]
+        tuple(profile.durations_s) == tuple(first.durations_s)
+        and tuple(profile.accelerations) == tuple(first.accelerations)
+        for profile in profiles[1:]
     )
 
 

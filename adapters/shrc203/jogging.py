@@ -59,20 +59,20 @@ class ShrcJogging:
     async def start_jog(self, axis: str, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         unit, motor = self._unit, fleetaxes.motor_number(self._config.axes[axis])
-        since = unit.stops.stop_count(motor)
+        stop_count = unit.stops.stop_count(motor)
         async with self._turns[motor]:
-            unit.stops.require_no_stop(axis, motor, since)
-            wanted = _make_run(axis, move, fleetaxes.axis_bounds(self._config.axes[axis]), since)
+            unit.stops.require_no_stop(axis, motor, stop_count)
+            wanted_run = _make_run(axis, move, fleetaxes.axis_bounds(self._config.axes[axis]), stop_count)
             await self._mover.empty_prebuffers()
-            now = await self._read_axis(motor)
-            if now.is_busy:
-                held = self._runs.get(motor)
-                if held is None or motor not in unit.jogging_motors:
+            state = await self._read_axis(motor)
+            if state.is_busy:
+                held_run = self._runs.get(motor)
+                if held_run is None or motor not in unit.jogging_motors:
                     raise Refusal("moving", f"axis {axis} is moving", "wait for its end, or stop it")
-                if held == wanted:
+                if held_run == wanted_run:
                     return
-                now = await self._bring_to_rest(axis, motor, held)
-            await self._begin_jog(axis, motor, wanted, now)
+                state = await self._bring_to_rest(axis, motor, held_run)
+            await self._begin_jog(axis, motor, wanted_run, state)
 
     async def _read_axis(self, motor: int) -> AxisStatus:
         return parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)[motor]
@@ -132,11 +132,11 @@ class ShrcJogging:
 
 def _make_run(axis: str, move: JogMove, limits: ShrcBounds, stops: int) -> _JogRun:
     """Return whole numbers that do not exceed `move`. A ramp of more than a second is replaced by a lower speed."""
-    asked = abs(move.velocity_counts_s)
-    f = min(SPEED_MAX, floor(asked * (1 + _ROUNDING)))
+    speed = abs(move.velocity_counts_s)
+    f = min(SPEED_MAX, floor(speed * (1 + _ROUNDING)))
     if f < limits.start_min:
         raise Refusal(
-            "too-slow", f"axis {axis}: {asked:g} pulses/s is below its lowest speed", f"at least {limits.start_min}"
+            "too-slow", f"axis {axis}: {speed:g} pulses/s is below its lowest speed", f"at least {limits.start_min}"
         )
     s = limits.start_min
     f = min(f, s + floor(move.ramp_counts_s2 * RAMP_MAX_MS / 1000))

@@ -46,12 +46,12 @@ class ArmedMove:
 
     @property
     def motor_numbers(self) -> set[int]:
-        return {each.motor for each in self.lowered.moves}
+        return {move.motor for move in self.lowered.moves}
 
     @property
     def expected_replies(self) -> list[ShrcPending]:
         """Return the expected replies to the commands written at its start."""
-        return [each for each in (self.pending, self.switching) if each is not None]
+        return [reply for reply in (self.pending, self.switching) if reply is not None]
 
     @property
     def waits_for_input(self) -> bool:

@@ -85,9 +85,11 @@ class ShrcAxisMove:
         """Return the moves that the controller executes for it, in their order."""
         if not isinstance(self.shape, TwoPartMove):
             return (self,)
-        one, two = self.shape.first, self.shape.second
-        first = replace(self, distance=self.sign * one.distance, shape=one)
-        return first, ShrcAxisMove(self.name, self.motor, first.end_counts, self.sign * two.distance, two)
+        first_shape, second_shape = self.shape.first, self.shape.second
+        first = replace(self, distance=self.sign * first_shape.distance, shape=first_shape)
+        return first, ShrcAxisMove(
+            self.name, self.motor, first.end_counts, self.sign * second_shape.distance, second_shape
+        )
 
     @property
     def end_counts(self) -> int:
@@ -148,31 +150,31 @@ def lower_step(
             "start-class", f"output {drive.name} is the trigger output, which gives pulses only", "use OUT1 to 6"
         )
     moves, straight = _make_moves(config, options, traits, profiles, start_options)
-    running = tuple(each for each in moves if each.shape is not None)
-    firsts = tuple(each.executed_moves[0] for each in running)
-    seconds = tuple(piece for each in running for piece in each.executed_moves[1:])
-    load = straight.load_command if straight is not None else load_line(firsts) if running else ""
+    real_moves = tuple(move for move in moves if move.shape is not None)
+    firsts = tuple(move.executed_moves[0] for move in real_moves)
+    seconds = tuple(piece for move in real_moves for piece in move.executed_moves[1:])
+    load = straight.load_command if straight is not None else load_line(firsts) if real_moves else ""
     load_second = load_line(seconds) if seconds else ""
-    go = start_line(running) if running else ""
+    go = start_line(real_moves) if real_moves else ""
     rate, lead_ns = traits.known.rate, traits.known.latency.usual_ns
-    durations_s = {each.name: each.shape.duration_s / rate.clock_factor if each.shape else 0.0 for each in moves}
-    behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * traits.char_ns if running and wait is None else 0
+    durations_s = {move.name: move.shape.duration_s / rate.clock_factor if move.shape else 0.0 for move in moves}
+    behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * traits.char_ns if real_moves and wait is None else 0
     costs = traits.line_costs if wait is not None or drive is not None else traits.costs
     if start_options.follows and wait is None and drive is None:
         costs = following_costs(options, traits.char_ns, load, costs)
     return ShrcLowered(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,
-        path_error_counts={each.name: _path_error(profiles[each.name], each, rate.clock_factor) for each in moves},
+        path_error_counts={move.name: _path_error(profiles[move.name], move, rate.clock_factor) for move in moves},
         terms=start_terms(options, traits.known.latency) if wait is None else _line_start_terms(options, wait),
         tick_ns=0.0,
         clock_ppm=traits.known.bound_ppm(max(durations_s.values(), default=0.0)),
         costs=costs,
-        commands=(*_display_commands(running, load, go, wait, drive), *([load_second] if seconds else [])),
+        commands=(*_display_commands(real_moves, load, go, wait, drive), *([load_second] if seconds else [])),
         edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
         can_advance=True,
         lead_ns=lead_ns,
-        moves=running,
+        moves=real_moves,
         first_moves=firsts,
         followup_moves=seconds,
         load=load,
@@ -196,45 +198,46 @@ def _make_moves(
 
     The messages at the end of an interpolated path are not documented (L4653), so that it must have a clear advantage.
     """
-    ways = {name: _unshaped_move(name, config.axes[name], each) for name, each in profiles.items()}
-    running = tuple(each for each in ways.values() if each.distance)
-    standing = tuple(each for each in ways.values() if not each.distance)
+    ways = {name: _unshaped_move(name, config.axes[name], profile) for name, profile in profiles.items()}
+    real_ways = tuple(way for way in ways.values() if way.distance)
+    resting_axes = tuple(way for way in ways.values() if not way.distance)
     factor = traits.known.rate.clock_factor
     line = (
-        fit_straight_path(config, options, profiles, [each.name for each in running], factor)
+        fit_straight_path(config, options, profiles, [way.name for way in real_ways], factor)
         if start_options.wait is None
         else None
     )
     try:
-        alone = tuple(
+        single_moves = tuple(
             _require_slow_enough(
-                _single_move(config.axes[each.name], options, traits, each, profiles[each.name]),
-                profiles[each.name],
+                _single_move(config.axes[way.name], options, traits, way, profiles[way.name]),
+                profiles[way.name],
                 factor,
                 start_options,
             )
-            for each in running
+            for way in real_ways
         )
-    except Refusal as refused:
-        if line is None or refused.code != "too-slow":
+    except Refusal as refusal:
+        if line is None or refusal.code != "too-slow":
             raise
-        alone = None
-    parts = () if line is None else _interpolated_axes(line, running)
-    if alone is not None and (
+        single_moves = None
+    parts = () if line is None else _interpolated_axes(line, real_ways)
+    if single_moves is not None and (
         not parts
-        or _worst_path_error(profiles, parts, factor) > _worst_path_error(profiles, alone, factor) - _NEARER_PULSES
+        or _worst_path_error(profiles, parts, factor)
+        > _worst_path_error(profiles, single_moves, factor) - _NEARER_PULSES
     ):
-        parts, line = alone, None
-    return tuple(sorted((*parts, *standing), key=lambda each: each.motor)), line
+        parts, line = single_moves, None
+    return tuple(sorted((*parts, *resting_axes), key=lambda move: move.motor)), line
 
 
 def _worst_path_error(profiles: Mapping[str, Profile], moves: tuple[ShrcAxisMove, ...], factor: float) -> float:
-    return max((_path_error(profiles[each.name], each, factor) for each in moves), default=0.0)
+    return max((_path_error(profiles[move.name], move, factor) for move in moves), default=0.0)
 
 
 def _interpolated_axes(line: StraightPath, moves: tuple[ShrcAxisMove, ...]) -> tuple[ShrcAxisMove, ...]:
     """Return the axes of an interpolated path."""
-    return tuple(replace(each, shape=SteadyAxis(abs(each.distance), line.duration_s)) for each in moves)
+    return tuple(replace(move, shape=SteadyAxis(abs(move.distance), line.duration_s)) for move in moves)
 
 
 def _display_commands(
@@ -247,7 +250,7 @@ def _display_commands(
     if wait is None:
         return (load, go, *switch)
     pattern = (
-        f"WI:{axis_argument(each.motor for each in running)}, with IN{wait.number} {'on' if wait.active else 'off'}"
+        f"WI:{axis_argument(move.motor for move in running)}, with IN{wait.number} {'on' if wait.active else 'off'}"
     )
     return (pattern, go, load, *switch)
 
@@ -269,15 +272,15 @@ def start_terms(options: ShrcOptions, start: StartLatency) -> tuple[BudgetTerm, 
 def load_line(moves: tuple[ShrcAxisMove, ...]) -> str:
     """Return `MP:A+P10000-P4000,S2F5714R250S5F2285R250` (L3124-L3167); relative, so that it is exact in commanded
     pulses."""
-    where = "".join(f"{'-' if each.distance < 0 else '+'}P{abs(each.distance)}" for each in moves)
-    shapes = [each.shape for each in moves if isinstance(each.shape, ShrcTrapezoid)]
+    ways = "".join(f"{'-' if move.distance < 0 else '+'}P{abs(move.distance)}" for move in moves)
+    shapes = [move.shape for move in moves if isinstance(move.shape, ShrcTrapezoid)]
     speeds = "".join(f"S{shape.s}F{shape.f}R{shape.r}" for shape in shapes)
-    return f"MP:{axis_argument(each.motor for each in moves)}{where},{speeds}"
+    return f"MP:{axis_argument(move.motor for move in moves)}{ways},{speeds}"
 
 
 def start_line(moves: tuple[ShrcAxisMove, ...]) -> str:
     """Return the one command that starts all axes of a controller (L4779-L4822)."""
-    return f"G:{axis_argument(each.motor for each in moves)}"
+    return f"G:{axis_argument(move.motor for move in moves)}"
 
 
 def _unshaped_move(name: str, axis: Axis, profile: Profile) -> ShrcAxisMove:
@@ -348,9 +351,11 @@ def _nearer_shape(
 
     if off_s(one) <= _SINGLE_MOVE_S:
         return one
-    found = find_two_part_moves(one.distance, wanted_s, limits, options.handover_us * 1e-6)
+    candidates = find_two_part_moves(one.distance, wanted_s, limits, options.handover_us * 1e-6)
     two = min(
-        found, key=lambda each: path_error_counts(profile, legs_in_host_time(each.motion_legs, factor)), default=None
+        candidates,
+        key=lambda candidate: path_error_counts(profile, legs_in_host_time(candidate.motion_legs, factor)),
+        default=None,
     )
     return one if two is None or off_s(two) >= off_s(one) else two
 

@@ -81,5 +81,7 @@ class Shrc203Make:
         what `L:` does with it (L2955).
         """
         motors = sorted(fleetaxes.motor_numbers(config).values())
-        waiting = [f"MP:{motor}+P0" for motor in motors]
-        return "".join(f"{line}\r\n" for line in ("", *waiting, "L:W", *(f"L:{motor}" for motor in motors))).encode()
+        queue_lines = [f"MP:{motor}+P0" for motor in motors]
+        return "".join(
+            f"{line}\r\n" for line in ("", *queue_lines, "L:W", *(f"L:{motor}" for motor in motors))
+        ).encode()

@@ -79,7 +79,9 @@ class ShrcMover:
             await self.triggers.begin(lowered.trigger, move)
         if lowered.wait is not None:
             await checks.check_rest(self._unit, lowered.moves)
-            await self._input_wait.begin_wait(lowered.wait, {each.motor: each.start_counts for each in lowered.moves})
+            await self._input_wait.begin_wait(
+                lowered.wait, {axis_move.motor: axis_move.start_counts for axis_move in lowered.moves}
+            )
             if self.move is not move:
                 # A move that a stop did not find must not stay.
                 await self._input_wait.end_wait()
@@ -100,7 +102,7 @@ class ShrcMover:
     async def load_behind(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load a move right behind one that has just ended: its execution buffer is executed, the prebuffers are empty,
         and the last query has shown the axes at rest where this one starts. Raises `Refusal`."""
-        starts = {each.motor: each.start_counts for each in lowered.moves}
+        starts = {axis_move.motor: axis_move.start_counts for axis_move in lowered.moves}
         rests = starts.items() <= self._rests.items()
         plain = lowered.wait is None and lowered.drive is None and lowered.trigger is None
         tidy = not self._unit.untidy and not self._unit.trigger_set
@@ -154,7 +156,7 @@ class ShrcMover:
             self._schedule_writes(move, lines, start_tolerance_ns)
         if move.lowered.moves:
             self._session.expect_completions(
-                move.motor_numbers, before=(each.motor for each in move.lowered.followup_moves)
+                move.motor_numbers, before=(followup_move.motor for followup_move in move.lowered.followup_moves)
             )
         move.released = True
 
@@ -215,7 +217,7 @@ class ShrcMover:
         that nothing follows whatever ends the present one."""
         motors = set(self._unit.waiting)
         if self.move is not None and self.move.released:
-            motors |= {each.motor for each in self.move.lowered.followup_moves}
+            motors |= {followup_move.motor for followup_move in self.move.lowered.followup_moves}
         return [f"MP:{motor}+P0" for motor in sorted(motors)]
 
     def commands_after_stop(self) -> list[str]:
@@ -262,11 +264,11 @@ class ShrcMover:
         `start_after_ok_us`.
         """
         move = self._require_move()
-        fired = None if move.order is None else await self._wait_for_write(move, move.order)
+        write = None if move.order is None else await self._wait_for_write(move, move.order)
         if move.lowered.moves and move.lowered.wait is not None:
             start = await self._starts.line_start(move, move.lowered.wait)
-        elif fired is not None and move.pending is not None:
-            start = await self._starts.host_start(move, fired, move.pending)
+        elif write is not None and move.pending is not None:
+            start = await self._starts.host_start(move, write, move.pending)
         else:
             start = HostInterval(move.t0_ns, move.t0_ns)
         if move.output is not None and move.switching is not None:
@@ -275,16 +277,16 @@ class ShrcMover:
         return moving_intervals(move.lowered.durations_s, start, move.t0_ns)
 
     async def _wait_for_write(self, move: ArmedMove, order: TimedWrite) -> WriteResult:
-        fired = await wait_for_write(order, lambda: move.cancelled)
-        if fired.late:
+        write = await wait_for_write(order, lambda: move.cancelled)
+        if write.late:
             for pending in move.expected_replies:
                 self._session.remove_expected(pending)
             self._session.expect_no_completion()
-            raise missed_write_fault("the starting command", self._session.link, fired)
+            raise missed_write_fault("the starting command", self._session.link, write)
         for pending in move.expected_replies:
-            self._session.record_write(pending, fired.written_ns)
+            self._session.record_write(pending, write.written_ns)
         self._session.end_quiet()
-        return fired
+        return write
 
     async def wait_for_end(self) -> MoveOutcome:
         """Load the follow-up moves, if any; wait for the completion lines; query the controller when they do not
@@ -293,10 +295,10 @@ class ShrcMover:
         if not move.lowered.moves or move.started is None:
             wrong = await move.output.wait_until_passive() if move.output is not None else ""
             self._forget_move(move)
-            stopped = move.stopped_ns is not None
-            return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=stopped)
-        unloaded = await self._load_followup(move) if move.lowered.followup_moves else ""
-        outcome = await self._follower.follow_to_end(move, unloaded, lambda: self._forget_move(move))
+            is_stopped = move.stopped_ns is not None
+            return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=is_stopped)
+        unloaded_text = await self._load_followup(move) if move.lowered.followup_moves else ""
+        outcome = await self._follower.follow_to_end(move, unloaded_text, lambda: self._forget_move(move))
         if move.lowered.trigger is not None:
             with suppress(Refusal):  # of an axis that is still busy, or has failed: a poll repeats it
                 await self._end_trigger()

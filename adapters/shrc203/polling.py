@@ -44,44 +44,44 @@ class ShrcPoller:
         # After the poll: a passed restart check makes the poll's values valid.
         if await unit.is_restarted():
             raise ControllerRestarted()
-        now = parse_status(line.text, unit.controllable)
+        states = parse_status(line.text, unit.controllable)
         if unit.timing is not None:
-            unit.timing.add_reading("Q:SPC", line, now)
-        actual = now
+            unit.timing.add_reading("Q:SPC", line, states)
+        actual = states
         if any(unit.closed_loop.values()):
             scales = parse_status(await session.send_query("Q:SPE", STATUS), unit.controllable)
-            actual = {m: scales[m] if unit.closed_loop.get(m) else each for m, each in now.items()}
+            actual = {m: scales[m] if unit.closed_loop.get(m) else state for m, state in states.items()}
         if unit.trigger_set:
-            counts = {motor: each.counts for motor, each in now.items()}
+            counts = {motor: state.counts for motor, state in states.items()}
             unit.readings.append(CountsReading(line.command_ns, line.at_ns, counts))
-        busy = {motor for motor, each in now.items() if each.is_busy}
+        busy = {motor for motor, state in states.items() if state.is_busy}
         self._drop_completions(busy, line.at_ns)
-        waiting = {
-            motor for motor, counts in unit.waiting.items() if now[motor].is_busy and now[motor].counts == counts
+        waiting_motors = {
+            motor for motor, counts in unit.waiting.items() if states[motor].is_busy and states[motor].counts == counts
         }
-        if busy <= unit.jogging_motors | waiting:
+        if busy <= unit.jogging_motors | waiting_motors:
             await self._query_digits()
-        found: list[FaultReport] = []
+        faults: list[FaultReport] = []
         axes: dict[str, AxisReading] = {}
         elapsed_s = (line.at_ns - self._last_ns) / NS_PER_S
         for name, motor in self._motors.items():
-            axis, old = now[motor], self._last.get(motor)
-            moved = axis.counts - old.counts if old is not None and axis.is_busy and elapsed_s > 0 else 0
-            excited = unit.excited.get(motor, False)
+            axis, old = states[motor], self._last.get(motor)
+            moved_counts = axis.counts - old.counts if old is not None and axis.is_busy and elapsed_s > 0 else 0
+            is_excited = unit.excited.get(motor, False)
             axes[name] = AxisReading(
                 commanded_counts=axis.counts,
                 actual_counts=float(actual[motor].counts),
-                velocity_counts_s=moved / elapsed_s if moved else 0.0,
-                moving=axis.is_busy and motor not in waiting,
-                enabled=excited,
+                velocity_counts_s=moved_counts / elapsed_s if moved_counts else 0.0,
+                moving=axis.is_busy and motor not in waiting_motors,
+                enabled=is_excited,
                 limit=fleetaxes.limit_of(axis.word, self._options.cw),
                 position_lost=is_position_lost(
-                    axis.word, excited=excited, closed_loop=unit.closed_loop.get(motor, False)
+                    axis.word, excited=is_excited, closed_loop=unit.closed_loop.get(motor, False)
                 ),
             )
-            found += status_faults(name, axis.word)
-        unit.sound = not any(each.word & ERRORS for each in now.values())
-        self._last, self._last_ns = now, line.at_ns
+            faults += status_faults(name, axis.word)
+        unit.sound = not any(state.word & ERRORS for state in states.values())
+        self._last, self._last_ns = states, line.at_ns
         if session.expected_completions - busy:
             session.changed.set()  # at rest without a completion line: wake the waiting task, which then queries
         return ControllerReading(
@@ -89,7 +89,7 @@ class ShrcPoller:
             axes=axes,
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
-            faults=found,
+            faults=faults,
         )
 
     def _drop_completions(self, busy: set[int], at_ns: int) -> None:
@@ -106,7 +106,7 @@ class ShrcPoller:
         unit = self._unit
         answer = await unit.session.query_digit("?:CW", flag_list(len(unit.controllable)))
         if answer is not None:
-            unit.excited = {m: each == "1" for m, each in zip(unit.controllable, answer.split(","), strict=True)}
+            unit.excited = {m: digit == "1" for m, digit in zip(unit.controllable, answer.split(","), strict=True)}
         if self._config.inputs and (answer := await unit.session.query_digit("I:", BITS)) is not None:
             self._inputs = point_levels(int(answer))
         if self._config.outputs and (answer := await unit.session.query_digit("?:O", BITS)) is not None:
@@ -137,10 +137,10 @@ async def read_registered(session: ShrcSession, kind: PositionKind) -> dict[int,
     """
     if session.expected_completions:
         raise Refusal("moving", "registered positions are read at rest only", "wait for the end of the move")
-    found: dict[int, tuple[int, int, int]] = {}
+    records: dict[int, tuple[int, int, int]] = {}
     for number in NUMBERS:
         answer = await session.query_optional(f"{_COMMANDS[kind]}:GET,{number}", pulse_list(_AXES))
         if answer is not None:
-            first, second, third = (int(each) for each in answer.split(","))
-            found[number] = first, second, third
-    return found
+            first, second, third = (int(number_text) for number_text in answer.split(","))
+            records[number] = first, second, third
+    return records

@@ -111,11 +111,11 @@ def require_trigger(
 def _require_width(trigger: OutputTrigger, options: ShrcOptions) -> None:
     width_ns = options.trigger_width_us * NS_PER_US
     if not trigger.pulse_ns or trigger.pulse_ns > width_ns:
-        asked = f"pulses of {format_ns(trigger.pulse_ns)}" if trigger.pulse_ns else "a level"
+        pulse_text = f"pulses of {format_ns(trigger.pulse_ns)}" if trigger.pulse_ns else "a level"
         raise Refusal(
             "trigger-pulse",
-            f"output {trigger.output}: {asked} asked for; the trigger output gives pulses of {format_ns(width_ns)} "
-            "(memory switch TRG WIDTH, option `trigger_width_us`)",
+            f"output {trigger.output}: {pulse_text} asked for; the trigger output gives pulses of {format_ns(width_ns)}"
+            " (memory switch TRG WIDTH, option `trigger_width_us`)",
             f"write `pulse: {format_ns(width_ns)}`, or have the device take the edge",
         )
 
@@ -145,8 +145,8 @@ def fit_trigger(
             "write a longer `every`, or move slower",
         )
     places = [(number + 1) * interval for number in range(len(trigger.instants_ns))]
-    early = list(_find_times(legs, [each - GRAIN for each in places]))
-    late = list(_find_times(legs, [each + GRAIN for each in places]))
+    early = list(_find_times(legs, [position - GRAIN for position in places]))
+    late = list(_find_times(legs, [position + GRAIN for position in places]))
     spans = tuple(zip(early, late, strict=True))
     return PulseTrigger(
         output=trigger.output,
@@ -162,12 +162,12 @@ def _find_interval(axis: Axis, profile: Profile, trigger: OutputTrigger) -> int:
     """Return the drive pulses between two triggers. Raises `Refusal` unless the positions are all those, and no others,
     that the output pulses at: the multiples of one whole number from the start to the end."""
     at, length = profile.make_evaluator(), abs(profile.end_counts - profile.start_counts)
-    places = [abs(at(each / NS_PER_S).position) for each in trigger.instants_ns]
+    places = [abs(at(instant_ns / NS_PER_S).position) for instant_ns in trigger.instants_ns]
     exact = places[-1] / len(places)
     interval = round(exact)
-    if any(abs(place - number * exact) > _ROUNDED for number, place in enumerate(places, 1)):
+    if any(abs(position - number * exact) > _ROUNDED for number, position in enumerate(places, 1)):
         raise _refuse_places(axis, trigger, "the positions are not equally far apart from the start of the axis on")
-    if any(abs(place - number * interval) > _ROUNDED for number, place in enumerate(places, 1)):
+    if any(abs(position - number * interval) > _ROUNDED for number, position in enumerate(places, 1)):
         raise _refuse_places(axis, trigger, f"they are {exact:.6g} pulses apart, which is no whole number", exact)
     if not INTERVAL_LEAST <= interval <= INTERVAL_MOST:
         text = f"they are {interval} pulses apart; {INTERVAL_LEAST} to {INTERVAL_MOST} are possible"
@@ -179,7 +179,7 @@ def _find_interval(axis: Axis, profile: Profile, trigger: OutputTrigger) -> int:
 
 def _refuse_places(axis: Axis, trigger: OutputTrigger, why: str, exact: float = 0.0) -> Refusal:
     fitting = list(dict.fromkeys((math.floor(exact), math.ceil(exact)))) if exact else []
-    lengths = " or ".join(f"`every: {abs(axis.to_unit(each)):g} {axis.unit}`" for each in fitting if each)
+    lengths = " or ".join(f"`every: {abs(axis.to_unit(length)):g} {axis.unit}`" for length in fitting if length)
     return Refusal(
         "trigger-positions",
         f"output {trigger.output}: the trigger output pulses every whole number of pulses of axis {trigger.axis}, from "
@@ -190,16 +190,16 @@ def _refuse_places(axis: Axis, trigger: OutputTrigger, why: str, exact: float = 
 
 def _find_times(legs: Legs, places: Iterable[float]) -> Iterator[float]:
     """Yield when the axis has moved so far, s; places: growing, pls. The end of the move for one behind it."""
-    remaining, clock_s, covered = iter(legs), 0.0, 0.0
+    remaining, clock_s, covered_length = iter(legs), 0.0, 0.0
     duration, speed, a = next(remaining)
-    for place in places:
-        while (length := duration * (speed + duration * a / 2)) + covered < place:
+    for position in places:
+        while (length := duration * (speed + duration * a / 2)) + covered_length < position:
             following = next(remaining, None)
             if following is None:
                 break
-            clock_s, covered = clock_s + duration, covered + length
+            clock_s, covered_length = clock_s + duration, covered_length + length
             duration, speed, a = following
-        yield clock_s + min(duration, _time_to_cover(max(0.0, place - covered), speed, a))
+        yield clock_s + min(duration, _time_to_cover(max(0.0, position - covered_length), speed, a))
 
 
 def _time_to_cover(distance: float, speed: float, a: float) -> float:

@@ -118,8 +118,8 @@ class ShrcSession:
             self.log.warning(f"the query {command!r} is repeated: {error.text}", code=error.code)
         line = await self._run_exchange(command, form, before_send)
         if line.text in REFUSALS:
-            said = refusal_of(command)
-            raise ControllerFault(said.code, said.text, said.remedy)
+            refusal = refusal_of(command)
+            raise ControllerFault(refusal.code, refusal.text, refusal.remedy)
         return line
 
     async def query_optional(self, command: str, form: ShrcReplyFormat) -> str | None:
@@ -144,8 +144,8 @@ class ShrcSession:
         """
         line = await self._run_exchange(command, DONE, before_send)
         if line.text in REFUSALS:
-            said = refusal_of(command)
-            raise Refusal(said.code, said.text, said.remedy)
+            refusal = refusal_of(command)
+            raise Refusal(refusal.code, refusal.text, refusal.remedy)
 
     async def try_setting(self, command: str) -> bool:
         """Send a setting that may be refused; return whether it was accepted."""
@@ -162,8 +162,8 @@ class ShrcSession:
             line = await self._send_once(command, DONE)
             if line.text not in REFUSALS:
                 return (await self._send_once("?:CMD", COMMAND)).text.upper()
-        said = refusal_of(command)
-        raise Refusal(said.code, said.text, said.remedy)
+        refusal = refusal_of(command)
+        raise Refusal(refusal.code, refusal.text, refusal.remedy)
 
     async def send_raw(self, command: str) -> str:
         """Send any command, and return whatever the reply is."""
@@ -271,17 +271,17 @@ class ShrcSession:
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
         pending = ShrcPending(command, form, since_ns)
         # A command that another writer writes later is answered later: exchanges until then precede it.
-        later = sum(each.written_ns > since_ns for each in self._queue)
-        self._queue.insert(len(self._queue) - later, pending)
+        later_count = sum(queued_reply.written_ns > since_ns for queued_reply in self._queue)
+        self._queue.insert(len(self._queue) - later_count, pending)
         self._set_timeout(pending, since_ns)
         return pending
 
     def _set_timeout(self, pending: ShrcPending, since_ns: int) -> None:
         """Set the timeout of a reply, counted from when its command is written."""
         pending.answer.cancel_timeout()
-        ahead = sum(len(each.command) + len(EOL) + LONGEST_REPLY for each in self._queue)
+        byte_count = sum(len(queued_reply.command) + len(EOL) + LONGEST_REPLY for queued_reply in self._queue)
         pending.answer.timer = self._clock.call_at_ns(
-            since_ns + self._answer_ns + self.wire_ns(ahead), lambda: self._handle_timeout(pending)
+            since_ns + self._answer_ns + self.wire_ns(byte_count), lambda: self._handle_timeout(pending)
         )
 
     def _handle_timeout(self, pending: ShrcPending) -> None:
@@ -301,14 +301,14 @@ class ShrcSession:
         while self._queue:  # each has its timeout, so that this loop ends
             await sleep_ns(self._clock, 5 * NS_PER_MS)
             self._require_open()
-        for left in reversed(range(_TRIES)):
+        for tries_left in reversed(range(_TRIES)):
             self._searching = True
             try:
                 self.link.write(EOL.encode())
                 await self._send_once("?:MODE", MODE)
             except ControllerFault as error:
-                self.log.warning(f"resynchronising: {error.text}", tries_left=left)
-                if not left:
+                self.log.warning(f"resynchronising: {error.text}", tries_left=tries_left)
+                if not tries_left:
                     raise
                 continue
             finally:
@@ -329,12 +329,12 @@ class ShrcSession:
     async def _read_lines(self) -> None:
         try:
             while True:
-                received = await self.link.read()
-                *whole, self._partial_line = (self._partial_line + received.data).split(b"\n")
-                for each in whole:
-                    text = each.decode("latin-1").replace(" ", "").strip("\r\0")
+                chunk = await self.link.read()
+                *whole_lines, self._partial_line = (self._partial_line + chunk.data).split(b"\n")
+                for line_bytes in whole_lines:
+                    text = line_bytes.decode("latin-1").replace(" ", "").strip("\r\0")
                     if text:
-                        self._classify_line(ShrcLine(text, received.at_ns))
+                        self._classify_line(ShrcLine(text, chunk.at_ns))
         except LinkClosed as error:
             self._handle_link_loss(error)
 
@@ -350,7 +350,7 @@ class ShrcSession:
             return
         if line.text in COMPLETIONS and self._is_completion(line):
             return
-        pending = next((each for each in self._queue if each.form.matches_line(line.text)), None)
+        pending = next((reply for reply in self._queue if reply.form.matches_line(line.text)), None)
         head = self._queue[0] if self._queue else None
         if self._searching:
             if pending is not None:
@@ -374,8 +374,8 @@ class ShrcSession:
 
     def _is_completion(self, line: ShrcLine) -> bool:
         motor = int(line.text)
-        asked = self._queue[0] if self._queue and self._queue[0].form.matches_line(line.text) else None
-        if asked is not None and asked.written_ns <= self._expected_since_ns:
+        reply = self._queue[0] if self._queue and self._queue[0].form.matches_line(line.text) else None
+        if reply is not None and reply.written_ns <= self._expected_since_ns:
             return False  # the expected motion is begun after that query
         if motor in self.expected_completions and self._on_completion is not None:
             self._on_completion(motor, line.at_ns)
@@ -390,7 +390,7 @@ class ShrcSession:
             self.changed.set()
             return True
         # A completion that no task awaits, of a move begun elsewhere, unless it answers the query.
-        return asked is None
+        return reply is None
 
     async def wait_changed(self, until_ns: int) -> None:
         """Wait until a completion arrives, `changed` is set, the link is lost (`LinkClosed`), or that instant."""

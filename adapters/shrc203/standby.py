@@ -59,12 +59,12 @@ class InputWait:
                 f"no start by trigger line: the controller answered NG to {command!r}",
                 "let the host start it: remove its input from `wiring`",
             )
-        found = await unit.prebuffers.read_waits()
-        if any(found[motor] != pattern for motor in starts):
-            held = ", ".join(str(found[motor]) for motor in starts)
+        held_waits = await unit.prebuffers.read_waits()
+        if any(held_waits[motor] != pattern for motor in starts):
+            waits_text = ", ".join(str(held_waits[motor]) for motor in starts)
             raise Refusal(
                 "load-garbled",
-                f"sent {command!r}, the controller would wait for {held}",
+                f"sent {command!r}, the controller would wait for {waits_text}",
                 "check the cable; arm it again",
             )
         unit.waiting = dict(starts)
@@ -78,16 +78,16 @@ class InputWait:
         if wait.is_active(levels):
             raise Refusal("line-level", f"input {wait.name} (IN{wait.number}) has become active too early", "")
         if levels != self._levels:
-            changed = [f"IN{number}" for number in range(1, 7) if (levels ^ self._levels) & 1 << (number - 1)]
+            changed_inputs = [f"IN{number}" for number in range(1, 7) if (levels ^ self._levels) & 1 << (number - 1)]
             raise Refusal(
                 "other-inputs",
-                f"{', '.join(changed)} changed since arming; the controller compares all six inputs, and "
+                f"{', '.join(changed_inputs)} changed since arming; the controller compares all six inputs, and "
                 "would not start",
                 "arm again when these inputs are stable, or let the host start the controller",
             )
-        now = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
+        states = parse_status(await unit.session.send_query("Q:SPC", STATUS), unit.controllable)
         for motor, counts in unit.waiting.items():
-            if not now[motor].is_busy or now[motor].counts != counts:
+            if not states[motor].is_busy or states[motor].counts != counts:
                 raise Refusal("not-armed", f"axis {motor} no longer waits for input {wait.name}", "arm it again")
 
     async def end_wait(self) -> None:
@@ -95,25 +95,29 @@ class InputWait:
         unit, session = self._unit, self._unit.session
         if not unit.waiting:
             return
-        now = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
+        states = parse_status(await session.send_query("Q:SPC", STATUS), unit.controllable)
         # A wait that was ended by an emergency stop or a motor switched off accepts no command, and no move starts
         # there.
-        motors = {m for m in unit.waiting if now[m].is_busy or (unit.excited.get(m, True) and not now[m].word & ERRORS)}
+        motors = {
+            m for m in unit.waiting if states[m].is_busy or (unit.excited.get(m, True) and not states[m].word & ERRORS)
+        }
         unit.waiting = {motor: counts for motor, counts in unit.waiting.items() if motor in motors}
         if not motors:
             return
-        left = motors
+        motors_left = motors
         for _ in range(_TRIES):
-            await unit.prebuffers.overwrite_moves(left)
-            left = {
-                motor for motor, queued in (await unit.prebuffers.read_moves()).items() if motor in motors and queued
+            await unit.prebuffers.overwrite_moves(motors_left)
+            motors_left = {
+                motor
+                for motor, queued_move in (await unit.prebuffers.read_moves()).items()
+                if motor in motors and queued_move
             }
-            if not left:
+            if not motors_left:
                 break
-        if left:
+        if motors_left:
             raise ControllerFault(
                 "still-armed",
-                f"axis {axis_argument(left)} waits for an input, and the controller keeps the queued move "
+                f"axis {axis_argument(motors_left)} waits for an input, and the controller keeps the queued move "
                 "although it was overwritten",
                 "keep the input passive and switch the controller off and on",
             )
@@ -140,8 +144,8 @@ class InputWait:
             await session.wait_changed(late_ns)
 
     async def _any_busy(self, motors: set[int]) -> bool:
-        now = parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)
-        return any(now[motor].is_busy for motor in motors)
+        states = parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)
+        return any(states[motor].is_busy for motor in motors)
 
     async def _read_inputs(self) -> int:
         return int(await self._unit.session.send_query("I:", BITS))

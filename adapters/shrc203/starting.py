@@ -50,7 +50,7 @@ class ShrcStarts:
     async def line_start(self, move: ArmedMove, wait: WiredInput) -> HostInterval:
         """Return when the input has started the axes: within the window of the terms, and between the last query that
         found the move in its prebuffer and the reply that no longer did."""
-        earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
+        earliest_ns, latest_ns = (move.t0_ns + limit_ns for limit_ns in move.lowered.window_ns)
         if self._clock.now_ns() < move.t0_ns - _QUIET_NS and not await self._is_loaded(move):
             self._drop_move()
             await self._require_not_restarted()
@@ -65,9 +65,13 @@ class ShrcStarts:
                 self._require_no_stop(move)
             line = await self._session.query_line("?:MPW", pulse_list(len(self._unit.controllable)))
             self._require_no_stop(move)
-            found = dict(zip(self._unit.controllable, parse_entries(line.text), strict=True))
-            left = [each for each in move.lowered.first_moves if found[each.motor] == each.distance]
-            if not left:
+            distances = dict(zip(self._unit.controllable, parse_entries(line.text), strict=True))
+            waiting_moves = [
+                first_move
+                for first_move in move.lowered.first_moves
+                if distances[first_move.motor] == first_move.distance
+            ]
+            if not waiting_moves:
                 seen_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
                 await self._require_not_restarted()
                 self._unit.waiting = {}
@@ -77,7 +81,7 @@ class ShrcStarts:
                 self._drop_move()
                 raise ControllerFault(
                     "not-started",
-                    f"axis {left[0].name} still waits: input {wait.name} (IN{wait.number}) was not active "
+                    f"axis {waiting_moves[0].name} still waits: input {wait.name} (IN{wait.number}) was not active "
                     f"by {wait.latest_ns / 1e6:g} ms after T0",
                     "check the trigger wiring, `active` in the fleet file, and that no other input has changed",
                 )
@@ -88,16 +92,19 @@ class ShrcStarts:
             raise ControllerFault("not-started", "stopped while it waited for its trigger line", "")
 
     async def _is_loaded(self, move: ArmedMove) -> bool:
-        found = await self._unit.prebuffers.read_moves()
-        return all(found[each.motor] == each.distance for each in move.lowered.first_moves)
+        distances = await self._unit.prebuffers.read_moves()
+        return all(distances[first_move.motor] == first_move.distance for first_move in move.lowered.first_moves)
 
     async def _wait_for_motion(self, move: ArmedMove, error: ControllerFault) -> int:
         """Return when the axes moved, by other evidence: the reply to the starting command was lost."""
         if self._session.completed:
             return min(self._session.completed.values())
         line = await self._session.query_line("Q:SPC", STATUS)
-        now = parse_status(line.text, self._unit.controllable)
-        if all(now[each.motor].is_busy or now[each.motor].counts != each.start_counts for each in move.lowered.moves):
+        states = parse_status(line.text, self._unit.controllable)
+        if all(
+            states[axis_move.motor].is_busy or states[axis_move.motor].counts != axis_move.start_counts
+            for axis_move in move.lowered.moves
+        ):
             await self._require_not_restarted()
             return line.at_ns
         raise ControllerFault("not-started", f"the axes do not move ({error.text})", error.remedy)

@@ -75,14 +75,14 @@ async def controllable_axes(session: ShrcSession, clock: Clock, busy_wait_s: flo
     The answer of `?:AXIS` is a digit like a completion's, so it is queried at rest only.
     """
     until_ns = clock.now_ns() + round(busy_wait_s * NS_PER_S)
-    relieved = False
+    is_relieved = False
     while await session.send_query("!:", READY) == "B":
-        if not relieved:
+        if not is_relieved:
             session.log.info("the controller is busy; ending input waits of an earlier session")
-            now = parse_status(await session.send_query("Q:SPC", STATUS), (1, 2, 3))
-            valid = tuple(motor for motor, each in now.items() if each.state != "D")
-            await PrebufferControl(session, valid).end_input_waits({m for m in valid if now[m].is_busy})
-            relieved = True
+            states = parse_status(await session.send_query("Q:SPC", STATUS), (1, 2, 3))
+            valid = tuple(motor for motor, state in states.items() if state.state != "D")
+            await PrebufferControl(session, valid).end_input_waits({m for m in valid if states[m].is_busy})
+            is_relieved = True
         elif clock.now_ns() > until_ns:
             raise ControllerFault(
                 "moving",
@@ -105,14 +105,14 @@ async def compare_settings(
             raise _mismatch_fault(
                 f"axis {name}: motor {motor}", f"controllable axes {_list_motors(controllable)}", str(motor)
             )
-    read = await session.send_query("?:PW", size_list(len(controllable)))
-    nm = dict(zip(controllable, map(float, read.split(",")), strict=True))
+    reply = await session.send_query("?:PW", size_list(len(controllable)))
+    nm = dict(zip(controllable, map(float, reply.split(",")), strict=True))
     for name, axis in config.axes.items():
-        wanted = fleetaxes.expected_nm(axis, options.nm_per_pulse)
-        if wanted is not None and abs(nm[motors[name]] - wanted) > 1e-6 * wanted:
+        wanted_nm = fleetaxes.expected_nm(axis, options.nm_per_pulse)
+        if wanted_nm is not None and abs(nm[motors[name]] - wanted_nm) > 1e-6 * wanted_nm:
             source = "nm_per_pulse" if options.nm_per_pulse is not None else f"unit {axis.unit} and scale {axis.scale}"
             raise _mismatch_fault(
-                f"axis {name}: nm per pulse (?:P)", f"{nm[motors[name]]:g}", f"{wanted:g} by its {source}"
+                f"axis {name}: nm per pulse (?:P)", f"{nm[motors[name]]:g}", f"{wanted_nm:g} by its {source}"
             )
     if options.loop is not None:
         digit = "1" if options.loop == "open" else "0"
@@ -132,17 +132,17 @@ async def load_sentinel(session: ShrcSession, config: Controller, controllable: 
     motors = fleetaxes.motor_numbers(config)
     first = min(motors, key=lambda name: motors[name])
     query = f"?:B{motors[first]}"
-    _, _, before = parse_triple(await session.send_query(query, speed_list(1)))
-    expected = ""
+    _, _, old_ramp = parse_triple(await session.send_query(query, speed_list(1)))
+    marked_speeds = ""
     for name, axis in config.axes.items():
         s, f, r = fleetaxes.homing_triple(axis)
         if name == first:
-            r = _marked_ramp(r, before)
-            expected = f"S{s}F{f}R{r}"
+            r = _marked_ramp(r, old_ramp)
+            marked_speeds = f"S{s}F{f}R{r}"
         await session.send_setting(f"B:{motors[name]}S{s}F{f}R{r}")
-    if await session.send_query(query, speed_list(1)) != expected:
-        raise _mismatch_fault(f"axis {first}: origin return speeds (?:B)", "something else", expected)
-    return query, expected
+    if await session.send_query(query, speed_list(1)) != marked_speeds:
+        raise _mismatch_fault(f"axis {first}: origin return speeds (?:B)", "something else", marked_speeds)
+    return query, marked_speeds
 
 
 def _marked_ramp(least: int, before: int) -> int:

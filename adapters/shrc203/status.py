@@ -68,9 +68,9 @@ def is_position_lost(word: int, *, excited: bool, closed_loop: bool) -> bool:
 
 def stop_reason(axis: str, now: AxisStatus) -> str:
     """Return why an axis is not at its target, as far as its status shows it; empty otherwise."""
-    found = status_faults(axis, now.word)
-    if found:
-        return found[0].text
+    faults = status_faults(axis, now.word)
+    if faults:
+        return faults[0].text
     if now.word & (CW_LIMIT | CCW_LIMIT):
         return f"axis {axis} is on its {'CW' if now.word & CW_LIMIT else 'CCW'} limit sensor"
     if now.word & (CW_SOFT | CCW_SOFT):

@@ -27,11 +27,11 @@ class ShrcTiming:
 
     def add_reading(self, command: str, line: ShrcLine, now: Mapping[int, AxisStatus]) -> None:
         """Add the observations of a poll."""
-        each = now[self.axis.motor]
+        state = now[self.axis.motor]
         asked_ns = line.command_ns + self._session.wire_ns(len(command + EOL))
         told_ns = line.at_ns - self._session.wire_ns(len(line.text + EOL))
-        self.timed.add_position(abs(each.counts - self.axis.start_counts), _GRAIN, asked_ns, told_ns)
-        if each.is_busy:
+        self.timed.add_position(abs(state.counts - self.axis.start_counts), _GRAIN, asked_ns, told_ns)
+        if state.is_busy:
             self.timed.mark_moving(asked_ns)
 
     async def still_moves(self) -> bool:
@@ -50,12 +50,12 @@ def make_timing(
     """Return the timing of the longest move that provides information about the crystal."""
     if lowered.wait is not None:
         return None
-    found = [
-        (each.shape.duration_s, each.motor, each, each.shape.motion_legs)
-        for each in lowered.moves
-        if isinstance(each.shape, ShrcTrapezoid) and not closed_loop.get(each.motor)
+    candidates = [
+        (move.shape.duration_s, move.motor, move, move.shape.motion_legs)
+        for move in lowered.moves
+        if isinstance(move.shape, ShrcTrapezoid) and not closed_loop.get(move.motor)
     ]
-    if not found:
+    if not candidates:
         return None
-    duration_s, _, axis, legs = max(found)
+    duration_s, _, axis, legs = max(candidates)
     return ShrcTiming(axis, TimedMove(duration_s, legs, (started.earliest_ns, started.latest_ns)), session)

@@ -32,20 +32,20 @@ def add_trigger(
 ) -> ShrcLowered:
     """Return the lowered step with its trigger, and the interval of its pulses. pulsed: with the profile of its axis,
     `traits.pulsed`. Raises `Refusal`."""
-    asked, profile = pulsed
+    trigger_request, profile = pulsed
     if lowered.wait is not None or lowered.drive is not None:
         raise Refusal(
             "start-class", "a step with triggers starts by a command, not by a trigger line", "remove `start`"
         )
-    move = next(each for each in lowered.moves if each.name == asked.axis)
+    move = next(move for move in lowered.moves if move.name == trigger_request.axis)
     if move.motor in traits.closed_loop:
         raise Refusal(
             "trigger-loop",
-            f"axis {asked.axis} is in closed loop, where corrections are drive pulses, too",
+            f"axis {trigger_request.axis} is in closed loop, where corrections are drive pulses, too",
             "set `loop: open` in the options of the controller",
         )
-    trigger = fit_trigger(config, options, profile, asked, move.running_shape.motion_legs)
-    terms = trigger.find_terms(asked.instants_ns, traits.known.rate.clock_factor, lowered.clock_ppm, options)
+    trigger = fit_trigger(config, options, profile, trigger_request, move.running_shape.motion_legs)
+    terms = trigger.find_terms(trigger_request.instants_ns, traits.known.rate.clock_factor, lowered.clock_ppm, options)
     arm_ns = lowered.costs.arm_ns + trigger_cost_ns(options, traits.char_ns)
     return replace(
         lowered,
@@ -72,10 +72,10 @@ class ShrcTriggers:
         self._unit.trigger_set = True
         self._unit.readings.clear()
         await self._unit.session.send_setting(trigger.command)
-        found = await self._unit.session.send_query("?:T", NOT_SET)
-        if found != trigger.loaded_reply:
+        reply = await self._unit.session.send_query("?:T", NOT_SET)
+        if reply != trigger.loaded_reply:
             raise Refusal(
-                "not-loaded", f"the trigger output is set to {found} instead of {trigger.loaded_reply}", "arm it again"
+                "not-loaded", f"the trigger output is set to {reply} instead of {trigger.loaded_reply}", "arm it again"
             )
 
     def forget(self) -> None:
@@ -88,16 +88,19 @@ class ShrcTriggers:
         if self._last is None:
             return {}
         trigger, move = self._last
-        now = parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)
+        states = parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)
         if await self._unit.is_restarted():
             return {trigger.output: SwitchedOutput((), unknown=move.released)}
-        axis, end = now[trigger.motor], next(each for each in move.lowered.moves if each.motor == trigger.motor)
+        axis, end = (
+            states[trigger.motor],
+            next(axis_move for axis_move in move.lowered.moves if axis_move.motor == trigger.motor),
+        )
         if axis.is_busy:
             raise Refusal("moving", f"axis {trigger.axis} is still moving", "wait for the end of the motion")
         if axis.counts == end.end_counts and move.started is not None:
-            return {trigger.output: SwitchedOutput([self._find_edge(move.start, each) for each in trigger.spans_s])}
-        travelled = (axis.counts - end.start_counts) * end.sign
-        sure, possible = (max(0, floor((travelled + each) / trigger.interval)) for each in (-GRAIN, GRAIN))
+            return {trigger.output: SwitchedOutput([self._find_edge(move.start, span_s) for span_s in trigger.spans_s])}
+        travelled_counts = (axis.counts - end.start_counts) * end.sign
+        sure, possible = (max(0, floor((travelled_counts + grain) / trigger.interval)) for grain in (-GRAIN, GRAIN))
         edges = [self._find_slow_edge(trigger, move, number) for number in range(min(sure, len(trigger.spans_s)))]
         return {trigger.output: SwitchedOutput(edges, unknown=possible > sure)}
 
@@ -112,16 +115,16 @@ class ShrcTriggers:
     def _find_slow_edge(self, trigger: PulseTrigger, move: ArmedMove, number: int) -> HostInterval:
         """Return the interval of a pulse of a move that came to rest early: from some instant on it was slower than
         planned. The pulse is between the readings that show the axis before it and behind it."""
-        axis = next(each for each in move.lowered.moves if each.motor == trigger.motor)
+        axis = next(axis_move for axis_move in move.lowered.moves if axis_move.motor == trigger.motor)
         # Where the start itself was not seen, it is at least no earlier than promised.
         first_ns, last_ns = move.lowered.window_ns
         start = move.started or HostInterval(move.t0_ns + first_ns, move.t0_ns + last_ns)
         earliest_ns = self._find_edge(start, trigger.spans_s[number]).earliest_ns
-        latest_ns, place = self._clock.now_ns(), (number + 1) * trigger.interval
+        latest_ns, position = self._clock.now_ns(), (number + 1) * trigger.interval
         for reading in self._unit.readings:
-            travelled = (reading.counts[trigger.motor] - axis.start_counts) * axis.sign
-            if travelled <= place - GRAIN:
+            travelled_counts = (reading.counts[trigger.motor] - axis.start_counts) * axis.sign
+            if travelled_counts <= position - GRAIN:
                 earliest_ns = max(earliest_ns, reading.asked_ns)
-            elif travelled >= place + GRAIN:
+            elif travelled_counts >= position + GRAIN:
                 latest_ns = min(latest_ns, reading.at_ns + self._delay_ns)
         return HostInterval(min(earliest_ns, latest_ns), latest_ns)

@@ -84,19 +84,19 @@ class ShrcWatch:
         """
         self._queries = _watched_queries(len(self._unit.controllable))
         self._expected = {}
-        for each in self._queries:
-            reply = await self._unit.session.query_optional(each.query, each.form)
+        for watched_query in self._queries:
+            reply = await self._unit.session.query_optional(watched_query.query, watched_query.form)
             if reply is not None:
-                self._expected[each.query] = reply
+                self._expected[watched_query.query] = reply
         self.has_differences = False
 
     async def check_motion(self) -> list[SettingDifference]:
         """Compare what determines where a move goes."""
-        found: list[SettingDifference] = []
-        for each in self._queries:
-            if each.query in AT_ARM:
-                found += await self._compare(each)
-        return found
+        differences: list[SettingDifference] = []
+        for watched_query in self._queries:
+            if watched_query.query in AT_ARM:
+                differences += await self._compare(watched_query)
+        return differences
 
     async def check_next(self) -> list[SettingDifference]:
         """Compare the next query in turn."""
@@ -110,49 +110,55 @@ class ShrcWatch:
         if not self.has_differences:
             return
         session = self._unit.session
-        for each in self._queries:
-            for difference in await self._compare(each):
-                if not each.restore:
+        for watched_query in self._queries:
+            for difference in await self._compare(watched_query):
+                if not watched_query.restore:
                     raise Refusal("setting-changed", difference.to_fault().text, difference.remedy)
                 motor = next((m for m, name in self._motors.items() if name == difference.axis), None)
-                command = each.restore.format(a="" if motor is None else axis_argument([motor]), v=difference.expected)
+                command = watched_query.restore.format(
+                    a="" if motor is None else axis_argument([motor]), v=difference.expected
+                )
                 await session.send_setting(command)
                 session.log.info("a setting that was changed is written again", command=command)
-            if await self._compare(each):
-                raise Refusal("setting-changed", f"{each.item} is not accepted again", each.remedy or "see its display")
+            if await self._compare(watched_query):
+                raise Refusal(
+                    "setting-changed",
+                    f"{watched_query.item} is not accepted again",
+                    watched_query.remedy or "see its display",
+                )
         self.has_differences = False
 
     # Internals
 
     async def _compare(self, watched: WatchedQuery) -> list[SettingDifference]:
-        unit, expected = self._unit, self._expected.get(watched.query)
-        if expected is None:
+        unit, expected_reply = self._unit, self._expected.get(watched.query)
+        if expected_reply is None:
             return []
         # While a completion is outstanding a digit could be that.
         reply = await unit.session.query_digit(watched.query, watched.form)
-        if reply is None or reply == expected:
+        if reply is None or reply == expected_reply:
             return []
         if not watched.per_axis:
-            pairs = [(None, reply, expected)]
+            pairs = [(None, reply, expected_reply)]
         else:
-            entries = zip(unit.controllable, reply.split(","), expected.split(","), strict=True)
+            entries = zip(unit.controllable, reply.split(","), expected_reply.split(","), strict=True)
             pairs = [
-                (self._motors[motor], now, then)
-                for motor, now, then in entries
-                if motor in self._motors and now != then
+                (self._motors[motor], entry, expected_entry)
+                for motor, entry, expected_entry in entries
+                if motor in self._motors and entry != expected_entry
             ]
-        found = [
+        differences = [
             SettingDifference(
                 item=watched.item if name is None else f"{watched.item} of axis {name}",
-                found=now,
-                expected=then,
+                found=entry,
+                expected=expected_entry,
                 axis=name,
                 moves_reference=watched.moves_reference,
                 # A changed division changes the pulse length, and is written again before it.
                 repairable=bool(watched.restore) or watched.query == "?:PW",
                 remedy=watched.remedy,
             )
-            for name, now, then in pairs
+            for name, entry, expected_entry in pairs
         ]
-        self.has_differences = self.has_differences or bool(found)
-        return found
+        self.has_differences = self.has_differences or bool(differences)
+        return differences

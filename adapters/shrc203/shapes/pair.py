@@ -56,9 +56,9 @@ def find_two_part_moves(distance: int, duration_s: float, bounds: ShrcBounds, ga
 
     They differ in the order of their speeds, in their ramps, and so in their path.
     """
-    found = list(_search_moves(distance, duration_s - gap_s, bounds, gap_s))
-    good = [each for each in found if abs(each.duration_s - duration_s) <= _GOOD_S]
-    return good or sorted(found, key=lambda each: abs(each.duration_s - duration_s))[:1]
+    candidates = list(_search_moves(distance, duration_s - gap_s, bounds, gap_s))
+    good = [pair for pair in candidates if abs(pair.duration_s - duration_s) <= _GOOD_S]
+    return good or sorted(candidates, key=lambda pair: abs(pair.duration_s - duration_s))[:1]
 
 
 def _search_moves(distance: int, moving_s: float, bounds: ShrcBounds, gap_s: float) -> Iterator[TwoPartMove]:
@@ -118,23 +118,23 @@ def _tune_durations(
     f = speeds[quick]
     best: tuple[_RampChoice, _RampChoice] | None = None
     error_s = float("inf")
-    for other in _longer_ramps(speeds[slow], least[slow], bounds):
-        left_s = lost_s - other.lost_s(speeds[slow])
+    for longer_ramp in _longer_ramps(speeds[slow], least[slow], bounds):
+        left_s = lost_s - longer_ramp.lost_s(speeds[slow])
         for rise in _ramp_rises(f, least[quick], bounds):
             ms = round(left_s * 1000 * f / rise) if rise else 1
-            tried = _RampChoice(rise, max(_shortest_ms(rise, bounds), min(RAMP_MAX_MS, ms)))
-            off_s = abs(tried.lost_s(f) - left_s)
-            if off_s < error_s and tried.ms <= RAMP_MAX_MS:
-                best, error_s = (tried, other) if quick == 0 else (other, tried), off_s
+            candidate = _RampChoice(rise, max(_shortest_ms(rise, bounds), min(RAMP_MAX_MS, ms)))
+            off_s = abs(candidate.lost_s(f) - left_s)
+            if off_s < error_s and candidate.ms <= RAMP_MAX_MS:
+                best, error_s = (candidate, longer_ramp) if quick == 0 else (longer_ramp, candidate), off_s
         if error_s <= _ENOUGH_S:
             break
     if best is None:
         return None
-    one, two = (
+    first_part, second_part = (
         ShrcTrapezoid(way, f - ramp.rise, f, ramp.ms)
         for way, f, ramp in zip((first, distance - first), speeds, best, strict=True)
     )
-    return one, two
+    return first_part, second_part
 
 
 def _ramp_rises(f: int, least: _RampChoice, bounds: ShrcBounds) -> range:

@@ -126,10 +126,10 @@ class _TrapezoidSearch:
                 s = round((d - f * (t - r_s)) / r_s)
                 self.offer_candidate(max(lowest, min(highest, f, s)), f, r)
         for s in (lowest, (lowest + highest) // 2, highest):
-            needed = 4 * (d - t * s) / (t * t)  # from T = 2 (sqrt(S² + a D) - S) / a
-            if needed > 0:
-                self.offer_candidate(s, floor(s + needed * r_s), r)
-                self.offer_candidate(s, ceil(s + needed * r_s), r)
+            least_rise = 4 * (d - t * s) / (t * t)  # from T = 2 (sqrt(S² + a D) - S) / a
+            if least_rise > 0:
+                self.offer_candidate(s, floor(s + least_rise * r_s), r)
+                self.offer_candidate(s, ceil(s + least_rise * r_s), r)
 
     def try_steady(self, lowest: int, highest: int) -> None:
         """Offer candidates without ramps: best for moves of a few pulses."""

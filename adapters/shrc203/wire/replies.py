@@ -47,7 +47,9 @@ STOPS = _make_format("X or K, how the axes have stopped, R or B", r"[XK],[123CDE
 def _status_format(axes: int) -> str:
     """Return the format with as many coordinates as status words as states: a reply without one of its commas is
     another reply."""
-    return ",".join(each for each in (rf"[PNUMD]?{_PULSES}", "[0-9A-F]{1,8}", "[RBD]") for _ in range(axes))
+    return ",".join(
+        column_format for column_format in (rf"[PNUMD]?{_PULSES}", "[0-9A-F]{1,8}", "[RBD]") for _ in range(axes)
+    )
 
 
 STATUS = _make_format("coordinates, status words and states", "|".join(_status_format(axes) for axes in (1, 2, 3)))
@@ -85,7 +87,7 @@ def _parse_pulses(text: str) -> int:
 
 def parse_entries(reply: str) -> list[int | None]:
     """Return the whole numbers of a list; None where nothing is set."""
-    return [None if each == "NS" else _parse_pulses(each) for each in reply.split(",")]
+    return [None if entry == "NS" else _parse_pulses(entry) for entry in reply.split(",")]
 
 
 def parse_triple(text: str) -> tuple[int, int, int]:
