@@ -44,4 +44,4 @@ def step_costs(options: PpSmcOptions, char_ns: int, installed: int, stop_s: floa
 
 def longest_stop_s(limits: Iterable[PpSmcBounds]) -> float:
     """Return the longest ramp from full speed that a step or a jog can have."""
-    return max(max(_SLOWEST_STOP_S, each.speed / (1000.0 * max(1, each.ramp_max))) for each in limits)
+    return max(max(_SLOWEST_STOP_S, limit.speed / (1000.0 * max(1, limit.ramp_max))) for limit in limits)

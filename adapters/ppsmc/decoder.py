@@ -7,8 +7,8 @@ from adapters.ppsmc import replies as r
 from adapters.toolkit.frames import DecodedFrame, TextDecoder, find_words
 
 _QUERIES = {
-    each.text: (each.form, words)
-    for each, words in (
+    query.text: (query.form, words)
+    for query, words in (
         (r.ASK_STATUS, "states"),
         (r.ASK_POSITIONS, "positions"),
         (r.ASK_ENCODERS, "encoder positions"),
@@ -80,8 +80,8 @@ class PpSmcDecoder(TextDecoder):
         self._asked: deque[str] = deque(maxlen=100)
 
     def describe_sent(self, line: str) -> DecodedFrame:
-        found = _NAME.match(line)
-        name = found[0].lower() if found is not None else ""
+        name_match = _NAME.match(line)
+        name = name_match[0].lower() if name_match is not None else ""
         if name in _QUERIES:
             self._asked.append(name)
             return DecodedFrame(line, f"ask {_QUERIES[name][1]}")

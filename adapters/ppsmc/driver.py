@@ -133,8 +133,8 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
             self._log.info("emptying the target buffer after a stop")
             await self.connection.mover.clear_targets()
         await unit.stopper.open_connection()
-        restarted, self._restarted = self._restarted, False
-        return replace(reading, restarted=restarted)
+        is_restarted, self._restarted = self._restarted, False
+        return replace(reading, restarted=is_restarted)
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Query ?conf of all axes, or of the next axis in turn."""
@@ -154,9 +154,9 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> PpSmcLowered:
-        known = self._crystal.estimate_at(self._clock.now_ns())
+        estimate = self._crystal.estimate_at(self._clock.now_ns())
         return lower_step(
-            self._config, self._options, ConnectionTraits(self._char_ns, self._installed, known), profiles, start
+            self._config, self._options, ConnectionTraits(self._char_ns, self._installed, estimate), profiles, start
         )
 
     async def stop(self, *, abort: bool) -> None:
@@ -213,8 +213,8 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
                 "busy", "a step drives an output, and all outputs are written together", "wait for the end of the step"
             )
         async with self._output_lock:
-            now, bit = int((await unit.session.send_queries(ASK_OUTPUTS)).first_text(ASK_OUTPUTS)), 1 << number
-            value = now | bit if on else now & ~bit
+            levels, bit = int((await unit.session.send_queries(ASK_OUTPUTS)).first_text(ASK_OUTPUTS)), 1 << number
+            value = levels | bit if on else levels & ~bit
             reply = await unit.session.send_repeatable((f"dout{value}",), ASK_OUTPUTS)
         if int(reply.first_text(ASK_OUTPUTS)) != value:
             raise Refusal("not-switched", f"the outputs are {reply.first_text(ASK_OUTPUTS)} after dout{value}", "")
@@ -244,14 +244,14 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
         return reply
 
     async def close(self) -> None:
-        ended, self._connection = self._connection, None
-        if ended is not None:
-            session = ended.state.session
+        old_connection, self._connection = self._connection, None
+        if old_connection is not None:
+            session = old_connection.state.session
             self._log.info("link closed")
             self._token = session.last_token
             self._save_token(session)
-            ended.mover.drop_move()
-            await ended.state.stopper.close()
+            old_connection.mover.drop_move()
+            await old_connection.state.stopper.close()
             await session.close()
 
     # Internals

@@ -41,33 +41,35 @@ class PpSmcEndTimes:
             self._unit.on_reading = None
 
     async def _watch_axes(self, move: LoadedMove, timing: PpSmcTiming | None) -> MoveOutcome:
-        due_ns = move.start.latest_ns + max(self._duration_bounds_ns(each)[1] for each in move.lowered.moves)
+        due_ns = move.start.latest_ns + max(self._duration_bounds_ns(axis_move)[1] for axis_move in move.lowered.moves)
         give_up_ns = due_ns + _READY_LAG_NS + self._settle_ns
-        seen: dict[int, int] = {}
+        ready_ns: dict[int, int] = {}
         while True:
             look = await self._unit.read_state()
-            for each in move.lowered.moves:
-                if look.is_ready(each.motor) and self._has_ended(move, each, look):
-                    seen.setdefault(each.motor, look.at_ns)
+            for axis_move in move.lowered.moves:
+                if look.is_ready(axis_move.motor) and self._has_ended(move, axis_move, look):
+                    ready_ns.setdefault(axis_move.motor, look.at_ns)
                 else:
-                    seen.pop(each.motor, None)
-            if len(seen) == len(move.lowered.moves) or look.at_ns > give_up_ns:
+                    ready_ns.pop(axis_move.motor, None)
+            if len(ready_ns) == len(move.lowered.moves) or look.at_ns > give_up_ns:
                 break
-            await self._wait_for_next_poll(move, seen)
+            await self._wait_for_next_poll(move, ready_ns)
         reasons, error = await self._evaluate_end(move, look)
         if timing is not None and not reasons:
-            timing.record_end(seen[timing.axis.motor])
+            timing.record_end(ready_ns[timing.axis.motor])
             # The start is shown by the answer to a second query, which gives no information about the start delay.
             self._crystal.learn_from_move(
                 timing.timed, self._arrived_ns(move), None, self._clock.now_ns(), move.start.late_ns
             )
-        ended = resting_intervals(move.lowered.durations_s, move.t0_ns)
-        for each in move.lowered.moves:
-            ended[each.name] = self._end_interval(move, each, seen.get(each.motor, look.at_ns), look)
+        end_spans = resting_intervals(move.lowered.durations_s, move.t0_ns)
+        for axis_move in move.lowered.moves:
+            end_spans[axis_move.name] = self._end_interval(
+                move, axis_move, ready_ns.get(axis_move.motor, look.at_ns), look
+            )
         wrong = await move.output.wait_until_passive() if move.output is not None else ""
         error = error or bool(wrong)
         reasons += [wrong] if wrong else []
-        return moved_outcome(ended, reasons, stopped=move.stopped_ns is not None, failed=error)
+        return moved_outcome(end_spans, reasons, stopped=move.stopped_ns is not None, failed=error)
 
     def _has_ended(self, move: LoadedMove, axis: PpSmcAxisMove, look: PpSmcReading) -> bool:
         """Return whether an axis that reads ready has ended: ready bits lag behind the start of a move."""
@@ -83,35 +85,39 @@ class PpSmcEndTimes:
         """Wait for the next query: a short time when an axis is about to end, so that its end is known precisely."""
         now_ns = self._clock.now_ns()
         dues = [
-            move.start.earliest_ns + self._duration_bounds_ns(each)[0]
-            for each in move.lowered.moves
-            if each.motor not in seen
+            move.start.earliest_ns + self._duration_bounds_ns(axis_move)[0]
+            for axis_move in move.lowered.moves
+            if axis_move.motor not in seen
         ]
-        soon = any(due - _POLL_NS < now_ns < due + _POLL_NS for due in dues)
-        await sleep_ns(self._clock, _FAST_POLL_NS if soon else _POLL_NS)
+        is_near = any(due - _POLL_NS < now_ns < due + _POLL_NS for due in dues)
+        await sleep_ns(self._clock, _FAST_POLL_NS if is_near else _POLL_NS)
 
     async def _evaluate_end(self, move: LoadedMove, look: PpSmcReading) -> tuple[list[str], bool]:
         """Return the failures at the end, and whether they are more than a requested stop."""
         reasons: list[str] = []
         error = False
-        said = {} if look.is_blocked else await self._unit.read_errors()
-        for each in move.lowered.moves:
-            bits, counts = look.bits[each.motor], look.counts[each.motor]
-            number, text = said.get(each.motor, (0, ""))
-            if not look.is_ready(each.motor):
+        errors = {} if look.is_blocked else await self._unit.read_errors()
+        for axis_move in move.lowered.moves:
+            bits, counts = look.bits[axis_move.motor], look.counts[axis_move.motor]
+            number, text = errors.get(axis_move.motor, (0, ""))
+            if not look.is_ready(axis_move.motor):
                 error = True
-                reasons.append(f"axis {each.name} does not come to rest")
+                reasons.append(f"axis {axis_move.name} does not come to rest")
             elif bits & StatusBits.ENCODER_ERROR:
                 error = True
-                reasons.append(f"axis {each.name}: its encoder does not show the target (closed loop has given up)")
+                reasons.append(
+                    f"axis {axis_move.name}: its encoder does not show the target (closed loop has given up)"
+                )
             elif number:
                 error = True
-                reasons.append(f"axis {each.name}: the controller reports error {number} {text}".rstrip())
-            elif counts != each.end_counts:
+                reasons.append(f"axis {axis_move.name}: the controller reports error {number} {text}".rstrip())
+            elif counts != axis_move.end_counts:
                 limit = bits & (StatusBits.LIMIT_FORWARD | StatusBits.LIMIT_REVERSE)
                 error = error or bool(limit) or move.stopped_ns is None
-                where = "on a limit switch, " if limit else ""
-                reasons.append(f"axis {each.name} is {where}at {counts}, not at its target {each.end_counts}")
+                switch_text = "on a limit switch, " if limit else ""
+                reasons.append(
+                    f"axis {axis_move.name} is {switch_text}at {counts}, not at its target {axis_move.end_counts}"
+                )
         return reasons, error
 
     def _end_interval(self, move: LoadedMove, axis: PpSmcAxisMove, seen_ns: int, look: PpSmcReading) -> HostInterval:

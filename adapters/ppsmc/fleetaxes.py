@@ -59,22 +59,22 @@ def expected_gear(axis: Axis) -> Fraction | None:
 
 def gear_decimals(gear: Fraction) -> int:
     """Return how many decimals distinguish neighbouring steps."""
-    wanted = 1
-    while wanted < MOST_DECIMALS and gear > 10**wanted:
-        wanted += 1
-    return wanted
+    decimals = 1
+    while decimals < MOST_DECIMALS and gear > 10**decimals:
+        decimals += 1
+    return decimals
 
 
 def format_position(steps: int, gear: Fraction) -> str:
     """Format a position in the controller's distance unit, with as many decimals as it needs to denote exactly this
     step."""
     exact = Fraction(steps) / gear
-    places, scaled = 1, round(exact * 10)
-    while places < 12 and abs(Fraction(scaled, 10**places) * gear - steps) > Fraction(1, 10):
+    places, scaled_position = 1, round(exact * 10)
+    while places < 12 and abs(Fraction(scaled_position, 10**places) * gear - steps) > Fraction(1, 10):
         places += 1
-        scaled = round(exact * 10**places)
-    digits = str(abs(scaled)).rjust(places + 1, "0")
-    return f"{'-' if scaled < 0 else ''}{digits[:-places]}.{digits[-places:]}"
+        scaled_position = round(exact * 10**places)
+    digits = str(abs(scaled_position)).rjust(places + 1, "0")
+    return f"{'-' if scaled_position < 0 else ''}{digits[:-places]}.{digits[-places:]}"
 
 
 def parse_steps(text: str, gear: Fraction) -> int:

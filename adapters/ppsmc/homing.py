@@ -56,46 +56,48 @@ async def home_axes(
 ) -> Mapping[str, Refusal]:
     """Find the references of `axes`; return those that failed. Raises `Refusal` when no axis began."""
     unit.require_enabled(axes)
-    waiting = [_make_search(config, unit, name) for name in axes]
-    failed: dict[str, Refusal] = {}
-    running: list[_ReferenceSearch] = []
+    pending_searches = [_make_search(config, unit, name) for name in axes]
+    failures: dict[str, Refusal] = {}
+    begun_searches: list[_ReferenceSearch] = []
     async with unit.loading:
-        look = await _prepare_searches(unit, waiting)
-        for each in list(waiting):
-            if each.method in ("default", "org", "ref") and look.bits[each.motor] & StatusBits.REFERENCED:
-                waiting.remove(each)
-                if each.motor in unit.spoiled:
-                    failed[each.axis] = _installed_already(each)
+        look = await _prepare_searches(unit, pending_searches)
+        for search in list(pending_searches):
+            if search.method in ("default", "org", "ref") and look.bits[search.motor] & StatusBits.REFERENCED:
+                pending_searches.remove(search)
+                if search.motor in unit.spoiled:
+                    failures[search.axis] = _installed_already(search)
                 else:
-                    found(each.axis)  # its reference is installed, and the command would not move it (L2333)
-    if failed and not waiting and len(failed) == len(axes):
-        raise next(iter(failed.values()))
+                    found(search.axis)  # its reference is installed, and the command would not move it (L2333)
+    if failures and not pending_searches and len(failures) == len(axes):
+        raise next(iter(failures.values()))
     try:
-        while waiting or running:
-            for each in list(waiting):
-                if not running or not (each.is_exclusive or running[0].is_exclusive):
-                    waiting.remove(each)
-                    await unit.start_motion(each.command, each.axis, each.motor, each.stops)
-                    each.begun_ns = clock.now_ns()
-                    running.append(each)
+        while pending_searches or begun_searches:
+            for search in list(pending_searches):
+                if not begun_searches or not (search.is_exclusive or begun_searches[0].is_exclusive):
+                    pending_searches.remove(search)
+                    await unit.start_motion(search.command, search.axis, search.motor, search.stops)
+                    search.begun_ns = clock.now_ns()
+                    begun_searches.append(search)
             await sleep_ns(clock, _POLL_NS)
             look = await unit.read_state()
-            for each in _ended_searches(running, look, clock.now_ns(), lost=look.is_blocked or unit.session.restarted):
-                why = await _search_failure(unit, each, look)
-                if why == "" or clock.now_ns() > each.begun_ns + _READY_LAG_NS or unit.session.restarted:
-                    running.remove(each)
-                    if why:
-                        text = f"axis {each.axis} has not found its reference: {why}"
-                        failed[each.axis] = Refusal("homing-failed", text, "check its switches and `homing`")
+            for search in _ended_searches(
+                begun_searches, look, clock.now_ns(), lost=look.is_blocked or unit.session.restarted
+            ):
+                failure = await _search_failure(unit, search, look)
+                if failure == "" or clock.now_ns() > search.begun_ns + _READY_LAG_NS or unit.session.restarted:
+                    begun_searches.remove(search)
+                    if failure:
+                        text = f"axis {search.axis} has not found its reference: {failure}"
+                        failures[search.axis] = Refusal("homing-failed", text, "check its switches and `homing`")
                     else:
-                        unit.spoiled.discard(each.motor)
-                        found(each.axis)
+                        unit.spoiled.discard(search.motor)
+                        found(search.axis)
     except BaseException:
         # After a cancellation nothing waits for the searching axes.
         with suppress(LinkClosed):
-            unit.brake_axes(each.motor for each in running)
+            unit.brake_axes(search.motor for search in begun_searches)
         raise
-    return failed
+    return failures
 
 
 def _ended_searches(
@@ -105,9 +107,9 @@ def _ended_searches(
 
     Before an axis has been seen moving, its ready bit and its reference may be those of an earlier search.
     """
-    for each in running:
-        each.seen |= not look.is_ready(each.motor) or now_ns > each.begun_ns + _READY_LAG_NS
-    return [each for each in running if lost or (each.seen and look.is_ready(each.motor))]
+    for search in running:
+        search.seen |= not look.is_ready(search.motor) or now_ns > search.begun_ns + _READY_LAG_NS
+    return [search for search in running if lost or (search.seen and look.is_ready(search.motor))]
 
 
 async def _prepare_searches(unit: PpSmcState, searches: Sequence[_ReferenceSearch]) -> PpSmcReading:
@@ -116,14 +118,14 @@ async def _prepare_searches(unit: PpSmcState, searches: Sequence[_ReferenceSearc
     look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
     if not look.is_idle:
         raise Refusal("moving", "an axis of the controller moves, or a program runs", "wait for its end, or stop it")
-    commands = [f"cerr{each.motor}" for each in searches]
-    for each in searches:
-        commands += [f"{n}{each.motor}:{v}" for n, v in zip(loading.PROFILE, each.profile, strict=True)]
-    held = parse_settings((await unit.session.send_once(commands, ASK_SETTINGS)).reply_texts(ASK_SETTINGS))
-    for each in searches:
-        loading.require_profile(each.axis, each.motor, each.profile, held)
-        unit.profiles[each.motor] = each.profile
-        unit.referenced.discard(each.motor)
+    commands = [f"cerr{search.motor}" for search in searches]
+    for search in searches:
+        commands += [f"{n}{search.motor}:{v}" for n, v in zip(loading.PROFILE, search.profile, strict=True)]
+    held_settings = parse_settings((await unit.session.send_once(commands, ASK_SETTINGS)).reply_texts(ASK_SETTINGS))
+    for search in searches:
+        loading.require_profile(search.axis, search.motor, search.profile, held_settings)
+        unit.profiles[search.motor] = search.profile
+        unit.referenced.discard(search.motor)
     return look
 
 

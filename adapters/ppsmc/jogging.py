@@ -59,29 +59,33 @@ class PpSmcJogging:
     async def start_jog(self, axis: str, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         unit, motor = self._unit, fleetaxes.axis_number(self._config.axes[axis])
-        since = unit.stops.stop_count(motor)
+        stop_count = unit.stops.stop_count(motor)
         async with self._turn, unit.loading:
             unit.require_enabled([axis])
-            unit.stops.require_no_stop(axis, motor, since)
+            unit.stops.require_no_stop(axis, motor, stop_count)
             if self._mover.move is not None:
                 raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
-            wanted = _make_run(axis, motor, move, fleetaxes.axis_bounds(self._config.axes[axis]), since)
+            wanted_run = _make_run(axis, motor, move, fleetaxes.axis_bounds(self._config.axes[axis]), stop_count)
             look = await self._read_state()
-            held = self._running_jog(motor, look)
-            if not look.is_ready(motor) and held is None:
+            held_run = self._running_jog(motor, look)
+            if not look.is_ready(motor) and held_run is None:
                 raise Refusal("moving", f"axis {axis} is moving", "wait for its end, or stop it")
-            if held == wanted:
+            if held_run == wanted_run:
                 return
             onward: list[_JogRun] = []
-            if unit.profiles.get(motor) == wanted.profile:
-                if held is not None:
-                    look = await self._bring_to_rest([held])
+            if unit.profiles.get(motor) == wanted_run.profile:
+                if held_run is not None:
+                    look = await self._bring_to_rest([held_run])
             else:
-                onward = [run for other in self._runs if other != motor and (run := self._running_jog(other, look))]
-                look = await self._bring_to_rest([*onward, *([held] if held is not None else [])])
-                await self._load_speeds(wanted, look)
-            self._require_range(wanted, look)
-            await self._begin_jog(wanted, look)
+                onward = [
+                    run
+                    for other_motor in self._runs
+                    if other_motor != motor and (run := self._running_jog(other_motor, look))
+                ]
+                look = await self._bring_to_rest([*onward, *([held_run] if held_run is not None else [])])
+                await self._load_speeds(wanted_run, look)
+            self._require_range(wanted_run, look)
+            await self._begin_jog(wanted_run, look)
             for run in onward:
                 # Stopped meanwhile, or already at its end: it stays at its position.
                 with suppress(Refusal):
@@ -111,10 +115,10 @@ class PpSmcJogging:
             self._unit.brake_axes(run.motor for run in runs)
         until_ns = self._clock.now_ns() + max((run.ramp_ns for run in runs), default=0) + _REST_MARGIN_NS
         look = await self._read_state()
-        while moving := [run.axis for run in runs if not look.is_ready(run.motor)]:
+        while moving_axes := [run.axis for run in runs if not look.is_ready(run.motor)]:
             if self._clock.now_ns() > until_ns:
                 raise ControllerFault(
-                    "not-stopping", f"axis {moving[0]} does not stop", "stop it at the controller", moving[0]
+                    "not-stopping", f"axis {moving_axes[0]} does not stop", "stop it at the controller", moving_axes[0]
                 )
             await sleep_ns(self._clock, _POLL_NS)
             look = await self._read_state()
@@ -125,9 +129,11 @@ class PpSmcJogging:
         if not look.is_idle:
             raise Refusal("moving", "another axis of the controller moves", "wait for its end, or stop it")
         lines = [f"{n}{wanted.motor}:{v}" for n, v in zip(loading.PROFILE, wanted.profile, strict=True)]
-        held = parse_settings((await self._unit.session.send_once(lines, ASK_SETTINGS)).reply_texts(ASK_SETTINGS))
+        held_settings = parse_settings(
+            (await self._unit.session.send_once(lines, ASK_SETTINGS)).reply_texts(ASK_SETTINGS)
+        )
         self._unit.profiles.pop(wanted.motor, None)
-        loading.require_profile(wanted.axis, wanted.motor, wanted.profile, held)
+        loading.require_profile(wanted.axis, wanted.motor, wanted.profile, held_settings)
         self._unit.profiles[wanted.motor] = wanted.profile
 
     def _require_range(self, wanted: _JogRun, look: PpSmcReading) -> None:
@@ -142,13 +148,15 @@ class PpSmcJogging:
             raise Refusal("limit", f"axis {wanted.axis} is on its limit switch", "jog in the other direction")
 
     async def _begin_jog(self, wanted: _JogRun, look: PpSmcReading) -> None:
-        unit, before = self._unit, look.counts[wanted.motor]
+        unit, start_counts = self._unit, look.counts[wanted.motor]
         self._runs[wanted.motor] = wanted
         unit.jogging_motors.add(wanted.motor)
         target = fleetaxes.format_position(wanted.end, unit.gears[wanted.motor])
         await unit.start_motion(f"goto{wanted.motor}:{target}", wanted.axis, wanted.motor, wanted.stops)
         until_ns = self._clock.now_ns() + _READY_LAG_NS
-        while (now := await self._read_state()).is_ready(wanted.motor) and now.counts[wanted.motor] == before:
+        while (look_now := await self._read_state()).is_ready(wanted.motor) and look_now.counts[
+            wanted.motor
+        ] == start_counts:
             unit.stops.require_no_stop(wanted.axis, wanted.motor, wanted.stops)
             if self._clock.now_ns() > until_ns:
                 unit.brake_axes([wanted.motor])
@@ -162,11 +170,11 @@ class PpSmcJogging:
 
 def _make_run(axis: str, motor: int, move: JogMove, limits: PpSmcBounds, stops: int) -> _JogRun:
     """Return whole numbers that do not exceed `move`."""
-    asked = abs(move.velocity_counts_s)
-    f = floor(min(asked, limits.speed) * (1 + _ROUNDING))
+    speed = abs(move.velocity_counts_s)
+    f = floor(min(speed, limits.speed) * (1 + _ROUNDING))
     if f < max(1, limits.start_min):
         raise Refusal(
-            "too-slow", f"axis {axis}: {asked:g} steps/s is below its lowest speed", f"at least {limits.start_min}"
+            "too-slow", f"axis {axis}: {speed:g} steps/s is below its lowest speed", f"at least {limits.start_min}"
         )
     s = min(f, max(1, limits.start_min))
     ramp = min(1000, floor(move.ramp_counts_s2 / 1000 * (1 + _ROUNDING)))

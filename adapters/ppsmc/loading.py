@@ -46,21 +46,21 @@ def require_rest(unit: PpSmcState, lowered: PpSmcLowered, reply: TokenReply) -> 
         raise Refusal("blocked", "the controller is blocked", "unblock it with `tutti reset`")
     if lowered.moves and look.program_runs:
         raise Refusal("busy", "a program runs in the controller", "wait for its end, or stop it")
-    for each in lowered.moves:
-        bits, counts = look.bits[each.motor], look.counts[each.motor]
+    for move in lowered.moves:
+        bits, counts = look.bits[move.motor], look.counts[move.motor]
         if not bits & StatusBits.READY:
-            raise Refusal("moving", f"axis {each.name} is moving", "wait for its end, or stop it")
-        if counts != each.start_counts:
+            raise Refusal("moving", f"axis {move.name} is moving", "wait for its end, or stop it")
+        if counts != move.start_counts:
             raise Refusal(
                 "other-start",
-                f"axis {each.name} is at {counts} counts; the plan starts at {each.start_counts}",
+                f"axis {move.name} is at {counts} counts; the plan starts at {move.start_counts}",
                 "plan again from the present position",
             )
-        toward = StatusBits.LIMIT_FORWARD if each.distance > 0 else StatusBits.LIMIT_REVERSE
+        toward = StatusBits.LIMIT_FORWARD if move.distance > 0 else StatusBits.LIMIT_REVERSE
         if bits & toward:
             raise Refusal(
                 "limit",
-                f"axis {each.name} is on the limit switch that it would move towards",
+                f"axis {move.name} is on the limit switch that it would move towards",
                 "move it in the other direction",
             )
     if lowered.moves and not look.is_idle:
@@ -77,10 +77,10 @@ def require_rest(unit: PpSmcState, lowered: PpSmcLowered, reply: TokenReply) -> 
 def profile_lines(moves: tuple[PpSmcAxisMove, ...]) -> list[str]:
     """Return the commands for speeds and ramps. `ffast` precedes only the ramps: it is never below `frun` meanwhile."""
     return [
-        f"{name}{each.motor}:{value}"
-        for each in moves
-        if each.shape is not None
-        for name, value in zip(PROFILE, profile_values(each), strict=True)
+        f"{name}{move.motor}:{value}"
+        for move in moves
+        if move.shape is not None
+        for name, value in zip(PROFILE, profile_values(move), strict=True)
     ]
 
 
@@ -92,8 +92,8 @@ def profile_values(move: PpSmcAxisMove) -> tuple[int, int, int, int]:
 
 def target_lines(unit: PpSmcState, moves: tuple[PpSmcAxisMove, ...]) -> list[str]:
     """Return the commands for absolute targets: if they are sent twice, they do not move twice."""
-    written = fleetaxes.format_position
-    return ["tbc", *(f"tbs{each.motor}:a{written(each.end_counts, unit.gears[each.motor])}" for each in moves)]
+    format_target = fleetaxes.format_position
+    return ["tbc", *(f"tbs{move.motor}:a{format_target(move.end_counts, unit.gears[move.motor])}" for move in moves)]
 
 
 def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
@@ -101,13 +101,13 @@ def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
     first = wait_text(lowered.wait) if lowered.wait is not None else ""
     if not first and lowered.drive is not None:
         first = switch_text(lowered.drive)
-    moving: list[str] = []
-    for each in lowered.moves:
-        s, f, a, d = profile_values(each)
-        moving.append(
-            f"{each.motor}:a{fleetaxes.format_position(each.end_counts, unit.gears[each.motor])}s{s}r{f}a{a}d{d}"
+    move_lines: list[str] = []
+    for move in lowered.moves:
+        s, f, a, d = profile_values(move)
+        move_lines.append(
+            f"{move.motor}:a{fleetaxes.format_position(move.end_counts, unit.gears[move.motor])}s{s}r{f}a{a}d{d}"
         )
-    return [first, *moving, "nl", "end"]
+    return [first, *move_lines, "nl", "end"]
 
 
 async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLowered) -> None:
@@ -116,23 +116,23 @@ async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLo
     queries = [ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
     reply = await unit.session.send_repeatable(commands, *queries)
     if options.check_profile:
-        held = parse_settings(reply.reply_texts(ASK_SETTINGS))
-        require_settings(unit, fleetaxes.axis_names(unit.config), held)
-        for each in lowered.moves:
-            require_profile(each.name, each.motor, profile_values(each), held)
-    for each in lowered.moves:
-        unit.profiles[each.motor] = profile_values(each)
+        held_settings = parse_settings(reply.reply_texts(ASK_SETTINGS))
+        require_settings(unit, fleetaxes.axis_names(unit.config), held_settings)
+        for move in lowered.moves:
+            require_profile(move.name, move.motor, profile_values(move), held_settings)
+    for move in lowered.moves:
+        unit.profiles[move.motor] = profile_values(move)
     require_targets(unit, lowered, reply.first_line(ASK_TARGETS))
 
 
 def require_profile(name: str, motor: int, wanted: tuple[int, int, int, int], held: dict[int, dict[str, str]]) -> None:
     """Raise `Refusal` when ?conf does not show the speeds that were set."""
     for item, value in zip(PROFILE, wanted, strict=True):
-        found = held.get(motor, {}).get(item)
-        if found is None or not _is_number(found, value):
+        held_text = held.get(motor, {}).get(item)
+        if held_text is None or not _is_number(held_text, value):
             raise Refusal(
                 "not-loaded",
-                f"axis {name}: {item}{motor} is {found} instead of {value}",
+                f"axis {name}: {item}{motor} is {held_text} instead of {value}",
                 "arm it again; does the speed exceed the controller's own limit (fmax)?",
             )
 
@@ -144,21 +144,22 @@ def _is_number(text: str, value: int) -> bool:
 
 def require_targets(unit: PpSmcState, lowered: PpSmcLowered, line: PpSmcLine) -> None:
     """Raise `Refusal` unless the target buffer contains exactly the step's targets."""
-    held = {motor: text for motor, text in parse_entries(line.text).items() if _is_target(text)}
-    for each in lowered.moves:
-        text = held.pop(each.motor, "")
+    held_targets = {motor: text for motor, text in parse_entries(line.text).items() if _is_target(text)}
+    for move in lowered.moves:
+        text = held_targets.pop(move.motor, "")
         number = leading_number(text[1:]) if text[:1].lower() == "a" else None
-        found = None if number is None else fleetaxes.parse_steps(number, unit.gears[each.motor])
-        if found != each.end_counts:
+        held_steps = None if number is None else fleetaxes.parse_steps(number, unit.gears[move.motor])
+        if held_steps != move.end_counts:
             raise Refusal(
                 "not-loaded",
-                f"axis {each.name}: the target buffer contains {text or 'nothing'} instead of step {each.end_counts}",
+                f"axis {move.name}: the target buffer contains {text or 'nothing'} instead of step {move.end_counts}",
                 "arm it again; was the controller switched off, or does another program use the target buffer?",
             )
-    if held:
+    if held_targets:
         raise Refusal(
             "other-targets",
-            f"the target buffer contains targets of other axes: {', '.join(f'{m}:{t}' for m, t in held.items())}",
+            "the target buffer contains targets of other axes: "
+            f"{', '.join(f'{m}:{t}' for m, t in held_targets.items())}",
             "ensure that no other program uses the controller; arm it again",
         )
 

@@ -94,7 +94,7 @@ def lower_step(
     start_options: StartOptions,
 ) -> PpSmcLowered:
     """Lower all axes of a step. Raises `Refusal`."""
-    known = traits.known
+    estimate = traits.known
     if start_options.wait is not None and options.io_port:
         require_start_class(start_options, ("host", "line"), "")
     else:
@@ -107,29 +107,29 @@ def lower_step(
         )
     wait = None if start_options.wait is None else resolve_wait_input(config, start_options.wait, LOWEST_POINT)
     drive = None if start_options.drive is None else resolve_driven_output(config, start_options.drive, LOWEST_POINT)
-    rate, start = known.rate.clock_factor, known.latency
+    rate, start = estimate.rate.clock_factor, estimate.latency
     moves = _make_common_moves(config, rate, profiles, start_options)
-    running = tuple(each for each in moves if each.shape is not None)
-    durations_s = {each.name: each.shape.duration_s / rate if each.shape else 0.0 for each in moves}
-    ramps_s = max((each.shape.stop_s for each in running if each.shape is not None), default=0.0)
+    real_moves = tuple(move for move in moves if move.shape is not None)
+    durations_s = {move.name: move.shape.duration_s / rate if move.shape else 0.0 for move in moves}
+    ramps_s = max((move.shape.stop_s for move in real_moves if move.shape is not None), default=0.0)
     costs = step_costs(options, traits.char_ns, traits.installed, ramps_s, waits=wait is not None)
     if start_options.follows and wait is None and drive is None:
         costs = withdrawable_costs(costs, start.usual_ns, _POLL_LINES * options.decode_ns[1])
     return PpSmcLowered(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,
-        path_error_counts={each.name: _path_error(profiles[each.name], each, rate) for each in moves},
+        path_error_counts={move.name: _path_error(profiles[move.name], move, rate) for move in moves},
         terms=starting_terms(options, start, program=drive is not None)
         if wait is None
         else _line_start_terms(options, wait),
         tick_ns=0.0,
-        clock_ppm=known.bound_ppm(max(durations_s.values(), default=0.0)),
+        clock_ppm=estimate.bound_ppm(max(durations_s.values(), default=0.0)),
         costs=costs,
-        commands=_display_commands(running, wait, drive),
+        commands=_display_commands(real_moves, wait, drive),
         edge=() if drive is None else edge_terms(options, start),
         can_advance=True,
         lead_ns=start.usual_ns,
-        moves=running,
+        moves=real_moves,
         wait=wait,
         drive=drive,
     )
@@ -141,13 +141,13 @@ def _display_commands(
     """Return the commands for display; targets in steps."""
     if not running:
         return () if drive is None else (f"dout with bit {drive.bit} {'on' if drive.active else 'off'}",)
-    shapes = [(each, each.shape) for each in running if each.shape is not None]
+    shapes = [(move, move.shape) for move in running if move.shape is not None]
     if wait is None and drive is None:
         profile = [f"frun{e.motor}:{s.s} ffast{e.motor}:{s.f} acc{e.motor}:{s.a} dec{e.motor}:{s.d}" for e, s in shapes]
         return (*profile, "tbc", *(f"tbs{e.motor}:a ({e.end_counts} steps)" for e, _ in shapes), "tbg")
     first = wait_text(wait) if wait is not None else switch_text(drive) if drive is not None else ""
-    moving = [f"{e.motor}:a ({e.end_counts} steps) s{s.s}r{s.f}a{s.a}d{s.d}" for e, s in shapes]
-    return (first, *moving, "nl", "end", "start:")
+    move_lines = [f"{e.motor}:a ({e.end_counts} steps) s{s.s}r{s.f}a{s.a}d{s.d}" for e, s in shapes]
+    return (first, *move_lines, "nl", "end", "start:")
 
 
 def _make_common_moves(
@@ -161,25 +161,25 @@ def _make_common_moves(
 
     def make_stretched(factor: float) -> list[PpSmcAxisMove]:
         moves = [
-            _make_move(name, config.axes[name], each, _TimeScale(rate, factor), start_options)
-            for name, each in profiles.items()
+            _make_move(name, config.axes[name], profile, _TimeScale(rate, factor), start_options)
+            for name, profile in profiles.items()
         ]
-        return sorted(moves, key=lambda each: each.motor)
+        return sorted(moves, key=lambda move: move.motor)
 
     first = moves = make_stretched(1.0)
-    planned_s = [each.duration_s for each in profiles.values() if each.start_counts != each.end_counts]
+    planned_s = [profile.duration_s for profile in profiles.values() if profile.start_counts != profile.end_counts]
     if len(planned_s) < 2 or max(planned_s) - min(planned_s) > _ALIKE_S:
         return first
-    wanted_s, asked = planned_s[0] * rate, 1.0
+    wanted_s, last_factor = planned_s[0] * rate, 1.0
     for _ in range(_MOST_SEARCHES // len(planned_s)):
-        durations_s = [each.shape.duration_s for each in moves if each.shape is not None]
+        durations_s = [move.shape.duration_s for move in moves if move.shape is not None]
         if max(durations_s) - min(durations_s) <= _ALIKE_S:
             return moves
         factor = max(durations_s) / wanted_s
-        if factor == asked:  # one axis cannot be so slow
+        if factor == last_factor:  # one axis cannot be so slow
             return first
         try:
-            moves, asked = make_stretched(factor), factor
+            moves, last_factor = make_stretched(factor), factor
         except Refusal:  # beyond the slowest axis's longest duration: the first result shows the differences
             return first
     return first

@@ -70,7 +70,7 @@ class PpSmcMover:
         unit, began_ns = self._unit, self._clock.now_ns()
         if self.move is not None:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
-        unit.require_enabled(each.name for each in lowered.moves)
+        unit.require_enabled(axis_move.name for axis_move in lowered.moves)
         move = LoadedMove(lowered, t0_ns)
         unit.jogging_motors -= move.motor_numbers
         lock = ["remote"] if self._options.panel == "lock" else []
@@ -94,11 +94,11 @@ class PpSmcMover:
     async def verify_move(self) -> None:
         """Check that the move is still loaded and the axes are where the plan starts. Raises `Refusal`."""
         move = self._require_move()
-        lowered = move.lowered
-        queries = loading.check_queries(lowered)
-        if lowered.by_program:
+        lowered_step = move.lowered
+        queries = loading.check_queries(lowered_step)
+        if lowered_step.by_program:
             queries.append(ASK_PROGRAM)
-        elif lowered.moves:
+        elif lowered_step.moves:
             queries.append(ASK_TARGETS)
         try:
             reply = await self._session.send_queries(*queries)
@@ -106,15 +106,15 @@ class PpSmcMover:
             if error.code == "blocked":
                 raise as_refusal(error) from None
             raise
-        look = loading.require_rest(self._unit, lowered, reply)
+        look = loading.require_rest(self._unit, lowered_step, reply)
         if look.on_limit != move.ignore_limits:
             raise Refusal("limit", "a limit switch has changed since the move was armed", "arm it again")
         if move.output is not None:
             move.output.port.check_passive(int(reply.first_text(ASK_OUTPUTS)))
-        if lowered.by_program:
-            loading.require_program(loading.program_lines(self._unit, lowered), reply.reply_texts(ASK_PROGRAM))
-        elif lowered.moves:
-            loading.require_targets(self._unit, lowered, reply.first_line(ASK_TARGETS))
+        if lowered_step.by_program:
+            loading.require_program(loading.program_lines(self._unit, lowered_step), reply.reply_texts(ASK_PROGRAM))
+        elif lowered_step.moves:
+            loading.require_targets(self._unit, lowered_step, reply.first_line(ASK_TARGETS))
 
     async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
         """Start the program that waits for the trigger line; schedule the starting command, or the one that switches an
@@ -184,10 +184,10 @@ class PpSmcMover:
     async def unload_move(self) -> None:
         """Cancel the timed write, end a waiting program, and empty the buffers. Never starts a move."""
         move, self.move = self.move, None
-        fired = False
+        is_written = False
         if move is not None:
-            fired = not self._cancel_start(move) and move.order is not None
-        if move is not None and move.released and (move.waits_for_input or fired):
+            is_written = not self._cancel_start(move) and move.order is not None
+        if move is not None and move.released and (move.waits_for_input or is_written):
             # A waiting program, or a command written this very moment: it ends before anything is unloaded.
             self._unit.write_stop("q")
         async with self._unit.loading:
@@ -271,11 +271,11 @@ class PpSmcMover:
             raise
 
     async def _start_intervals(self, move: LoadedMove) -> Mapping[str, HostInterval]:
-        fired = None if move.order is None else await self._wait_for_write(move, move.order)
+        write = None if move.order is None else await self._wait_for_write(move, move.order)
         if move.lowered.moves and move.lowered.wait is not None:
             start = await self._starts.line_start(move, move.lowered.wait)
-        elif fired is not None and move.lowered.moves and move.pending is not None:
-            start = await self._starts.host_start(move, fired, move.pending)
+        elif write is not None and move.lowered.moves and move.pending is not None:
+            start = await self._starts.host_start(move, write, move.pending)
         else:
             start = HostInterval(move.t0_ns, move.t0_ns)
         if move.output is not None and move.pending is not None:
@@ -284,15 +284,15 @@ class PpSmcMover:
         return moving_intervals(move.lowered.durations_s, start, move.t0_ns)
 
     async def _wait_for_write(self, move: LoadedMove, order: TimedWrite) -> WriteResult:
-        fired = await wait_for_write(order, lambda: move.cancelled)
-        if fired.late:
+        write = await wait_for_write(order, lambda: move.cancelled)
+        if write.late:
             if move.pending is not None:
                 self._session.remove_expected(move.pending)
-            raise missed_write_fault("the starting command", self._session.link, fired)
+            raise missed_write_fault("the starting command", self._session.link, write)
         if move.pending is not None:
-            self._session.record_write(move.pending, fired.written_ns)
+            self._session.record_write(move.pending, write.written_ns)
         self._session.end_quiet()
-        return fired
+        return write
 
     async def _require_edge(self, move: LoadedMove, output: PpSmcOutput, pending: PendingBatch) -> None:
         """Raise `ControllerFault` when the output was not switched; a lost answer proves nothing."""
@@ -309,8 +309,8 @@ class PpSmcMover:
         try:
             if not move.lowered.moves or move.started is None:
                 wrong = await move.output.wait_until_passive() if move.output is not None else ""
-                stopped = move.stopped_ns is not None
-                return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=stopped)
+                is_stopped = move.stopped_ns is not None
+                return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=is_stopped)
             return await self._end_times.watch_to_end(move)
         finally:
             if self.move is move:

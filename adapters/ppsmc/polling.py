@@ -42,20 +42,20 @@ class PpSmcPoller:
 
     async def poll_state(self) -> ControllerReading:
         unit, session = self._unit, self._unit.session
-        measured = self._encoders | unit.closed
-        said: dict[int, tuple[int, str]] = {}
+        measured_motors = self._encoders | unit.closed
+        errors: dict[int, tuple[int, str]] = {}
         actual: dict[int, float] = {}
         try:
             if session.blocked:
                 raise ControllerFault("blocked", "", "")
-            reply = await session.send_queries(*self._poll_queries(measured))
+            reply = await session.send_queries(*self._poll_queries(measured_motors))
         except ControllerFault as error:
             if error.code != "blocked":
                 raise
             look = await unit.read_state()
         else:
             look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
-            said = parse_errors(reply.reply_texts(ASK_ERRORS))
+            errors = parse_errors(reply.reply_texts(ASK_ERRORS))
             if ASK_ENCODERS in reply:
                 actual = _parse_distances(reply.first_text(ASK_ENCODERS), unit.gears)
             if ASK_INPUTS in reply:
@@ -65,10 +65,10 @@ class PpSmcPoller:
         if session.restarted:
             raise ControllerRestarted()
         faults = _controller_faults(look)
-        axes = {name: self._read_axis(name, look, said, actual, measured) for name in self._motors}
+        axes = {name: self._read_axis(name, look, errors, actual, measured_motors) for name in self._motors}
         for name, motor in self._motors.items():
-            if motor in said and said[motor][0]:
-                faults.append(_axis_error_fault(name, said[motor]))
+            if motor in errors and errors[motor][0]:
+                faults.append(_axis_error_fault(name, errors[motor]))
         self._last = look
         return ControllerReading(
             at_ns=(look.begun_ns + look.at_ns) // 2,
@@ -101,33 +101,38 @@ class PpSmcPoller:
         counts = look.counts[motor]
         if counts is None:  # it oscillates: its position is unknown
             counts = (last.counts[motor] if last is not None else None) or 0
-        moving = not bits & StatusBits.READY
+        is_moving = not bits & StatusBits.READY
         velocity = 0.0
-        if moving and last is not None and (before := last.counts[motor]) is not None and look.at_ns > last.at_ns:
-            velocity = (counts - before) * NS_PER_S / (look.at_ns - last.at_ns)
+        if (
+            is_moving
+            and last is not None
+            and (last_counts := last.counts[motor]) is not None
+            and look.at_ns > last.at_ns
+        ):
+            velocity = (counts - last_counts) * NS_PER_S / (look.at_ns - last.at_ns)
         if said.get(motor, (0, ""))[0] == LIMIT_ERROR and motor in unit.referenced:
             unit.spoiled.add(motor)
-        lost = motor in unit.spoiled or (motor in unit.referenced and not bits & StatusBits.REFERENCED)
+        is_lost = motor in unit.spoiled or (motor in unit.referenced and not bits & StatusBits.REFERENCED)
         if bits & StatusBits.REFERENCED:
             unit.referenced.add(motor)
         return AxisReading(
             commanded_counts=counts,
             actual_counts=actual.get(motor, float(counts)) if motor in measured else float(counts),
             velocity_counts_s=velocity,
-            moving=moving,
+            moving=is_moving,
             enabled=name in unit.enabled,
             limit=fleetaxes.limit_of(bits),
-            position_lost=lost,
+            position_lost=is_lost,
         )
 
 
 def _parse_distances(text: str, gears: Mapping[int, Fraction]) -> dict[int, float]:
-    found: dict[int, float] = {}
+    distances: dict[int, float] = {}
     for motor, value in parse_entries(text).items():
         distance = leading_number(value)
         if distance is not None and motor in gears:
-            found[motor] = float(Fraction(distance) * gears[motor])
-    return found
+            distances[motor] = float(Fraction(distance) * gears[motor])
+    return distances
 
 
 def port_levels(value: int) -> dict[int, bool]:

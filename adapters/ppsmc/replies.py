@@ -85,8 +85,8 @@ def parse_states(text: str) -> dict[int, int]:
 def leading_number(text: str) -> str | None:
     """Return the number at the beginning, without the unit that `pqrf1` appends (L1101); None for `osc` (L4230), and
     for a number with an exponent or more digits than the controller has: `1e999999999` would be computed for ever."""
-    found = _NUMBER_FIRST.match(text)
-    return None if found is None else found[0]
+    number_match = _NUMBER_FIRST.match(text)
+    return None if number_match is None else number_match[0]
 
 
 def parse_setting(text: str) -> Fraction | None:
@@ -96,19 +96,19 @@ def parse_setting(text: str) -> Fraction | None:
 
 def parse_errors(lines: list[str]) -> dict[int, tuple[int, str]]:
     """Return number and text of the last error by axis; 0 is none."""
-    found: dict[int, tuple[int, str]] = {}
+    errors: dict[int, tuple[int, str]] = {}
     for line in lines:
-        axis, _, rest = line.partition(":")
-        number, _, text = rest.partition(" ")
-        found[int(axis)] = (int(number), text.strip())
-    return found
+        axis, _, error_text = line.partition(":")
+        number, _, text = error_text.partition(" ")
+        errors[int(axis)] = (int(number), text.strip())
+    return errors
 
 
 def parse_settings(lines: list[str]) -> dict[int, dict[str, str]]:
     """Return the values of ?conf by axis and name."""
-    found: dict[int, dict[str, str]] = {}
+    settings: dict[int, dict[str, str]] = {}
     for line in lines:
         match = re.fullmatch(r"([a-z_]{1,10})([0-9]{1,2})\s*:\s*(.*)", line, re.IGNORECASE)
         if match is not None:
-            found.setdefault(int(match[2]), {})[match[1].lower()] = match[3].strip()
-    return found
+            settings.setdefault(int(match[2]), {})[match[1].lower()] = match[3].strip()
+    return settings

@@ -244,8 +244,8 @@ class PpSmcSession:
         since_ns = self._clock.now_ns() if written_ns is None else written_ns
         answers = sum(20 if query.form.many else 1 for query in queries)
         wait_ns = self._answer_ns + len(lines) * self._slow_ns + self.wire_ns(len(data) + answers * _LONGEST_ANSWER)
-        before = sum(each.written_ns <= since_ns for each in self._pending.values())
-        wait_ns += (before + 1) * self._slow_ns * 10
+        earlier_count = sum(pending_reply.written_ns <= since_ns for pending_reply in self._pending.values())
+        wait_ns += (earlier_count + 1) * self._slow_ns * 10
         pending = self._pending[token] = PendingBatch(token, tuple(queries), data, since_ns, wait_ns)
         pending.answer.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._handle_timeout, pending))
         return pending
@@ -285,20 +285,22 @@ class PpSmcSession:
     async def _query_plain(self) -> tuple[PpSmcLine, PpSmcLine]:
         self._require_open()
         self._received_lines.clear()
-        changed = self._plain = asyncio.Event()
+        change_event = self._plain = asyncio.Event()
         until_ns = self._clock.now_ns() + self._answer_ns + 2 * self._slow_ns + self.wire_ns(2 * _LONGEST_ANSWER)
-        timer = self._clock.call_at_ns(until_ns, changed.set)
+        timer = self._clock.call_at_ns(until_ns, change_event.set)
         try:
             self._write_lines(ASK_STATUS.text, ASK_POSITIONS.text)
             while True:
-                await changed.wait()
+                await change_event.wait()
                 self._require_open()
-                changed.clear()
-                found = [line for line in self._received_lines if ASK_POSITIONS.form.matches_text(line.text)]
-                if len(found) >= 2 and ASK_STATUS.form.matches_text(found[0].text):
+                change_event.clear()
+                reply_lines = [line for line in self._received_lines if ASK_POSITIONS.form.matches_text(line.text)]
+                if len(reply_lines) >= 2 and ASK_STATUS.form.matches_text(reply_lines[0].text):
                     self._received_lines.clear()
-                    self.blocked = any(each & StatusBits.BLOCKED for each in parse_states(found[0].text).values())
-                    return found[0], found[1]
+                    self.blocked = any(
+                        state_bits & StatusBits.BLOCKED for state_bits in parse_states(reply_lines[0].text).values()
+                    )
+                    return reply_lines[0], reply_lines[1]
                 if self._clock.now_ns() >= until_ns:
                     raise self._no_answer(f"{ASK_STATUS.text} and {ASK_POSITIONS.text}")
         finally:
@@ -327,12 +329,12 @@ class PpSmcSession:
     async def _read_lines(self) -> None:
         try:
             while True:
-                received = await self.link.read()
-                *whole, self._partial_line = _DELIMITERS.split(self._partial_line + received.data.decode("latin-1"))
-                for each in whole:
-                    text = each.strip("\x02\x03\0 \t")  # the frame of txp1 (L4708)
+                chunk = await self.link.read()
+                *whole_lines, self._partial_line = _DELIMITERS.split(self._partial_line + chunk.data.decode("latin-1"))
+                for whole_line in whole_lines:
+                    text = whole_line.strip("\x02\x03\0 \t")  # the frame of txp1 (L4708)
                     if text:
-                        self._handle_line(PpSmcLine(text, received.at_ns))
+                        self._handle_line(PpSmcLine(text, chunk.at_ns))
         except LinkClosed as error:
             self._handle_link_loss(error)
 
@@ -365,35 +367,35 @@ class PpSmcSession:
     def _assign_answers(self, pending: PendingBatch) -> None:
         """Assign the lines before the token to the queries; a line that matches none is a message (echo, L1824)."""
         answers: dict[str, list[PpSmcLine]] = {}
-        left, said = list(self._received_lines), list(self._received_lines)
+        lines_left, received_lines = list(self._received_lines), list(self._received_lines)
         for query in (*pending.queries, ASK_USER_STATUS):
-            mine: list[PpSmcLine] = []
-            while left:
-                if not query.form.matches_text(left[0].text):
-                    if mine:
+            query_lines: list[PpSmcLine] = []
+            while lines_left:
+                if not query.form.matches_text(lines_left[0].text):
+                    if query_lines:
                         break
-                    left.pop(0)
+                    lines_left.pop(0)
                     continue
-                mine.append(left.pop(0))
+                query_lines.append(lines_left.pop(0))
                 if not query.form.many:
                     break
-            if not mine and not query.form.many:
+            if not query_lines and not query.form.many:
                 self._out_of_step = True
-                said = "; ".join(line.text for line in self._received_lines) or "nothing"
+                received_text = "; ".join(line.text for line in self._received_lines) or "nothing"
                 pending.answer.set_failure(
                     ControllerFault(
                         "garbage",
                         f"asked {query.text!r} on {self.link.endpoint}, expected {query.form.words}, "
-                        f"received {said[:200]!r}",
+                        f"received {received_text[:200]!r}",
                         "check cable and ground; is the option installed that the query concerns?",
                     )
                 )
                 return
-            answers[query.text] = mine
+            answers[query.text] = query_lines
         if answers[ASK_USER_STATUS.text][0].text == "0":
             self.restarted = self.restarted or self._known
         self._known = True
-        pending.answer.set_reply(TokenReply(answers, pending.written_ns, said))
+        pending.answer.set_reply(TokenReply(answers, pending.written_ns, received_lines))
 
 
 def _blocked_fault(place: str) -> ControllerFault:

@@ -44,13 +44,15 @@ class PpSmcStarts:
             status = reply.first_line(ASK_STATUS)
             look = self._unit.parse_state(status, reply.first_line(ASK_POSITIONS), reply.written_ns)
             answered_ns = status.at_ns
-            if not all(self._is_moving(look, each, by_status=True) for each in move.lowered.moves):
+            if not all(self._is_moving(look, axis_move, by_status=True) for axis_move in move.lowered.moves):
                 answered_ns = look.at_ns
         give_up_ns = self._clock.now_ns() + _READY_LAG_NS
-        while not all(self._is_moving(look, each) for each in move.lowered.moves):
+        while not all(self._is_moving(look, axis_move) for axis_move in move.lowered.moves):
             if move.stopped_ns is not None or self._clock.now_ns() > give_up_ns:
-                left = next(each for each in move.lowered.moves if not self._is_moving(look, each))
-                raise self._not_started_fault(move, left, look)
+                waiting_move = next(
+                    axis_move for axis_move in move.lowered.moves if not self._is_moving(look, axis_move)
+                )
+                raise self._not_started_fault(move, waiting_move, look)
             await sleep_ns(self._clock, _FAST_POLL_NS)
             look = await self._unit.read_state()
             answered_ns = look.at_ns
@@ -69,14 +71,14 @@ class PpSmcStarts:
         return not look.is_ready(move.motor) or (not by_status and look.counts[move.motor] != move.start_counts)
 
     def _not_started_fault(self, move: LoadedMove, axis: PpSmcAxisMove, look: PpSmcReading) -> ControllerFault:
-        why = "it does not move"
+        reason = "it does not move"
         if move.stopped_ns is not None:
-            why = "it was stopped"
+            reason = "it was stopped"
         elif look.bits[axis.motor] & (StatusBits.LIMIT_FORWARD | StatusBits.LIMIT_REVERSE):
-            why = "it is on a limit switch"
+            reason = "it is on a limit switch"
         return ControllerFault(
             "not-started",
-            f"axis {axis.name} has not started after `{move.start_command}`: {why}",
+            f"axis {axis.name} has not started after `{move.start_command}`: {reason}",
             "check its limit switches, `emips`, and the messages on the controller's screen",
             axis.name,
         )
@@ -84,13 +86,13 @@ class PpSmcStarts:
     async def line_start(self, move: LoadedMove, wait: WiredInput) -> HostInterval:
         """Return when the input has started the axes: within the window of the terms, and before the controller has
         answered that they move."""
-        earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
+        earliest_ns, latest_ns = (move.t0_ns + limit_ns for limit_ns in move.lowered.window_ns)
         quick_ns = self._options.decode_ns[0]
         early_ns = earliest_ns - 20 * NS_PER_MS - 4 * self._unit.slow_ns
         if self._clock.now_ns() < early_ns:
             await sleep_until_ns(self._clock, early_ns - 2 * self._unit.slow_ns)
             look = await self._unit.read_state()
-            if any(self._is_moving(look, each) for each in move.lowered.moves):
+            if any(self._is_moving(look, axis_move) for axis_move in move.lowered.moves):
                 self._require_not_restarted()
                 raise ControllerFault(
                     "not-started",
@@ -102,20 +104,20 @@ class PpSmcStarts:
             look = await self._unit.read_state()
             if move.stopped_ns is not None:
                 raise ControllerFault("not-started", "stopped while it waited for its trigger line", "")
-            left = [each for each in move.lowered.moves if not self._is_moving(look, each)]
-            if not left:
+            waiting_moves = [axis_move for axis_move in move.lowered.moves if not self._is_moving(look, axis_move)]
+            if not waiting_moves:
                 self._require_not_restarted()
                 # The status was read before the positions, one execution time earlier.
-                by_status = all(self._is_moving(look, each, by_status=True) for each in move.lowered.moves)
+                by_status = all(self._is_moving(look, axis_move, by_status=True) for axis_move in move.lowered.moves)
                 seen_ns = look.at_ns - quick_ns if by_status else look.at_ns
                 return HostInterval(earliest_ns, max(earliest_ns, min(latest_ns, seen_ns)))
-            if look.begun_ns > latest_ns and not (look.bits[left[0].motor] & StatusBits.PROGRAM):
-                raise self._not_started_fault(move, left[0], look)
+            if look.begun_ns > latest_ns and not (look.bits[waiting_moves[0].motor] & StatusBits.PROGRAM):
+                raise self._not_started_fault(move, waiting_moves[0], look)
             if look.begun_ns > latest_ns:
                 self._unit.write_stop("q")
                 raise ControllerFault(
                     "not-started",
-                    f"axis {left[0].name} still waits: input {wait.name} (bit {wait.bit}) was not active "
+                    f"axis {waiting_moves[0].name} still waits: input {wait.name} (bit {wait.bit}) was not active "
                     f"by {wait.latest_ns / 1e6:g} ms after T0",
                     "check the trigger wiring, and `active` in the fleet file",
                 )

@@ -36,19 +36,19 @@ async def wait_idle(unit: PpSmcState, clock: Clock, options: PpSmcOptions) -> Pp
     """Wait until nothing moves and no program runs; motions begun elsewhere are not stopped. Raises
     `ControllerFault`."""
     until_ns = clock.now_ns() + round(options.busy_wait_s * NS_PER_S)
-    waiting = False
+    is_waiting = False
     while not (look := await unit.read_state()).is_idle:
         if look.is_blocked:
             unit.session.log.warning("the controller is blocked")
             return look
-        if not waiting:
+        if not is_waiting:
             unit.session.log.info("waiting for the end of a motion or program of another client")
-            waiting = True
+            is_waiting = True
         if clock.now_ns() > until_ns:
-            doing = "a program runs" if look.program_runs else "an axis moves"
+            activity = "a program runs" if look.program_runs else "an axis moves"
             raise ControllerFault(
                 "busy",
-                f"{doing} on {unit.session.link.endpoint} for {options.busy_wait_s:g} s; it was not begun by this "
+                f"{activity} on {unit.session.link.endpoint} for {options.busy_wait_s:g} s; it was not begun by this "
                 "adapter",
                 "wait for its end, or stop it (`q` at the controller, or `tutti stop`)",
             )
@@ -63,32 +63,36 @@ async def compare_and_load(unit: PpSmcState, options: PpSmcOptions) -> None:
     commands = ["pqrf0", "tbc"]
     if options.panel == "lock":
         commands.append("remote")
-    found = parse_settings((await session.send_repeatable(commands, ASK_SETTINGS)).reply_texts(ASK_SETTINGS))
+    settings = parse_settings((await session.send_repeatable(commands, ASK_SETTINGS)).reply_texts(ASK_SETTINGS))
     wishes: dict[str, str] = {}
     for name, axis in config.axes.items():
         motor = fleetaxes.axis_number(axis)
-        held = found.get(motor)
-        if held is None:
-            known = ", ".join(map(str, sorted(found))) or "none"
-            raise _mismatch_fault(f"axes.{name}.motors", known, str(motor), "name an axis that the controller has")
-        gear = unit.gears[motor] = _read_gear(held, motor)
-        wanted = fleetaxes.expected_gear(axis) if options.check_gear else None
-        if wanted is not None and gear != wanted:
+        motor_settings = settings.get(motor)
+        if motor_settings is None:
+            motors_text = ", ".join(map(str, sorted(settings))) or "none"
+            raise _mismatch_fault(
+                f"axes.{name}.motors", motors_text, str(motor), "name an axis that the controller has"
+            )
+        gear = unit.gears[motor] = _read_gear(motor_settings, motor)
+        wanted_gear = fleetaxes.expected_gear(axis) if options.check_gear else None
+        if wanted_gear is not None and gear != wanted_gear:
             raise _mismatch_fault(
                 f"gear of axis {name} (gnum{motor}/gden{motor})",
                 f"{gear} steps per mm or deg",
-                f"{wanted} by scale and unit",
+                f"{wanted_gear} by scale and unit",
                 "correct `scale`, or the controller's gear, or set option check_gear to false",
             )
-        unit.homes[motor] = round(_read_fraction(held, "rofs", motor, "0") * gear)
-        if int(_read_fraction(held, "dcpl", motor, "4")) < (places := fleetaxes.gear_decimals(gear)):
+        unit.homes[motor] = round(_read_fraction(motor_settings, "rofs", motor, "0") * gear)
+        if int(_read_fraction(motor_settings, "dcpl", motor, "4")) < (places := fleetaxes.gear_decimals(gear)):
             wishes[f"dcpl{motor}"] = str(places)
-        wishes |= _loop_wishes(unit, motor, held, options.loop.get(name))
-        unit.settings[motor] = watched_settings(held)
+        wishes |= _loop_wishes(unit, motor, motor_settings, options.loop.get(name))
+        unit.settings[motor] = watched_settings(motor_settings)
     if wishes:
         await _load_settings(session, wishes)
-        for motor, expected in unit.settings.items():
-            expected.update({name: wishes[f"{name}{motor}"] for name in expected if f"{name}{motor}" in wishes})
+        for motor, expected_settings in unit.settings.items():
+            expected_settings.update(
+                {name: wishes[f"{name}{motor}"] for name in expected_settings if f"{name}{motor}" in wishes}
+            )
     unit.introduced = True
 
 
@@ -110,15 +114,15 @@ async def _load_settings(session: PpSmcSession, wishes: dict[str, str]) -> None:
     """Load settings and read them back. Raises `ControllerFault`."""
     session.log.info("loading settings of the fleet file", settings=wishes)
     reply = await session.send_repeatable([f"{name}:{value}" for name, value in wishes.items()], ASK_SETTINGS)
-    now = {
+    held_settings = {
         f"{n}{axis}": v
-        for axis, each in parse_settings(reply.reply_texts(ASK_SETTINGS)).items()
-        for n, v in each.items()
+        for axis, axis_settings in parse_settings(reply.reply_texts(ASK_SETTINGS)).items()
+        for n, v in axis_settings.items()
     }
     for name, value in wishes.items():
-        if now.get(name) != value:
+        if held_settings.get(name) != value:
             raise _mismatch_fault(
-                name, now.get(name, "nothing"), value, "set it at the controller and save it with `update`"
+                name, held_settings.get(name, "nothing"), value, "set it at the controller and save it with `update`"
             )
 
 

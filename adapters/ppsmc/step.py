@@ -38,7 +38,7 @@ class LoadedMove:
 
     @property
     def motor_numbers(self) -> set[int]:
-        return {each.motor for each in self.lowered.moves}
+        return {move.motor for move in self.lowered.moves}
 
     @property
     def waits_for_input(self) -> bool:

@@ -40,12 +40,12 @@ def make_timing(lowered: PpSmcLowered, started: HostInterval, closed: Set[int], 
     """Return the timing of the longest move that provides information about the crystal."""
     if lowered.by_program:
         return None
-    found = [
-        (each.shape.duration_s, each.motor, each, each.shape.motion_legs)
-        for each in lowered.moves
-        if each.shape is not None and each.motor not in closed
+    candidates = [
+        (move.shape.duration_s, move.motor, move, move.shape.motion_legs)
+        for move in lowered.moves
+        if move.shape is not None and move.motor not in closed
     ]
-    if not found:
+    if not candidates:
         return None
-    duration_s, _, axis, legs = max(found)
+    duration_s, _, axis, legs = max(candidates)
     return PpSmcTiming(axis, TimedMove(duration_s, legs, (started.earliest_ns, started.latest_ns)), quick_ns)

@@ -110,14 +110,14 @@ def fit_trapezoid(distance: int, duration_s: float, acceleration: float, bounds:
     if lowest > highest:
         return None
     search = _TrapezoidSearch(distance, duration_s, bounds)
-    planned = max(1, min(bounds.ramp_max, round(acceleration / _HZ_PER_S)))
-    for a, d in _ramps_around(planned, bounds.ramp_max):
+    planned_ramp = max(1, min(bounds.ramp_max, round(acceleration / _HZ_PER_S)))
+    for a, d in _ramps_around(planned_ramp, bounds.ramp_max):
         search.try_ramps(a, d)
         if search.error_s <= _GOOD_ENOUGH_S:
             break
     else:
         search.try_gentle_ramps()
-        search.try_steeper_ramps(planned)
+        search.try_steeper_ramps(planned_ramp)
     search.try_steady()
     search.try_limits()
     best, longer = search.best, search.longer
@@ -166,13 +166,13 @@ class _TrapezoidSearch:
                 if s >= f or t * f - n <= 1e-9 * n:
                     continue
                 k = (t * f - n) / (f - s) ** 2
-                same = 1 / (k * _HZ_PER_S)
-                for a in {floor(same), ceil(same), *_STEPS}:
-                    rest = 2 * k * _HZ_PER_S - 1 / a if a else 0.0
-                    d = 1 / rest if rest > 0 else 0.0
-                    for other in (floor(d), ceil(d)):
-                        self.try_ramps_at(f, a, other)
-                        self.try_ramps_at(f, other, a)
+                common_ramp = 1 / (k * _HZ_PER_S)
+                for a in {floor(common_ramp), ceil(common_ramp), *_STEPS}:
+                    ramp_rest = 2 * k * _HZ_PER_S - 1 / a if a else 0.0
+                    d = 1 / ramp_rest if ramp_rest > 0 else 0.0
+                    for other_ramp in (floor(d), ceil(d)):
+                        self.try_ramps_at(f, a, other_ramp)
+                        self.try_ramps_at(f, other_ramp, a)
 
     def try_steeper_ramps(self, planned: int) -> None:
         """Offer candidates with increasingly steep ramps, for a duration that is too short for the planned ramps."""
@@ -245,10 +245,10 @@ def _spread_values(low: int, high: int) -> Iterator[int]:
 
 def _ramps_around(planned: int, ramp_max: int) -> Iterator[tuple[int, int]]:
     """Yield pairs of ramps, the planned one for both first, then at increasing distance."""
-    allowed = range(1, ramp_max + 1)
+    ramp_range = range(1, ramp_max + 1)
     for reach in range(_RAMP_REACH + 1):
-        near = range(planned - reach, planned + reach + 1)
-        for a in near:
-            for d in near:
-                if max(abs(a - planned), abs(d - planned)) == reach and a in allowed and d in allowed:
+        near_ramps = range(planned - reach, planned + reach + 1)
+        for a in near_ramps:
+            for d in near_ramps:
+                if max(abs(a - planned), abs(d - planned)) == reach and a in ramp_range and d in ramp_range:
                     yield a, d

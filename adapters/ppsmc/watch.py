@@ -58,19 +58,19 @@ class PpSmcWatch:
         """Write the expected values again, and read them back. Raises `Refusal`, `ControllerFault`."""
         if not self.has_differences:
             return
-        session, wanted = self._unit.session, self._unit.settings
+        session, wanted_settings = self._unit.session, self._unit.settings
         commands = [
-            f"{name}{motor}:{wanted[motor][name]}"
-            for motor, held in (await self._read_settings(list(self._motors))).items()
-            for name, value in held.items()
-            if wanted.get(motor, {}).get(name, value) != value
+            f"{name}{motor}:{wanted_settings[motor][name]}"
+            for motor, held_settings in (await self._read_settings(list(self._motors))).items()
+            for name, value in held_settings.items()
+            if wanted_settings.get(motor, {}).get(name, value) != value
         ]
         if commands:
             session.log.info("settings that were changed are written again", commands=commands)
             await session.send_repeatable(commands)
-            left = await self._compare(list(self._motors))
-            if left:
-                raise Refusal("setting-changed", left[0].to_fault().text, "set it at the controller")
+            differences = await self._compare(list(self._motors))
+            if differences:
+                raise Refusal("setting-changed", differences[0].to_fault().text, "set it at the controller")
         self.has_differences = False
 
     # Internals
@@ -82,9 +82,9 @@ class PpSmcWatch:
         return parse_settings((await self._unit.session.send_queries(query)).reply_texts(query))
 
     async def _compare(self, motors: Sequence[int]) -> list[SettingDifference]:
-        found = find_differences(self._unit, self._motors, await self._read_settings(motors))
-        self.has_differences = self.has_differences or bool(found)
-        return found
+        differences = find_differences(self._unit, self._motors, await self._read_settings(motors))
+        self.has_differences = self.has_differences or bool(differences)
+        return differences
 
 
 def find_differences(
@@ -95,14 +95,14 @@ def find_differences(
         SettingDifference(
             item=f"{name}{motor} (axis {motors[motor]})",
             found=value,
-            expected=expected,
+            expected=expected_value,
             axis=motors[motor],
             moves_reference=name in _SCALING or (name in _ENCODER and motor in unit.closed),
         )
-        for motor, held in found.items()
+        for motor, held_settings in found.items()
         if motor in motors
-        for name, value in held.items()
-        if (expected := unit.settings.get(motor, {}).get(name)) is not None and value != expected
+        for name, value in held_settings.items()
+        if (expected_value := unit.settings.get(motor, {}).get(name)) is not None and value != expected_value
     ]
 
 
