@@ -141,11 +141,11 @@ class Cia402Bus:
     async def _read_frames(self, can: CanLink) -> None:
         try:
             while True:
-                received = await can.read_frame()
-                if received.frame.error:
-                    self._handle_bus_state(received.frame.id)
-                elif not received.frame.extended and not received.frame.rtr:
-                    self._dispatch_frame(received.frame, received.at_ns)
+                arrival = await can.read_frame()
+                if arrival.frame.error:
+                    self._handle_bus_state(arrival.frame.id)
+                elif not arrival.frame.extended and not arrival.frame.rtr:
+                    self._dispatch_frame(arrival.frame, arrival.at_ns)
         except LinkClosed as error:
             self._handle_link_loss(can, error)
         except ValueError as error:

@@ -60,9 +60,9 @@ class SetpointTrajectory:
                 return start
             if number >= last:
                 return end
-            there = at((number + 1) * period_s - begin_s)
-            here = start + round(there.position - there.acceleration * period_s**2 / 16)
-            return min(max(here, low), high) if keeps_ends else here
+            next_state = at((number + 1) * period_s - begin_s)
+            counts = start + round(next_state.position - next_state.acceleration * period_s**2 / 16)
+            return min(max(counts, low), high) if keeps_ends else counts
 
         return setpoint_at
 
@@ -72,9 +72,9 @@ class SetpointTrajectory:
         late, or slowly, and so may it end."""
         at, last = self.setpoint_function(), self.point_count - 1
         start, end = at(-1), at(last)
-        before = next((number for number in range(last + 1) if at(number) != start), last)
-        after = next((back for back in range(last + 1) if at(last - 1 - back) != end), last)
-        return before, after
+        still_before = next((number for number in range(last + 1) if at(number) != start), last)
+        still_after = next((back_number for back_number in range(last + 1) if at(last - 1 - back_number) != end), last)
+        return still_before, still_after
 
     @property
     def path_error_counts(self) -> float:
@@ -89,6 +89,6 @@ class SetpointTrajectory:
             return max(bow, min(acceleration * period_s**2 / 2, jerk * period_s**3 / 6)) + 1.5
         if not isclose(self._planned_periods, self.point_count, abs_tol=_ROUNDING):
             # The plan ends within the last period, and the drive at the end of that period.
-            before = profile.state_at((self.point_count - 1) * period_s - self.begin_s).position
-            bow = max(bow, abs(profile.end_counts - profile.start_counts - before))
+            last_position = profile.state_at((self.point_count - 1) * period_s - self.begin_s).position
+            bow = max(bow, abs(profile.end_counts - profile.start_counts - last_position))
         return bow + 1.5

@@ -37,10 +37,10 @@ def _list_objects() -> Iterator[DictionaryObject]:
         if isinstance(value, DictionaryObject):
             yield value
         elif isinstance(value, tuple):
-            yield from (each for each in value if isinstance(each, DictionaryObject))  # pyright: ignore[reportUnknownVariableType]
+            yield from (entry for entry in value if isinstance(entry, DictionaryObject))  # pyright: ignore[reportUnknownVariableType]
 
 
-_OBJECTS = {(each.index, each.sub): each for each in _list_objects()}
+_OBJECTS = {(entry.index, entry.sub): entry for entry in _list_objects()}
 
 
 class Cia402Decoder:
@@ -53,13 +53,13 @@ class Cia402Decoder:
         self._following: set[int] = set()
         """Nodes that follow positions: only these have a TPDO 4."""
         for outputs in (False, True):
-            for followed in (None, *o.FOLLOWED.values()):
-                for pdo in required_pdos(options, outputs=outputs, followed=followed):
-                    length = sum(each.byte_size for each in pdo.carries)
+            for followed_object in (None, *o.FOLLOWED.values()):
+                for pdo in required_pdos(options, outputs=outputs, followed=followed_object):
+                    length = sum(carried_object.byte_size for carried_object in pdo.carries)
                     self._pdos.setdefault((pdo.function, length), pdo)
-        switched = required_pdos(options, outputs=True, followed=o.TARGET)
+        pdos = required_pdos(options, outputs=True, followed=o.TARGET)
         # As long as the mapping of ramps.
-        self._switched = next(each for each in switched if each.function == bus.RPDO[3])
+        self._switched = next(pdo for pdo in pdos if pdo.function == bus.RPDO[3])
 
     def decode_bytes(self, direction: FrameDirection, data: bytes) -> list[DecodedFrame]:
         try:
@@ -127,9 +127,9 @@ def _describe_sdo(data: bytes, *, is_request: bool) -> str:
 
 def _describe_values(carries: Sequence[DictionaryObject], data: bytes) -> str:
     words: list[str] = []
-    for each in carries:
-        words.append(f"{each.name} {_format_value(each, data[: each.byte_size])}")
-        data = data[each.byte_size :]
+    for carried_object in carries:
+        words.append(f"{carried_object.name} {_format_value(carried_object, data[: carried_object.byte_size])}")
+        data = data[carried_object.byte_size :]
     return ", ".join(words)
 
 
@@ -138,8 +138,8 @@ def _format_value(obj: DictionaryObject | None, data: bytes) -> str:
         return f"{int.from_bytes(data, 'little')}"
     value = obj.decode(data)
     if obj == o.STATUSWORD:
-        reached = ", target reached" if value & states.TARGET_REACHED else ""
-        return f"{value:04X}h ({states.drive_state_of(value).value}{reached})"
+        target_text = ", target reached" if value & states.TARGET_REACHED else ""
+        return f"{value:04X}h ({states.drive_state_of(value).value}{target_text})"
     if obj == o.CONTROLWORD:
         bits = [word for bit, word in _CONTROL_BITS.items() if value & bit]
         return f"{value:04X}h ({', '.join([_CONTROLWORDS.get(value & _STATE_BITS, 'unknown'), *bits])})"

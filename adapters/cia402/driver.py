@@ -163,17 +163,17 @@ class Cia402Driver(
                 "one SYNC serves all",
                 "set the same value for all of them",
             )
-        found = (await self._attach_node()).node
-        identity = await startup.identify_drive(found, self._options.boot_ms)
+        node = (await self._attach_node()).node
+        identity = await startup.identify_drive(node, self._options.boot_ms)
         if self._options.eds is not None:
-            await startup.compare_product(found, self._read_product(self._options.eds))
-        await self._find_following_mode(found)
-        self._was_unmapped = await startup.map_and_start(found, self._sync_scheduler, self._options, self._pdos)
-        self._boots = found.boots
-        await self._end_switching(found)
+            await startup.compare_product(node, self._read_product(self._options.eds))
+        await self._find_following_mode(node)
+        self._was_unmapped = await startup.map_and_start(node, self._sync_scheduler, self._options, self._pdos)
+        self._boots = node.boots
+        await self._end_switching(node)
         if self._was_unmapped:
             self._log.info("the PDOs were mapped differently; they are mapped again")
-        self.log_identity(found.name, identity)
+        self.log_identity(node.name, identity)
         return identity
 
     async def _attach_node(self) -> Cia402Connection:
@@ -217,18 +217,18 @@ class Cia402Driver(
             raise ControllerFault("config-mismatch", str(error), "correct `options.eds`, or remove it") from None
 
     async def configure(self) -> None:
-        found = self.connection.node
-        await startup.wait_for_rest(found, self._options.busy_wait_s)
-        await startup.compare_settings(found, self._config, self._options)
+        node = self.connection.node
+        await startup.wait_for_rest(node, self._options.busy_wait_s)
+        await startup.compare_settings(node, self._config, self._options)
         await self.connection.watch.record_settings(self._pdos)
         # Reported by the next poll: a reconnecting adapter must learn that the drive was off meanwhile.
         self._restarted = self._restarted or (self._was_unmapped and self._is_connected)
         self._is_connected = True
 
     def _step_costs(self, longest_ramp_s: float) -> StepCosts:
-        watched = len(AT_ARM) if self._connection is None else self._connection.watch.arm_reads
+        arm_reads = len(AT_ARM) if self._connection is None else self._connection.watch.arm_reads
         stands = self._connection is not None and self._connection.node.stands_acknowledged
-        costs = step_costs(self._options, self._bus.bitrate, len(self._bus.units), longest_ramp_s, watched)
+        costs = step_costs(self._options, self._bus.bitrate, len(self._bus.units), longest_ramp_s, arm_reads)
         return costs.model_copy(update={"arm_ns": costs.arm_ns + STANDING_NS * stands})
 
     @property
@@ -244,32 +244,32 @@ class Cia402Driver(
 
     async def poll(self) -> ControllerReading:
         """Return the state that the drive sends unsolicited; nothing is queried."""
-        found = self.connection.node
+        node = self.connection.node
         patience_ns = 3 * max(self._options.heartbeat_ms, self._options.state_ms) * NS_PER_MS
         if self._bus.is_off:
-            raise bus_off_fault(found.name)
+            raise bus_off_fault(node.name)
         began_ns = self._clock.now_ns()
 
         # The last message is valid as long as the drive is alive: it sends changes at once.
         def is_alive() -> bool:
-            return found.heard_ns > began_ns or found.boots != self._boots or self._bus.is_off
+            return node.heard_ns > began_ns or node.boots != self._boots or self._bus.is_off
 
-        if not await found.wait_until(is_alive, began_ns + patience_ns):
+        if not await node.wait_until(is_alive, began_ns + patience_ns):
             raise ControllerFault(
                 "no-answer",
-                f"{found.name} has been silent for {(self._clock.now_ns() - found.heard_ns) // NS_PER_MS} "
+                f"{node.name} has been silent for {(self._clock.now_ns() - node.heard_ns) // NS_PER_MS} "
                 f"ms, its heartbeat period is {self._options.heartbeat_ms} ms",
                 "check its power, the cable and both terminations",
             )
         if self._bus.is_off:
-            raise bus_off_fault(found.name)
-        restarted, self._restarted = self._restarted, False
-        if found.boots != self._boots:
-            restarted = True
-            await self._reload_drive(found)
-        elif not self._is_operating(found):
-            await found.wait_for_second_change()
-        return self._make_reading(found, restarted=restarted)
+            raise bus_off_fault(node.name)
+        is_restarted, self._restarted = self._restarted, False
+        if node.boots != self._boots:
+            is_restarted = True
+            await self._reload_drive(node)
+        elif not self._is_operating(node):
+            await node.wait_for_second_change()
+        return self._make_reading(node, restarted=is_restarted)
 
     async def _reload_drive(self, found: BusDrive) -> None:
         """Load again what the drive has lost by a power cycle."""
@@ -286,17 +286,17 @@ class Cia402Driver(
         return await check_watched_settings(self.connection.watch, self._log, everything=everything)
 
     def _make_reading(self, found: BusDrive, *, restarted: bool) -> ControllerReading:
-        moving = self._is_moving(found)
+        is_moving = self._is_moving(found)
         axis = AxisReading(
             commanded_counts=found.demand,
             actual_counts=float(found.actual),
-            velocity_counts_s=found.velocity / float(self._options.velocity_units) if moving else 0.0,
-            moving=moving,
+            velocity_counts_s=found.velocity / float(self._options.velocity_units) if is_moving else 0.0,
+            moving=is_moving,
             enabled=found.is_enabled,
             limit=_limit_switches(found.inputs),
         )
         return ControllerReading(
-            at_ns=found.state_ns if moving and found.state_ns else found.heard_ns,
+            at_ns=found.state_ns if is_moving and found.state_ns else found.heard_ns,
             axes={self._axis: axis},
             inputs={number: bool(found.inputs & point_bit(number)) for number in POINTS},
             outputs={number: bool(found.outputs & point_bit(number)) for number in POINTS}
@@ -343,12 +343,12 @@ class Cia402Driver(
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Cia402Lowered:
-        longest_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
+        longest_s = max([self._ramp_s, *(max(profile.durations_s, default=0.0) for profile in profiles.values())])
         bus = self._bus
         times = BusTimes(bus.bitrate, bus.start_ns, len(bus.units), len(bus.switching))
         traits = ConnectionTraits(times, self._step_costs(longest_s), self._following)
-        lowered = lower_step(self._config, self._options, traits, profiles, start)
-        return add_triggers(lowered, self._config, self._options, times, start)
+        lowered_step = lower_step(self._config, self._options, traits, profiles, start)
+        return add_triggers(lowered_step, self._config, self._options, times, start)
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         del mapping
@@ -408,17 +408,17 @@ class Cia402Driver(
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
         """Load 607Dh; the whole range for an axis whose position is unknown."""
-        found = self.connection.node
+        node = self.connection.node
         for pair in limits.values():
             low, high = (-POSITION_MAX, POSITION_MAX) if pair is None else pair
             for obj, value in ((o.LIMIT_LOW, low), (o.LIMIT_HIGH, high)):
-                found.held[obj] = value
-                if not await startup.load_optional(found, obj, value):
-                    del found.held[obj]
+                node.held[obj] = value
+                if not await startup.load_optional(node, obj, value):
+                    del node.held[obj]
                     self._log.info(f"the drive has no {obj}: the limits of the axis are kept by plans and jogs alone")
 
     async def set_output(self, number: int, *, on: bool) -> None:
-        found = self.connection.node
+        node = self.connection.node
         mover = self.connection.mover
         if mover.move is not None and (mover.move.lowered.drive or mover.move.lowered.switched.points):
             raise Refusal(
@@ -431,26 +431,26 @@ class Cia402Driver(
                 "busy", "a set-point waits for its SYNC, and outputs are written with it", "wait for the start"
             )
         bit = point_bit(number)
-        found.outputs = found.outputs | bit if on else found.outputs & ~bit
+        node.outputs = node.outputs | bit if on else node.outputs & ~bit
         ride = None if mover.move is None else mover.move.streamed_move
-        if ride is not None and found.switches_with_positions:
+        if ride is not None and node.switches_with_positions:
             await self._switch_in_stream(ride)
         else:
-            found.send_control(found.control if ride is not None else found.control & ~states.NEW_SET_POINT)
-        held = await found.sdo.read_value(o.OUTPUTS)
-        if held != found.outputs:
+            node.send_control(node.control if ride is not None else node.control & ~states.NEW_SET_POINT)
+        held_outputs = await node.sdo.read_value(o.OUTPUTS)
+        if held_outputs != node.outputs:
             raise ControllerFault(
                 "not-switched",
-                f"{found.name} contains {held:#010x} in {o.OUTPUTS}, and was given {found.outputs:#010x}",
+                f"{node.name} contains {held_outputs:#010x} in {o.OUTPUTS}, and was given {node.outputs:#010x}",
                 "has the drive this output? Is another master on the bus?",
             )
 
     async def _switch_in_stream(self, ride: StreamedMove) -> None:
         """Switch outputs with a position that is not sent yet, and wait for its SYNC."""
-        found, mover = self.connection.node, self.connection.mover
-        number = ride.change_outputs(found.outputs)
-        latest_ns = found.clock.now_ns() + 2 * PERIODS_AHEAD * self._options.period_ms * NS_PER_MS + found.answer_ns
-        await found.wait_until(lambda: ride.edges.written >= number or mover.move is None, latest_ns)
+        node, mover = self.connection.node, self.connection.mover
+        number = ride.change_outputs(node.outputs)
+        latest_ns = node.clock.now_ns() + 2 * PERIODS_AHEAD * self._options.period_ms * NS_PER_MS + node.answer_ns
+        await node.wait_until(lambda: ride.edges.written >= number or mover.move is None, latest_ns)
 
     async def clear_faults(self) -> None:
         with log_refusals(self._log, "clearing the fault"):
@@ -468,30 +468,30 @@ class Cia402Driver(
     async def send_raw(self, command: str) -> str:
         """Execute a raw command: `6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index
         and sub-index)."""
-        found = self.connection.node
+        node = self.connection.node
         obj, value = _parse_access(command)
         if value is None:
-            return str(await found.sdo.read_value(obj))
-        await found.sdo.write_value(obj, value)
+            return str(await node.sdo.read_value(obj))
+        await node.sdo.write_value(obj, value)
         return "ok"
 
     async def close(self) -> None:
-        ended, self._connection = self._connection, None
-        if ended is None:
+        old_connection, self._connection = self._connection, None
+        if old_connection is None:
             return
         self._log.info("detached from the bus")
         self._sync_scheduler.mark_unknown(self._number)
         with suppress(ControllerFault, LinkClosed):
-            await ended.mover.halt_drive()
-            if self._options.watchdog_ms is not None and ended.node.mapped:
-                await ended.node.sdo.write_value(CONSUMER, 0)
-        if ended.mover.switching.points:
-            self._broken_off = ended.mover.switching
-        ended.mover.cancel_waits()
-        ended.power.cancel_stops()
-        await self._bus.detach_node(self._number, ended.node)
+            await old_connection.mover.halt_drive()
+            if self._options.watchdog_ms is not None and old_connection.node.mapped:
+                await old_connection.node.sdo.write_value(CONSUMER, 0)
+        if old_connection.mover.switching.points:
+            self._broken_off = old_connection.mover.switching
+        old_connection.mover.cancel_waits()
+        old_connection.power.cancel_stops()
+        await self._bus.detach_node(self._number, old_connection.node)
         # Tasks that wait for the drive, such as a reference search, get no further message of it.
-        ended.node.handle_link_loss(LinkClosed(f"{self._setup.controller} was disconnected"))
+        old_connection.node.handle_link_loss(LinkClosed(f"{self._setup.controller} was disconnected"))
 
 
 def _limit_switches(inputs: int) -> Literal["none", "forward", "reverse", "both"]:
@@ -503,16 +503,16 @@ def _limit_switches(inputs: int) -> Literal["none", "forward", "reverse", "both"
 
 
 def _parse_access(command: str) -> tuple[DictionaryObject, int | None]:
-    place, given, value = command.partition("=")
+    object_text, equals_sign, value = command.partition("=")
     try:
-        address, _, bits = place.partition("/")
+        address, _, bits = object_text.partition("/")
         index, _, sub = address.partition(":")
         obj = DictionaryObject(
             int(index, 16), int(sub or "0", 16), int(bits or "32"), "object", signed=value.strip().startswith("-")
         )
         if obj.bits not in (8, 16, 32):
             raise ValueError
-        number = int(value, 0) if given else None
+        number = int(value, 0) if equals_sign else None
         if number is not None:
             obj.encode(number)
     except (ValueError, OverflowError):

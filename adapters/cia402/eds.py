@@ -81,8 +81,8 @@ def _make_checks(
         if getattr(options, name) is not None:
             for obj in pair:
                 yield partial(_require_object, path, dictionary, obj, f"which option `{name}` compares")
-    for obj, why in _written_objects(config, options, dictionary):
-        yield partial(_require_writable, path, dictionary, obj, why)
+    for obj, purpose in _written_objects(config, options, dictionary):
+        yield partial(_require_writable, path, dictionary, obj, purpose)
 
 
 def _require_writable(path: str, dictionary: ObjectDictionary, obj: DictionaryObject, why: str) -> None:
@@ -114,8 +114,8 @@ def _find_followed(dictionary: ObjectDictionary, config: Controller) -> Dictiona
     it."""
     if not needs_stream(config):
         return None
-    supported = dictionary.get_variable(o.SUPPORTED_MODES.index, 0)
-    modes = 0 if supported is None else int(supported.default or 0)
+    supported_modes = dictionary.get_variable(o.SUPPORTED_MODES.index, 0)
+    modes = 0 if supported_modes is None else int(supported_modes.default or 0)
     for mode, obj in o.FOLLOWED.items():
         # A file need not state the value of 6502h.
         if dictionary.get_variable(obj.index, obj.sub) is not None and (not modes or modes >> mode - 1 & 1):

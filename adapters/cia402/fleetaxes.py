@@ -46,8 +46,8 @@ def axis_bounds(axis: Axis) -> DriveBounds:
 
 def homing_method(axis: Axis) -> int:
     """Return the number for 6098h."""
-    named = _NAMED_METHODS.get(axis.homing.method)
-    return int(axis.homing.method) if named is None else named
+    method_number = _NAMED_METHODS.get(axis.homing.method)
+    return int(axis.homing.method) if method_number is None else method_number
 
 
 def homing_numbers(axis: Axis, options: Cia402Options) -> tuple[int, int, int]:
@@ -109,12 +109,12 @@ def find_problems(config: Controller, options: Cia402Options) -> Iterator[str]:
             "6098h from -128 to 37"
         )
     limits, own = axis_bounds(axis), drive_units(options)
-    for what, value in (
+    for limit_name, value in (
         ("velocity", limits.velocity * own.velocity),
         ("acceleration", limits.acceleration * own.acceleration),
     ):
         if not 1 <= value <= WORD_MAX:
             yield (
-                f"axes.{name}.limits.{what}: {ceil(value)} in the drive's units; allowed: 1 to {WORD_MAX}. See "
+                f"axes.{name}.limits.{limit_name}: {ceil(value)} in the drive's units; allowed: 1 to {WORD_MAX}. See "
                 "`scale`, `velocity_units` and `acceleration_units`"
             )

@@ -117,19 +117,19 @@ class Cia402ManualMotion:
 
     async def _run_search(self, found: Callable[[str], None]) -> Mapping[str, Refusal]:
         node = self._node
-        stops, boots, left = node.stops, node.boots, node.left_bus
+        stops, boots, left_bus = node.stops, node.boots, node.left_bus
         # Bits that stand from an earlier search, or from another mode, are not the result of this one.
-        stood, since_ns = bool(node.status & _RESULT), node.clock.now_ns()
+        has_stood, since_ns = bool(node.status & _RESULT), node.clock.now_ns()
         node.send_control(states.ENABLE | states.NEW_SET_POINT)
 
         def is_fresh() -> bool:
-            return not stood or node.unresolved_ns > since_ns or self._is_found_at_once
+            return not has_stood or node.unresolved_ns > since_ns or self._is_found_at_once
 
         def has_failed() -> bool:
             return (
                 node.stops != stops
                 or node.boots != boots
-                or node.left_bus != left
+                or node.left_bus != left_bus
                 or node.state is not DriveState.ENABLED
             )
 
@@ -142,35 +142,35 @@ class Cia402ManualMotion:
         await node.wait_until(
             lambda: has_failed() or is_fresh() or node.moved_ns > since_ns, node.clock.now_ns() + _BEGIN_NS
         )
-        begun = is_fresh() or node.moved_ns > since_ns
+        has_begun = is_fresh() or node.moved_ns > since_ns
         await node.wait_until(
             lambda: has_failed() or is_attained() or (is_fresh() and bool(node.status & states.MODE_ERROR)),
-            node.clock.now_ns() + (_LONGEST_NS if begun else 0),
+            node.clock.now_ns() + (_LONGEST_NS if has_begun else 0),
         )
-        attained = not has_failed() and is_attained()
-        if attained:
+        is_reference_attained = not has_failed() and is_attained()
+        if is_reference_attained:
             await self._move_to_reference(stops)
-        if attained and not has_failed() and (node.demand == 0 or not self._returns_to_reference):
+        if is_reference_attained and not has_failed() and (node.demand == 0 or not self._returns_to_reference):
             node.moved_ns = node.running_ns = 0  # it is at rest; the change of its position was the new origin
             found(self._name)
             return {}
         if node.stops != stops:
-            why = "it was stopped"
+            reason = "it was stopped"
         elif node.boots != boots:
-            why = "it was switched off and on"
-        elif node.left_bus != left:
-            why = "this computer has left the bus (bus-off)"
+            reason = "it was switched off and on"
+        elif node.left_bus != left_bus:
+            reason = "this computer has left the bus (bus-off)"
         elif node.state is not DriveState.ENABLED:
-            why = f"it is {node.state.value}: {node.fault_text()}"
+            reason = f"it is {node.state.value}: {node.fault_text()}"
             # A status can be wrong.
             self._power.write_stop(abort=False)
-        elif not begun:
-            why = "the drive does not begin its search, and still shows the result of an earlier one"
+        elif not has_begun:
+            reason = "the drive does not begin its search, and still shows the result of an earlier one"
             node.send_control(states.ENABLE)
         else:
-            why = "the drive reports that its homing has failed, or does not return to its reference"
+            reason = "the drive reports that its homing has failed, or does not return to its reference"
             node.send_control(states.ENABLE)
-        text = f"axis {self._name} has not found its reference: {why}"
+        text = f"axis {self._name} has not found its reference: {reason}"
         return {self._name: Refusal("homing-failed", text, "check its switches, and `homing.method`")}
 
     @property
@@ -254,10 +254,10 @@ class Cia402ManualMotion:
         since_ns = node.clock.now_ns()
         node.send_control(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)
         self._jog_stops, self._jog_drops, self._jog_ns = node.stops, node.drops, since_ns
-        taken = await node.wait_briefly(lambda: node.acknowledged_ns >= since_ns or node.stops != stops)
+        is_taken = await node.wait_briefly(lambda: node.acknowledged_ns >= since_ns or node.stops != stops)
         if node.stops != stops:
             raise Refusal("stopped", f"a stop came while axis {self._name} was being started", "")
         node.send_control(states.ENABLE)
-        if not taken:
+        if not is_taken:
             self._power.write_stop(abort=False)
             raise Refusal("not-taken", f"{node.name} has not accepted a set-point", "check its state")

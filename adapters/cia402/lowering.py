@@ -109,7 +109,7 @@ def lower_step(
     drive = _find_output(config, start.drive)
     profile = profiles.get(name)
     terms = _sync_terms(options, bus)
-    done = Cia402Lowered(
+    resting_step = Cia402Lowered(
         start_class="sync",
         durations_s={} if profile is None else {name: 0.0},
         path_error_counts={} if profile is None else {name: 0.0},
@@ -125,13 +125,13 @@ def lower_step(
         drive=drive,
     )
     if profile is None or (profile.is_still and start.chunk is None):
-        return done
+        return resting_step
     _require_range(name, profile)
     low, high = profile.extent_counts
     # A single count has no path.
     if start.chunk is not None or (any(profile.jerks) and high - low > 1.5):
-        return _lower_stream(replace(done, chunk=start.chunk), config, options, traits, profile)
-    return _lower_set_point(done, config, options, profile, start)
+        return _lower_stream(replace(resting_step, chunk=start.chunk), config, options, traits, profile)
+    return _lower_set_point(resting_step, config, options, profile, start)
 
 
 def _output_commands(drive: SyncOutput | None) -> tuple[str, ...]:
@@ -194,7 +194,7 @@ def _lower_stream(
             f"of {bus.bitrate} bit/s; allowed are {100 * _MOST_LOAD:.0f} %",
             "set a longer `period_ms` or a higher `bitrate`, or distribute the drives over more buses",
         )
-    followed = FOLLOWED[following]
+    followed_object = FOLLOWED[following]
     return replace(
         done,
         durations_s={done.axis: course.duration_s},
@@ -203,7 +203,7 @@ def _lower_stream(
         clock_ppm=options.clock_ppm / course.point_count,
         commands=(
             f"6060h = {following}, 60C2h = {options.period_ms} ms",
-            f"{followed} to {profile.end_counts} in {course.point_count} positions, one with each SYNC",
+            f"{followed_object} to {profile.end_counts} in {course.point_count} positions, one with each SYNC",
             *done.commands,
         ),
         target=profile.end_counts,

@@ -74,10 +74,10 @@ class Cia402Make:
         command that waits for a SYNC, because that SYNC may still be sent; after it, outputs that a stream may have
         switched are made passive."""
         node = fleetaxes.node_number(config)
-        waiting = CONTROLWORD.encode(states.QUICK_STOP)
+        stop_data = CONTROLWORD.encode(states.QUICK_STOP)
         if config.outputs:
-            waiting += OUTPUTS.encode(fleetaxes.passive_outputs(config))
-        frames = [CanFrame(RPDO[0] + node, waiting), quick_stop_by_sdo(node)]
+            stop_data += OUTPUTS.encode(fleetaxes.passive_outputs(config))
+        frames = [CanFrame(RPDO[0] + node, stop_data), quick_stop_by_sdo(node)]
         if fleetaxes.may_switch(config):
             passive = download_request(OUTPUTS, fleetaxes.passive_outputs(config))
             frames.append(CanFrame(SDO_REQUEST + node, passive))

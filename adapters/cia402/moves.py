@@ -136,28 +136,32 @@ class Cia402Mover:
             raise
 
     async def _load_step(self, move: DriveStep) -> Mapping[str, int]:
-        node, lowered = self._node, move.lowered
+        node, lowered_step = self._node, move.lowered
         await self._power.wait_for_stops()
         began_ns, stops = node.clock.now_ns(), node.stops
-        if lowered.drive is not None and node.outputs != lowered.drive.outputs_with(node.outputs, active=False):
+        if lowered_step.drive is not None and node.outputs != lowered_step.drive.outputs_with(
+            node.outputs, active=False
+        ):
             raise Refusal(
                 "line-level",
-                f"output {lowered.drive.name} is already active",
+                f"output {lowered_step.drive.name} is already active",
                 "make the trigger line passive; see `active` in the fleet file",
             )
-        self._require_outputs(lowered)
+        self._require_outputs(lowered_step)
         node.require_operational()
-        if lowered.target is None:
+        if lowered_step.target is None:
             return {"wire": 0}
         self._require_start(move)
-        loaded = await (self._load_set_point(lowered) if lowered.trajectory is None else self._load_stream(lowered))
+        loaded_values = await (
+            self._load_set_point(lowered_step) if lowered_step.trajectory is None else self._load_stream(lowered_step)
+        )
         loaded_ns = node.clock.now_ns()
-        for obj, value in loaded.items():
-            found = await node.sdo.read_value(obj)
-            if found != value:
+        for obj, value in loaded_values.items():
+            held_value = await node.sdo.read_value(obj)
+            if held_value != value:
                 raise Refusal(
                     "load-garbled",
-                    f"{node.name} contains {found} in {obj}, and was given {value}",
+                    f"{node.name} contains {held_value} in {obj}, and was given {value}",
                     "arm it again; is another master on the bus?",
                 )
         if node.stops != stops:
@@ -199,11 +203,11 @@ class Cia402Mover:
 
     async def _load_stream(self, lowered: Cia402Lowered) -> Mapping[DictionaryObject, int]:
         """Prepare the stream: the drive follows its present position until the first SYNC."""
-        node, here = self._node, lowered.start_counts
+        node, start_counts = self._node, lowered.start_counts
         assert node.followed is not None
-        node.give_position(here)
+        node.give_position(start_counts)
         await node.sdo.write_value(o.DECELERATION, self._ramp)
-        await node.sdo.write_value(node.followed, here)
+        await node.sdo.write_value(node.followed, start_counts)
         node.send_control(states.ENABLE, lowered.mode)
         # Bit 12 that stands from another mode would be taken for the answer to bit 4.
         await self._require_mode(
@@ -214,13 +218,13 @@ class Cia402Mover:
             if not await node.wait_briefly(lambda: bool(node.status & states.FOLLOWS)):
                 await node.query_status()
                 raise Refusal("wrong-mode", f"{node.name} does not begin to interpolate", "see its manual")
-        return {node.followed: here, o.DECELERATION: self._ramp}
+        return {node.followed: start_counts, o.DECELERATION: self._ramp}
 
     async def _require_mode(self, mode: int, ready: Callable[[], bool]) -> None:
         """Raise `Refusal` (wrong-mode) unless the drive enters `mode`."""
         node = self._node
-        there = await node.wait_briefly(lambda: (node.mode == mode and ready()) or not node.is_enabled)
-        if not there or not node.is_enabled:
+        is_ready = await node.wait_briefly(lambda: (node.mode == mode and ready()) or not node.is_enabled)
+        if not is_ready or not node.is_enabled:
             await node.query_status()
             raise Refusal(
                 "wrong-mode",
@@ -253,15 +257,15 @@ class Cia402Mover:
         """
         del advance_ns
         move, node = self._require_step(), self._node
-        lowered = move.lowered
-        if lowered.target is None and lowered.drive is None:
+        lowered_step = move.lowered
+        if lowered_step.target is None and lowered_step.drive is None:
             return
-        at_ns = move.t0_ns - lowered.lead_ns
+        at_ns = move.t0_ns - lowered_step.lead_ns
         # The waiting command must arrive in the drive before the SYNC.
         if node.clock.now_ns() + NS_PER_MS >= at_ns:
             raise Refusal("late", "the instant to write the SYNC has passed", "increase the lead time")
-        control = node.control if lowered.shape is None else states.ENABLE | states.NEW_SET_POINT
-        course = lowered.trajectory
+        control = node.control if lowered_step.shape is None else states.ENABLE | states.NEW_SET_POINT
+        course = lowered_step.trajectory
         outputs = node.outputs
         if move.driven is not None:
             outputs = move.driven.outputs_with(outputs, active=True)
@@ -270,15 +274,15 @@ class Cia402Mover:
         frames = [node.control_at_sync(control, outputs)]
         if course is not None:
             ride = move.streamed_move = self._switched = StreamedMove(
-                node, course, lowered.switched, lambda: self._handle_stream_failure(move)
+                node, course, lowered_step.switched, lambda: self._handle_stream_failure(move)
             )
-            self.switching = lowered.switched
+            self.switching = lowered_step.switched
             self._sync_scheduler.join_stream(node.number, move.sync_start, ride, at_ns, course.period_ns)
             frames += [ride.position_frame(0)] * COPIES
-        elif node.switches_with_positions or (node.followed == o.TARGET and lowered.target is not None):
+        elif node.switches_with_positions or (node.followed == o.TARGET and lowered_step.target is not None):
             # The SYNC also applies a waiting position: it must not be an older one.
-            if node.followed == o.TARGET and lowered.target is not None:
-                node.given = lowered.target
+            if node.followed == o.TARGET and lowered_step.target is not None:
+                node.given = lowered_step.target
             frames.append(node.position_frame(node.given, outputs))
         latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns if move.sync_start.stream is None else 0)
         self._sync_scheduler.load_frames(node.number, move.sync_start, frames, at_ns, latest_ns)
@@ -321,9 +325,9 @@ class Cia402Mover:
         if move is None:
             return
         move.stopped_ns = at_ns
-        before = not move.sync_start.fired.done()
+        is_unwritten = not move.sync_start.fired.done()
         self._cancel_start(move)
-        if before or not move.followed:
+        if is_unwritten or not move.followed:
             self.move = None
         self._node.wake_waiting()
 
@@ -361,29 +365,29 @@ class Cia402Mover:
     async def load_chunk(self, chunk: PathChunk) -> ChunkFit:
         """Take the next chunk of the present path. This computer times every position: no clock drifts. Raises
         `Refusal`."""
-        move, lowered = self._require_path()
-        trajectory = self._make_trajectory(lowered, chunk)
+        move, lowered_step = self._require_path()
+        trajectory = self._make_trajectory(lowered_step, chunk)
         move.next_chunk = chunk
-        return ChunkFit(trajectory.duration_s, 0, 0, 0, {lowered.axis: trajectory.path_error_counts})
+        return ChunkFit(trajectory.duration_s, 0, 0, 0, {lowered_step.axis: trajectory.path_error_counts})
 
     async def release_chunk(self, number: int) -> None:
         """Take positions from the loaded chunk, from the next one that is not sent yet. Raises `Refusal`."""
-        move, lowered = self._require_path()
-        chunk, streamed = move.next_chunk, move.streamed_move
-        if chunk is None or chunk.number != number or streamed is None:
+        move, lowered_step = self._require_path()
+        chunk, streamed_move = move.next_chunk, move.streamed_move
+        if chunk is None or chunk.number != number or streamed_move is None:
             raise Refusal("not-loaded", f"chunk {number} of the path is not loaded", "load it first")
         move.next_chunk = None
-        trajectory = self._make_trajectory(lowered, chunk)
+        trajectory = self._make_trajectory(lowered_step, chunk)
         period_s = trajectory.period_ns / NS_PER_S
         # Position n is that of the plan n + 1 periods after the start.
-        first = max(streamed.next_number, ceil(chunk.begin_s / period_s - 1e-6) - 1)
-        if first * period_s > min(move.end_s, chunk.end_s) or streamed.is_done:
+        first = max(streamed_move.next_number, ceil(chunk.begin_s / period_s - 1e-6) - 1)
+        if first * period_s > min(move.end_s, chunk.end_s) or streamed_move.is_done:
             raise Refusal("late", "the positions up to the place where the path was to be continued are sent", "")
-        streamed.continue_with(trajectory, first)
+        streamed_move.continue_with(trajectory, first)
         move.end_s = chunk.end_s
         profile = trajectory.profile
-        durations_s = {lowered.axis: trajectory.duration_s}
-        move.lowered = replace(lowered, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
+        durations_s = {lowered_step.axis: trajectory.duration_s}
+        move.lowered = replace(lowered_step, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
 
     def _make_trajectory(self, lowered: Cia402Lowered, chunk: PathChunk) -> SetpointTrajectory:
         assert lowered.trajectory is not None
@@ -403,46 +407,46 @@ class Cia402Mover:
         """Return when the axis started; raise `ControllerFault` when it did not."""
         move, node = self._require_step(), self._node
         move.followed = True
-        lowered = move.lowered
-        names = list(lowered.durations_s)
-        if lowered.target is None and lowered.drive is None:
+        lowered_step = move.lowered
+        names = list(lowered_step.durations_s)
+        if lowered_step.target is None and lowered_step.drive is None:
             return {name: HostInterval(move.t0_ns, move.t0_ns) for name in names}
-        fired = await asyncio.shield(move.sync_start.fired)
+        write = await asyncio.shield(move.sync_start.fired)
         node.loaded = False
-        if fired is None or (move.stopped_ns is not None and move.stopped_ns < fired.written_ns):
+        if write is None or (move.stopped_ns is not None and move.stopped_ns < write.written_ns):
             raise ControllerFault("not-started", "the timed write was cancelled", "")
-        if fired.late:
+        if write.late:
             self._cancel_start(move)
-            raise missed_write_fault("the SYNC", node.bus.can_link.byte_link, fired)
+            raise missed_write_fault("the SYNC", node.bus.can_link.byte_link, write)
         if move.driven is not None:
             self._keep_output_active(move)
-        if lowered.target is None:
+        if lowered_step.target is None:
             return {name: HostInterval(move.t0_ns, move.t0_ns) for name in names}
-        earliest_ns, latest_ns = self._guaranteed_start(fired.written_ns)
+        earliest_ns, latest_ns = self._guaranteed_start(write.written_ns)
 
         def accepted_ns() -> int:
             """Return when it has confirmed its starting command; 0: it has not."""
             said_ns = node.acknowledged_ns if move.streamed_move is None else node.answer.at_ns
-            return said_ns if said_ns > fired.written_ns else 0
+            return said_ns if said_ns > write.written_ns else 0
 
-        taken = await node.wait_until(
+        is_taken = await node.wait_until(
             lambda: self._interrupted_now(move) or bool(accepted_ns()), latest_ns + node.answer_ns
         )
         if not accepted_ns() and move.stopped_ns is None:
             # The drive may be slow, and start with a later SYNC: stop it, so that it does not start unexpectedly.
             await node.wait_until(lambda: not self._power.is_stopping, latest_ns + node.answer_ns)
-            raise self._not_started_fault(move, said=taken)
+            raise self._not_started_fault(move, said=is_taken)
         # On a limit a set-point is accepted, and nothing moves.
         gone_ns = node.clock.now_ns() + _FIRST_COUNT_NS
-        await node.wait_until(lambda: self._interrupted_now(move) or node.demand != lowered.start_counts, gone_ns)
-        if move.stopped_ns is None and self._failure_text(move) and node.demand == lowered.start_counts:
+        await node.wait_until(lambda: self._interrupted_now(move) or node.demand != lowered_step.start_counts, gone_ns)
+        if move.stopped_ns is None and self._failure_text(move) and node.demand == lowered_step.start_counts:
             raise self._not_started_fault(move, said=True)
         if accepted_ns():
             # It has not reported motion yet.
             latest_ns = max(earliest_ns, min(latest_ns, accepted_ns() + self._after_taking_ns))
-        if lowered.trajectory is not None and lowered.trajectory.is_chunk:
-            latest_ns += self._still_ns(lowered.trajectory)[0]
-        span = move.started = HostInterval(earliest_ns, latest_ns, late_ns=self._options.excess_delay_ns(fired))
+        if lowered_step.trajectory is not None and lowered_step.trajectory.is_chunk:
+            latest_ns += self._still_ns(lowered_step.trajectory)[0]
+        span = move.started = HostInterval(earliest_ns, latest_ns, late_ns=self._options.excess_delay_ns(write))
         if move.stopped_ns is None and move.streamed_move is None:
             node.send_control(states.ENABLE)
         return dict.fromkeys(names, span)
@@ -465,20 +469,20 @@ class Cia402Mover:
         node = self._node
         if node.bus.is_off or move.left != node.left_bus:
             return bus_off_fault(node.name)
-        why = (
+        reason = (
             "has not accepted its set-point with the SYNC" if not said else self._failure_text(move) or "does not move"
         )
         return ControllerFault(
             "not-started",
-            f"{node.name} {why}; it is {node.state.value}" + (f": {node.fault_text()}" if node.emergencies else ""),
+            f"{node.name} {reason}; it is {node.state.value}" + (f": {node.fault_text()}" if node.emergencies else ""),
             "check the cable and both terminations; is another master on the bus?",
         )
 
     async def wait_for_end(self) -> MoveOutcome:
         """Wait until the drive reports its target as reached, or will not reach it."""
-        move, node, lowered = self._require_step(), self._node, self._require_step().lowered
-        at_t0 = {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
-        if lowered.target is None or move.started is None:
+        move, node, lowered_step = self._require_step(), self._node, self._require_step().lowered
+        at_t0 = {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered_step.durations_s}
+        if lowered_step.target is None or move.started is None:
             await self._wait_until_passive(move)
             self._finish_step(move)
             return (
@@ -490,36 +494,36 @@ class Cia402Mover:
         while True:
             if move.streamed_move is None:
                 await node.wait_until(lambda: self._interrupted_now(move), earliest_ns)
-            overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS + self._standing_ns(lowered)
-            there = await node.wait_until(
+            overdue_ns = latest_ns + self._settle_ns + _OVERDUE_NS + self._standing_ns(lowered_step)
+            is_over = await node.wait_until(
                 lambda since_ns=earliest_ns: self._has_arrived(move, since_ns) or self._interrupted_now(move),
                 overdue_ns,
             )
-            expected = self._end_interval(move, move.started)
-            if there or expected == (earliest_ns, latest_ns):
+            expected_span = self._end_interval(move, move.started)
+            if is_over or expected_span == (earliest_ns, latest_ns):
                 break
-            earliest_ns, latest_ns = expected  # the path was continued meanwhile
-        lowered = move.lowered
-        if move.stopped_ns is None and not self._interrupted_now(move) and there:
+            earliest_ns, latest_ns = expected_span  # the path was continued meanwhile
+        lowered_step = move.lowered
+        if move.stopped_ns is None and not self._interrupted_now(move) and is_over:
             await self._wait_until_passive(move)
         trouble = self._failure_text(move)
-        stopped = move.stopped_ns is not None
-        done = there and not stopped and not trouble
-        if not done:
+        is_stopped = move.stopped_ns is not None
+        is_done = is_over and not is_stopped and not trouble
+        if not is_done:
             await self._end_switching(move)
-        if stopped:
+        if is_stopped:
             await self._power.wait_for_stops()
         self._finish_step(move)
         now_ns = node.clock.now_ns()
-        if done:
+        if is_done:
             self.switching = NOTHING_SWITCHED
-            if move.streamed_move is not None and lowered.trajectory is not None:
-                earliest_ns, latest_ns = self._stream_end_interval(move.streamed_move, lowered.trajectory)
+            if move.streamed_move is not None and lowered_step.trajectory is not None:
+                earliest_ns, latest_ns = self._stream_end_interval(move.streamed_move, lowered_step.trajectory)
                 await self._leave_stream()
-            return MoveOutcome("done", {lowered.axis: HostInterval(min(earliest_ns, latest_ns), latest_ns)})
-        spans = {lowered.axis: HostInterval(min(move.started.earliest_ns, now_ns), now_ns)}
-        stands = f"axis {lowered.axis} is at {node.actual}, its target is {lowered.target}"
-        if stopped:
+            return MoveOutcome("done", {lowered_step.axis: HostInterval(min(earliest_ns, latest_ns), latest_ns)})
+        spans = {lowered_step.axis: HostInterval(min(move.started.earliest_ns, now_ns), now_ns)}
+        stands = f"axis {lowered_step.axis} is at {node.actual}, its target is {lowered_step.target}"
+        if is_stopped:
             return MoveOutcome("stopped", spans, f"stopped on request; {stands}")
         return MoveOutcome("fault", spans, f"{node.name} {trouble or 'does not come to its end'}; {stands}")
 
@@ -535,8 +539,8 @@ class Cia402Mover:
 
     def _end_interval(self, move: DriveStep, started: HostInterval) -> tuple[int, int]:
         """Return when the step ends, as far as it is released."""
-        lowered = move.lowered
-        seconds, between_ns = lowered.durations_s[lowered.axis], self._between_ns(lowered)
+        lowered_step = move.lowered
+        seconds, between_ns = lowered_step.durations_s[lowered_step.axis], self._between_ns(lowered_step)
         return (
             started.earliest_ns + self._device_ns(seconds, -1) - between_ns,
             started.latest_ns + self._device_ns(seconds, 1) + between_ns,
@@ -552,8 +556,10 @@ class Cia402Mover:
 
     def _still_ns(self, trajectory: SetpointTrajectory) -> tuple[int, int]:
         """Return how long an axis stands before its first count, and after its last one, by the slowest crystal."""
-        before, after = (each * trajectory.period_ns / NS_PER_S for each in trajectory.still_periods)
-        return self._device_ns(before, 1), self._device_ns(after, 1)
+        periods_before_ns, periods_after_ns = (
+            periods * trajectory.period_ns / NS_PER_S for periods in trajectory.still_periods
+        )
+        return self._device_ns(periods_before_ns, 1), self._device_ns(periods_after_ns, 1)
 
     def _standing_ns(self, lowered: Cia402Lowered) -> int:
         """Return how long a stream continues at rest, for outputs that are switched after its end."""
@@ -653,13 +659,15 @@ class Cia402Mover:
         return self.move
 
     def _require_start(self, move: DriveStep) -> None:
-        node, lowered = self._node, move.lowered
+        node, lowered_step = self._node, move.lowered
         if not node.is_enabled:
-            raise Refusal("not-enabled", f"axis {lowered.axis} is not enabled", f"enable {lowered.axis} first")
-        if node.demand != lowered.start_counts:
+            raise Refusal(
+                "not-enabled", f"axis {lowered_step.axis} is not enabled", f"enable {lowered_step.axis} first"
+            )
+        if node.demand != lowered_step.start_counts:
             raise Refusal(
                 "other-start",
-                f"axis {lowered.axis} is at {node.demand} counts; the plan starts at {lowered.start_counts}",
+                f"axis {lowered_step.axis} is at {node.demand} counts; the plan starts at {lowered_step.start_counts}",
                 "plan again from the present position",
             )
 

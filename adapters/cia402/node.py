@@ -148,9 +148,9 @@ class BusDrive:
             self.acknowledged_ns = at_ns
         if not status & (states.ACKNOWLEDGED | states.MODE_ERROR):
             self.unresolved_ns = at_ns
-        enabled = self.is_enabled
+        was_enabled = self.is_enabled
         self.status = status
-        self.drops += enabled and not self.is_enabled
+        self.drops += was_enabled and not self.is_enabled
 
     def _handle_emergency(self, code: int) -> None:
         if code == 0:
@@ -245,8 +245,8 @@ class BusDrive:
         self.control = control
         if mode is not None:
             self.wanted_mode = mode
-        now = CONTROLWORD.encode(control) + MODE.encode(self.wanted_mode) + self._output_bytes()
-        frames = [CanFrame(RPDO[1] + self.number, now)]
+        control_data = CONTROLWORD.encode(control) + MODE.encode(self.wanted_mode) + self._output_bytes()
+        frames = [CanFrame(RPDO[1] + self.number, control_data)]
         if self.switches_with_positions:
             # First: a SYNC that comes between the two must not switch anything after the controlword.
             frames = [self.position_frame(self.given), *frames]
@@ -254,8 +254,8 @@ class BusDrive:
 
     def control_at_sync(self, control: int, outputs: int | None = None) -> CanFrame:
         """Return a controlword that takes effect with the next SYNC; with outputs, where these travel with it."""
-        switched = b"" if self.switches_with_positions else self._output_bytes(outputs)
-        return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + switched)
+        output_data = b"" if self.switches_with_positions else self._output_bytes(outputs)
+        return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + output_data)
 
     async def load_set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> None:
         """Load a target with its profile, all in the drive's units; a controlword starts the motion.

@@ -47,8 +47,8 @@ def required_pdos(
 ) -> tuple[PdoMapping, ...]:
     """Return all PDOs of a drive. outputs: some are named. followed: the object of the positions that are streamed to
     it; None: none are."""
-    switched = (o.OUTPUTS,) if outputs else ()
-    started = switched if followed is None else ()
+    output_objects = (o.OUTPUTS,) if outputs else ()
+    start_objects = output_objects if followed is None else ()
     slow = options.inhibit_ms * 10
     fourth = (
         (
@@ -69,7 +69,7 @@ def required_pdos(
                 mapping=0x1603,
                 function=RPDO[3],
                 kind=SYNCHRONOUS,
-                carries=(followed, *switched),
+                carries=(followed, *output_objects),
             ),
             PdoMapping(
                 title="TPDO 4",
@@ -88,7 +88,7 @@ def required_pdos(
             mapping=0x1600,
             function=RPDO[0],
             kind=SYNCHRONOUS,
-            carries=(o.CONTROLWORD, *started),
+            carries=(o.CONTROLWORD, *start_objects),
         ),
         PdoMapping(
             title="RPDO 2",
@@ -96,7 +96,7 @@ def required_pdos(
             mapping=0x1601,
             function=RPDO[1],
             kind=AT_ONCE,
-            carries=(o.CONTROLWORD, o.MODE, *switched),
+            carries=(o.CONTROLWORD, o.MODE, *output_objects),
         ),
         PdoMapping(
             title="RPDO 3",
@@ -148,7 +148,10 @@ def parameter_values(pdo: PdoMapping, node: int) -> list[tuple[DictionaryObject,
         (_parameter_object(pdo, 2, 8), pdo.kind),
         *times,
         (_mapping_object(pdo, 0, 8), len(pdo.carries)),
-        *((_mapping_object(pdo, number, 32), each.mapping_entry) for number, each in enumerate(pdo.carries, start=1)),
+        *(
+            (_mapping_object(pdo, number, 32), carried_object.mapping_entry)
+            for number, carried_object in enumerate(pdo.carries, start=1)
+        ),
     ]
 
 
@@ -160,20 +163,20 @@ def pdo_value(obj: DictionaryObject, value: int) -> int:
 async def map_all(sdo: SdoClient, node: int, name: str, wanted: Sequence[PdoMapping]) -> bool:
     """Map the PDOs that differ from `wanted`, and read them back; return whether any differed. Raises
     `MappingNotAllowed`, `ControllerFault`."""
-    changed = False
+    is_changed = False
     for pdo in wanted:
         if await _is_mapped(sdo, node, pdo):
             continue
-        changed = True
+        is_changed = True
         await _map_pdo(sdo, node, name, pdo)
         if not await _is_mapped(sdo, node, pdo):
-            carried = ", ".join(str(each) for each in pdo.carries)
+            objects_text = ", ".join(str(carried_object) for carried_object in pdo.carries)
             raise ControllerFault(
                 "pdo-mapping",
-                f"{name} has accepted a mapping for {pdo.title} and does not store it: wanted {carried}",
+                f"{name} has accepted a mapping for {pdo.title} and does not store it: wanted {objects_text}",
                 "is another master on the bus? Is the mapping fixed? See the drive's manual",
             )
-    return changed
+    return is_changed
 
 
 async def _is_mapped(sdo: SdoClient, node: int, pdo: PdoMapping) -> bool:
@@ -187,8 +190,8 @@ async def _is_mapped(sdo: SdoClient, node: int, pdo: PdoMapping) -> bool:
             return False
         if await sdo.read_value(count) != len(pdo.carries):
             return False
-        for number, each in enumerate(pdo.carries, start=1):
-            if await sdo.read_value(_mapping_object(pdo, number, 32)) != each.mapping_entry:
+        for number, carried_object in enumerate(pdo.carries, start=1):
+            if await sdo.read_value(_mapping_object(pdo, number, 32)) != carried_object.mapping_entry:
                 return False
     except SdoAborted as error:
         if error.abort not in NOT_THERE:
@@ -213,7 +216,7 @@ async def _set_times(sdo: SdoClient, pdo: PdoMapping) -> bool:
 async def _map_pdo(sdo: SdoClient, node: int, name: str, pdo: PdoMapping) -> None:
     """Map a PDO in the order that CiA 301 prescribes: switch off, clear, fill, count, switch on."""
     cob = pdo.function + node
-    doing = pdo.title
+    step_text = pdo.title
     try:
         await sdo.write_value(_parameter_object(pdo, 1, 32), cob | _OFF)
         await sdo.write_value(_parameter_object(pdo, 2, 8), pdo.kind)
@@ -221,10 +224,10 @@ async def _map_pdo(sdo: SdoClient, node: int, name: str, pdo: PdoMapping) -> Non
             if value is not None:
                 await _write_if_there(sdo, _parameter_object(pdo, sub, 16), value)
         await sdo.write_value(_mapping_object(pdo, 0, 8), 0)
-        for number, each in enumerate(pdo.carries, start=1):
-            doing = f"{pdo.title}, {each}"
-            await sdo.write_value(_mapping_object(pdo, number, 32), each.mapping_entry)
-        doing = pdo.title
+        for number, carried_object in enumerate(pdo.carries, start=1):
+            step_text = f"{pdo.title}, {carried_object}"
+            await sdo.write_value(_mapping_object(pdo, number, 32), carried_object.mapping_entry)
+        step_text = pdo.title
         await sdo.write_value(_mapping_object(pdo, 0, 8), len(pdo.carries))
         await sdo.write_value(_parameter_object(pdo, 1, 32), cob)
     except SdoAborted as error:
@@ -232,7 +235,7 @@ async def _map_pdo(sdo: SdoClient, node: int, name: str, pdo: PdoMapping) -> Non
             raise MappingNotAllowed from None
         raise ControllerFault(
             "pdo-mapping",
-            f"{name} refuses the mapping of {doing}: {abort_text(error.abort)}",
+            f"{name} refuses the mapping of {step_text}: {abort_text(error.abort)}",
             "does the drive allow this object in a PDO, and mapping at all? Compare its EDS file and its manual",
         ) from None
 

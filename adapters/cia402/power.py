@@ -53,23 +53,23 @@ class PowerStage:
             # In such a mode an enabled drive may move to its last target.
             node.wanted_mode = PROFILE_POSITION_MODE
         for _ in range(_STEPS):
-            before = node.state
-            if before is DriveState.ENABLED:
+            old_state = node.state
+            if old_state is DriveState.ENABLED:
                 node.send_control(states.ENABLE)
                 return
             if node.stops != stops:
                 raise Refusal("stopped", f"a stop came before {node.name} was enabled", "")
-            if before is DriveState.QUICK_STOP:
+            if old_state is DriveState.QUICK_STOP:
                 # Not every drive may leave it that way (transition 16).
                 node.send_control(states.ENABLE)
                 if await node.wait_briefly(lambda: node.state is not DriveState.QUICK_STOP):
                     continue
             node.require_operational()
-            order = NEXT.get(before)
+            order = NEXT.get(old_state)
             if order is None:
                 break
             node.send_control(order)
-            if not await node.wait_briefly(lambda before=before: node.state is not before):
+            if not await node.wait_briefly(lambda old_state=old_state: node.state is not old_state):
                 break
         if node.state is not DriveState.ENABLED:
             await node.query_status()
@@ -77,10 +77,10 @@ class PowerStage:
 
     def _stuck_refusal(self, what: str) -> Refusal:
         node = self._node
-        why = f": {node.fault_text()}" if node.emergencies else ""
+        fault_text = f": {node.fault_text()}" if node.emergencies else ""
         return Refusal(
             "not-switched",
-            f"{node.name} cannot be brought to {what}; it stays {node.state.value}{why}",
+            f"{node.name} cannot be brought to {what}; it stays {node.state.value}{fault_text}",
             "is its enable input on, and its power stage supplied?",
         )
 
@@ -93,9 +93,9 @@ class PowerStage:
         if node.state is DriveState.FAULT:
             node.send_control(states.DISABLE_VOLTAGE)
             node.send_control(states.FAULT_RESET)
-            cleared = await node.wait_briefly(lambda: node.state is not DriveState.FAULT)
+            is_cleared = await node.wait_briefly(lambda: node.state is not DriveState.FAULT)
             node.send_control(states.DISABLE_VOLTAGE)
-            if not cleared:
+            if not is_cleared:
                 await node.query_status()
                 raise Refusal(
                     "fault", f"{node.name} keeps its fault: {node.fault_text()}", "remove its cause, then reset"
@@ -110,15 +110,15 @@ class PowerStage:
         node.stops += 1
         node.outputs = self._released()
         if not node.mapped:
-            waiting = node.control_at_sync(states.QUICK_STOP, self._passive_outputs)
-            return node.bus.send_stop(node.number, [waiting, quick_stop_by_sdo(node.number)])
+            stop_frame = node.control_at_sync(states.QUICK_STOP, self._passive_outputs)
+            return node.bus.send_stop(node.number, [stop_frame, quick_stop_by_sdo(node.number)])
         # A halt would enable a disabled drive. A quick stop does not, and stops one whose status was wrong.
         halts = node.state is DriveState.ENABLED and not abort
         at_ns = node.bus.send_stop(
             node.number, node.control_frames(states.ENABLE | states.HALT if halts else states.QUICK_STOP)
         )
-        moving = node.state in (DriveState.ENABLED, DriveState.QUICK_STOP)
-        if moving:
+        is_moving = node.state in (DriveState.ENABLED, DriveState.QUICK_STOP)
+        if is_moving:
             task = asyncio.get_running_loop().create_task(self._complete_stop(node.stops))
             self._stopping.add(task)
             task.add_done_callback(self._stopping.discard)
@@ -171,8 +171,8 @@ class PowerStage:
                 node.send_control(states.QUICK_STOP, PROFILE_POSITION_MODE if node.wanted_mode in FOLLOWED else None)
                 await node.wait_briefly(lambda: node.state is not DriveState.ENABLED)
                 await node.wait_until(is_resting, now_ns + _RAMP_NS)
-            ended = node.state is DriveState.DISABLED and node.quick_stop_disables
-            if node.stops == stops and (ended or node.state is DriveState.QUICK_STOP):
+            has_ended = node.state is DriveState.DISABLED and node.quick_stop_disables
+            if node.stops == stops and (has_ended or node.state is DriveState.QUICK_STOP):
                 await self._enable_drive()
 
 

@@ -50,17 +50,17 @@ def find_edge(point: DigitalInput, inputs: tuple[int, ...]) -> ProbeEdge:
     """The edge at which an input becomes active. inputs: the numbers of those that are touch probe 1 and 2. Raises
     `Refusal`."""
     if point.number not in inputs:
-        known = " and ".join(f"input {number}" for number in inputs) or "none"
+        known_inputs = " and ".join(f"input {number}" for number in inputs) or "none"
         raise Refusal(
             "latch-input",
-            f"input {point.number} is no touch probe of this drive: {known}",
+            f"input {point.number} is no touch probe of this drive: {known_inputs}",
             "connect the signal to one of these, or correct `options.probe_inputs` by the drive's manual",
         )
     number = inputs.index(point.number) + 1
     rises, shift = point.active == "high", 8 * (number - 1)
-    asked = (_ON | (_POSITIVE_EDGE if rises else _NEGATIVE_EDGE)) << shift
-    stored = (_POSITIVE_STORED if rises else _NEGATIVE_STORED) << shift
-    return ProbeEdge(number, asked, stored, o.PROBE_POSITIONS[number - 1][0 if rises else 1])
+    order_bits = (_ON | (_POSITIVE_EDGE if rises else _NEGATIVE_EDGE)) << shift
+    stored_bits = (_POSITIVE_STORED if rises else _NEGATIVE_STORED) << shift
+    return ProbeEdge(number, order_bits, stored_bits, o.PROBE_POSITIONS[number - 1][0 if rises else 1])
 
 
 class TouchProbe:

@@ -41,10 +41,12 @@ class PdoSampling:
 
     def take(self, drives: int, bitrate: int) -> SampledPositions:
         """End, and return what was kept. drives: on the bus. Raises `Refusal`."""
-        kept, self._node.positions = self._node.positions, None
-        if kept is None:
+        positions, self._node.positions = self._node.positions, None
+        if positions is None:
             raise Refusal("no-samples", "nothing is being recorded", "begin it first")
         before_ns = (self._options.cycle_us + self._options.wire_jitter_us) * NS_PER_US
         before_ns += PDOS * drives * full_frame_ns(bitrate)
-        counts: Sequence[int] = [actual for _, actual in kept]
-        return SampledPositions([at_ns - before_ns // 2 for at_ns, _ in kept], before_ns // 2 + 1, {self._axis: counts})
+        counts: Sequence[int] = [actual for _, actual in positions]
+        return SampledPositions(
+            [at_ns - before_ns // 2 for at_ns, _ in positions], before_ns // 2 + 1, {self._axis: counts}
+        )

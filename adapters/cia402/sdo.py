@@ -50,11 +50,11 @@ class SdoClient:
         """Handle an answer. An answer to another request, or a duplicate, is discarded."""
         if len(data) != 8:
             return
-        waiting = self._waiting
-        if waiting is not None and not waiting.done() and self._matches_request(data):
-            waiting.set_result(data)
+        answer = self._waiting
+        if answer is not None and not answer.done() and self._matches_request(data):
+            answer.set_result(data)
             self._answered.append((data, at_ns))
-        elif any(data == before and at_ns - then_ns < _STRAY_NS for before, then_ns in self._answered):
+        elif any(data == old_answer and at_ns - then_ns < _STRAY_NS for old_answer, then_ns in self._answered):
             self._strays += 1
             # Once per request: a drive whose frames were not acknowledged for a while sends its old answers all at
             # once.
@@ -87,8 +87,8 @@ class SdoClient:
             data = await self._send_request(obj, "read", bytes([_UPLOAD]) + _object_address(obj) + bytes(4))
             self._require_specifier(obj, data, _UPLOAD_ANSWER)
             if data[0] & _EXPEDITED:
-                unused = data[0] >> 2 & 3 if data[0] & _SIZED else 0
-                return _decode_text(data[4 : 8 - unused])
+                unused_size = data[0] >> 2 & 3 if data[0] & _SIZED else 0
+                return _decode_text(data[4 : 8 - unused_size])
             text, toggle = b"", 0x00
             while True:
                 segment = await self._send_request(obj, "read", bytes([0x60 | toggle]) + bytes(7), segment=True)
@@ -117,16 +117,16 @@ class SdoClient:
         if self._bus.is_off:
             raise bus_off_fault(self._name)
         self._wanted = None if segment else _object_address(obj)
-        waiting = self._waiting = asyncio.get_running_loop().create_future()
+        answer_future = self._waiting = asyncio.get_running_loop().create_future()
 
         def time_out() -> None:
-            if not waiting.done():
-                waiting.set_exception(TimeoutError())
+            if not answer_future.done():
+                answer_future.set_exception(TimeoutError())
 
         timer = self._bus.clock.call_at_ns(self._bus.clock.now_ns() + self._answer_ns, time_out)
         try:
             self._bus.send_frames(CanFrame(SDO_REQUEST + self._node, data))
-            answer = await waiting
+            answer = await answer_future
         except TimeoutError:
             self._raise_abort(obj, TIMED_OUT)
             raise ControllerFault(
@@ -169,12 +169,12 @@ def bus_off_fault(name: str) -> ControllerFault:
 
 def download_request(obj: DictionaryObject, value: int) -> bytes:
     """Return the expedited request that writes `value`."""
-    unused = 4 - obj.byte_size
+    unused_size = 4 - obj.byte_size
     return (
-        bytes([_DOWNLOAD | unused << 2 | _EXPEDITED | _SIZED])
+        bytes([_DOWNLOAD | unused_size << 2 | _EXPEDITED | _SIZED])
         + _object_address(obj)
         + obj.encode(value)
-        + bytes(unused)
+        + bytes(unused_size)
     )
 
 

@@ -133,9 +133,9 @@ def _trapezoid_candidates(
         if inverse <= 0:
             continue
         for acceleration in _numbers_around(2 / inverse * units.acceleration, reach, 1, most.acceleration):
-            rest = inverse - units.acceleration / acceleration
-            if rest > 0:
-                exact = units.acceleration / rest
+            inverse_rest = inverse - units.acceleration / acceleration
+            if inverse_rest > 0:
+                exact = units.acceleration / inverse_rest
                 for deceleration in {floor(exact), ceil(exact)}:
                     if 1 <= deceleration <= most.acceleration:
                         yield make_trapezoid(velocity, acceleration, deceleration)
@@ -146,5 +146,5 @@ def _trapezoid_candidates(
 def _numbers_around(exact: float, reach: int, least: int, most: int) -> list[int]:
     """Return whole numbers near `exact`, the nearest first."""
     middle = max(least, min(most, round(exact)))
-    near = range(max(least, middle - reach), min(most, middle + reach) + 1)
-    return sorted(near, key=lambda each: abs(each - exact))
+    near_numbers = range(max(least, middle - reach), min(most, middle + reach) + 1)
+    return sorted(near_numbers, key=lambda number: abs(number - exact))

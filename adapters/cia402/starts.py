@@ -72,25 +72,25 @@ class SyncScheduler:
         Raises `Refusal` (bus-busy) when another start of the bus is too near.
         """
         self._drop_expired()
-        same = next((shot for shot in self._starts if shot.t0_ns == t0_ns), None)
+        same_start = next((shot for shot in self._starts if shot.t0_ns == t0_ns), None)
         for shot in self._starts:
-            apart = shot.until_ns + START_SPACING_NS <= t0_ns or until_ns + START_SPACING_NS <= shot.t0_ns
-            if shot is not same and (not apart or (shot.sent and t0_ns < shot.t0_ns)):
-                until = f", and streams positions for {(shot.until_ns - shot.t0_ns) / NS_PER_MS:.0f} ms"
+            is_apart = shot.until_ns + START_SPACING_NS <= t0_ns or until_ns + START_SPACING_NS <= shot.t0_ns
+            if shot is not same_start and (not is_apart or (shot.sent and t0_ns < shot.t0_ns)):
+                stream_text = f", and streams positions for {(shot.until_ns - shot.t0_ns) / NS_PER_MS:.0f} ms"
                 raise Refusal(
                     "bus-busy",
                     f"the bus starts node {min(shot.reserved)} {(shot.t0_ns - t0_ns) / NS_PER_MS:+.3f} ms "
-                    f"from that instant{until if shot.until_ns > shot.t0_ns else ''}; a SYNC starts every "
+                    f"from that instant{stream_text if shot.until_ns > shot.t0_ns else ''}; a SYNC starts every "
                     "drive that is loaded",
                     f"start drives of one bus in one step, or {START_SPACING_NS // NS_PER_MS} ms apart",
                 )
-        if same is not None:
-            same.reserved.add(node)
-            same.until_ns = max(same.until_ns, until_ns)
-            return same
+        if same_start is not None:
+            same_start.reserved.add(node)
+            same_start.until_ns = max(same_start.until_ns, until_ns)
+            return same_start
         shot = SyncStart(t0_ns, until_ns, {node})
         self._starts.append(shot)
-        self._starts.sort(key=lambda each: each.t0_ns)
+        self._starts.sort(key=lambda shot: shot.t0_ns)
         return shot
 
     def load_frames(
@@ -133,10 +133,10 @@ class SyncScheduler:
         a SYNC."""
         start.reserved.discard(node)
         start.pending_frames.pop(node, None)
-        waiting = node in start.sent and not start.fired.done()
+        is_waiting = node in start.sent and not start.fired.done()
         follower = None if start.stream is None else start.stream.remove_follower(node)
         if start.stream is not None and follower is not None:
-            waiting = True
+            is_waiting = True
             self._left[node] = follower
             if not start.stream.has_followers and start.fired.done():
                 self._finish_start(start, None)
@@ -144,7 +144,7 @@ class SyncScheduler:
             if start.order is not None:
                 start.order.cancel_write()
             self._finish_start(start, None)
-        return waiting
+        return is_waiting
 
     def apply_waiting(self) -> bool:
         """Send a SYNC that applies the commands waiting in drives, unless it would start others; return whether it was
@@ -153,18 +153,18 @@ class SyncScheduler:
         if any(shot.sent for shot in self._starts):
             return False
         # A position that was too near to be withdrawn may have arrived after the frame that overwrites it.
-        passive = [frame for each in self._left.values() if (frame := each.passive_frame) is not None]
+        passive = [frame for left_drive in self._left.values() if (frame := left_drive.passive_frame) is not None]
         self._bus.send_frames(*passive, SYNC)
         return True
 
     async def _follow_start(self, start: SyncStart, order: TimedWrite) -> None:
-        fired: WriteResult | None = None
+        write: WriteResult | None = None
         with suppress(asyncio.CancelledError, LinkClosed):
-            fired = await order.wait_until_written()
-            if start.stream is not None and start.stream.has_followers and not fired.late:
-                start.fired.set_result(fired)
-                await start.stream.run_stream(fired.written_ns)
-        self._finish_start(start, fired)
+            write = await order.wait_until_written()
+            if start.stream is not None and start.stream.has_followers and not write.late:
+                start.fired.set_result(write)
+                await start.stream.run_stream(write.written_ns)
+        self._finish_start(start, write)
 
     def _finish_start(self, start: SyncStart, fired: WriteResult | None) -> None:
         if not start.fired.done():
@@ -185,5 +185,5 @@ class SyncScheduler:
     def _drop_expired(self) -> None:
         """Drop starts that were not released by their instant."""
         now_ns = self._bus.clock.now_ns()
-        for shot in [each for each in self._starts if each.order is None and each.t0_ns < now_ns]:
+        for shot in [start for start in self._starts if start.order is None and start.t0_ns < now_ns]:
             self._finish_start(shot, None)

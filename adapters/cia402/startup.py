@@ -59,11 +59,11 @@ async def identify_drive(node: BusDrive, boot_ms: int) -> ControllerIdentity:
 async def compare_product(node: BusDrive, wanted: DriveProduct) -> None:
     """Raise `ControllerFault` when the EDS file is that of another product; missing entries are not compared."""
     for obj, number in ((o.VENDOR, wanted.vendor), (o.PRODUCT, wanted.product)):
-        found = await _read_optional(node, obj)
-        if number is not None and found is not None and found != number:
+        held_number = await _read_optional(node, obj)
+        if number is not None and held_number is not None and held_number != number:
             raise _mismatch_fault(
                 node,
-                f"{obj} is {found:#010x}, its EDS file is for {number:#010x}",
+                f"{obj} is {held_number:#010x}, its EDS file is for {number:#010x}",
                 "give the drive's own file in `options.eds`, or remove it",
             )
 
@@ -140,10 +140,10 @@ async def _start_node(node: BusDrive, options: Cia402Options) -> None:
 async def _map_pre_operational(node: BusDrive, wanted: tuple[pdo.PdoMapping, ...]) -> None:
     """Map PDOs in the pre-operational state, for drives that accept a mapping only there; it would stop a moving
     drive."""
-    before = await node.sdo.read_value(o.ACTUAL)
-    if await node.wait_until(lambda: False, node.clock.now_ns() + _STILL_NS) or before != await node.sdo.read_value(
-        o.ACTUAL
-    ):
+    old_position = await node.sdo.read_value(o.ACTUAL)
+    if await node.wait_until(
+        lambda: False, node.clock.now_ns() + _STILL_NS
+    ) or old_position != await node.sdo.read_value(o.ACTUAL):
         raise ControllerFault(
             "moving", f"{node.name} moves, and accepts no PDO mapping meanwhile", "wait until it is at rest"
         )
@@ -160,13 +160,13 @@ async def compare_settings(node: BusDrive, config: Controller, options: Cia402Op
     """Compare the drive's settings with the fleet file; load those that the adapter requires. Raises
     `ControllerFault`."""
     _, axis = only_axis(config)
-    for name, pair, wanted in (
+    for name, pair, wanted_ratio in (
         ("encoder", o.ENCODER, options.encoder),
         ("gear", o.GEAR, options.gear),
         ("feed", o.FEED, options.feed),
     ):
-        if wanted is not None:
-            await _compare_ratio(node, name, pair, wanted)
+        if wanted_ratio is not None:
+            await _compare_ratio(node, name, pair, wanted_ratio)
     polarity = await _read_optional(node, o.POLARITY)
     if polarity:
         raise _mismatch_fault(
@@ -197,9 +197,9 @@ async def load_object(node: BusDrive, obj: DictionaryObject, value: int) -> None
         await node.sdo.write_value(obj, value)
     except SdoAborted as error:
         raise _mismatch_fault(node, f"{obj} does not accept {value}: {error}", "check the drive's manual") from None
-    found = await node.sdo.read_value(obj)
-    if found != value:
-        raise _mismatch_fault(node, f"{obj} is {found}, wanted {value}", "is another master on the bus?")
+    held_value = await node.sdo.read_value(obj)
+    if held_value != value:
+        raise _mismatch_fault(node, f"{obj} is {held_value}, wanted {value}", "is another master on the bus?")
 
 
 async def load_optional(node: BusDrive, obj: DictionaryObject, value: int) -> bool:

@@ -122,25 +122,25 @@ class PositionStream:
         """Run from the first SYNC, which was written at `written_ns`, to the last one. Raises `LinkClosed`."""
         # The drives were unknown when the first SYNC was scheduled: the second positions follow separately.
         self._writes.append(self._schedule_write(0))
-        ordered = number = 0
+        ordered_count = number = 0
         try:
             while (
                 self._followers
                 and number < max(rider.position_count for rider in self._followers.values()) + TAIL_SYNCS
             ):
-                while ordered < number + PERIODS_AHEAD:
-                    ordered += 1
-                    self._writes.append(self._schedule_write(ordered))
+                while ordered_count < number + PERIODS_AHEAD:
+                    ordered_count += 1
+                    self._writes.append(self._schedule_write(ordered_count))
                 await sleep_until_ns(self._bus.clock, self._at_ns(number) + self._period_ns // 2)
                 if not self._followers:
                     return
-                fired = await self._writes.popleft().write.wait_until_written()
-                if fired.late:
+                write = await self._writes.popleft().write.wait_until_written()
+                if write.late:
                     self._fail_all(
                         f"had no SYNC in period {number} of its stream: this computer was too busy (underrun)"
                     )
                     return
-                self._check_answers(number, fired.written_ns if number else written_ns)
+                self._check_answers(number, write.written_ns if number else written_ns)
                 number += 1
         finally:
             self.cancel_writes()
@@ -168,17 +168,17 @@ class PositionStream:
 
     def _replace_writes(self) -> None:
         """Schedule anew, with the positions of the present drives, what is not too near for that."""
-        for index, each in enumerate(self._writes):
-            if not self._is_near(each):
-                each.write.cancel_write()
-                self._writes[index] = self._schedule_write(each.number)
+        for index, queued_write in enumerate(self._writes):
+            if not self._is_near(queued_write):
+                queued_write.write.cancel_write()
+                self._writes[index] = self._schedule_write(queued_write.number)
 
     def _overwrite_near(self, passive: CanFrame) -> None:
         """Write `passive` half a period after each write that may still happen as it is."""
-        for each in self._writes:
+        for queued_write in self._writes:
             # One that has just been written has been overwritten by the caller.
-            if self._is_near(each) and each.at_ns + self._period_ns // 4 >= self._bus.clock.now_ns():
-                write = self._schedule_bytes(each.at_ns + self._period_ns // 2, encode_frames(passive))
+            if self._is_near(queued_write) and queued_write.at_ns + self._period_ns // 4 >= self._bus.clock.now_ns():
+                write = self._schedule_bytes(queued_write.at_ns + self._period_ns // 2, encode_frames(passive))
                 task = asyncio.get_running_loop().create_task(self._await_write(write))
                 self._overwriting.add(task)
                 task.add_done_callback(self._overwriting.discard)
@@ -264,8 +264,8 @@ class StreamedMove:
 
     def position_frame(self, number: int) -> CanFrame:
         self._sent = max(self._sent, number)
-        others = self._outputs if number >= self._outputs_from else self._outputs_before
-        return self._node.position_frame(self._setpoint_at(number), self._switched.outputs_at(others, number))
+        other_outputs = self._outputs if number >= self._outputs_from else self._outputs_before
+        return self._node.position_frame(self._setpoint_at(number), self._switched.outputs_at(other_outputs, number))
 
     @property
     def passive_frame(self) -> CanFrame | None:

@@ -49,7 +49,7 @@ class OutputSchedule:
 
     def find_active(self, outputs: int) -> SwitchedPoint | None:
         """Return one of its outputs that is active already."""
-        return next((each for each in self.points if outputs != each.outputs_with(outputs, active=False)), None)
+        return next((point for point in self.points if outputs != point.outputs_with(outputs, active=False)), None)
 
 
 NOTHING_SWITCHED = OutputSchedule()

@@ -43,7 +43,7 @@ def add_triggers(
     terms: dict[str, tuple[BudgetTerm, ...]] = {}
     for trigger in start.triggers:
         # The first SYNC is the start itself.
-        edges = [max(1, round((each - middle_ns) / course.period_ns)) for each in trigger.instants_ns]
+        edges = [max(1, round((instant_ns - middle_ns) / course.period_ns)) for instant_ns in trigger.instants_ns]
         pulse = _fit_pulse(trigger, course.period_ns)
         _require_rate(trigger, edges, max(pulse, 1) + 1, course.period_ns)
         points.append(_make_point(config, trigger, edges, pulse, course.point_count))
@@ -100,8 +100,8 @@ def _fit_pulse(trigger: OutputTrigger, period_ns: int) -> int:
 
 def _require_rate(trigger: OutputTrigger, edges: Sequence[int], least: int, period_ns: int) -> None:
     """Raise `Refusal` for edges that follow faster than the SYNCs allow. least: periods from one to the next."""
-    if any(after - before < least for before, after in pairwise(edges)):
-        gap_ns = min(after - before for before, after in pairwise(trigger.instants_ns))
+    if any(next_edge - edge < least for edge, next_edge in pairwise(edges)):
+        gap_ns = min(next_ns - instant_ns for instant_ns, next_ns in pairwise(trigger.instants_ns))
         raise Refusal(
             "trigger-rate",
             f"output {trigger.output}: two triggers are {format_ns(gap_ns)} apart; a CiA 402 drive with a SYNC every "

@@ -90,32 +90,32 @@ class SettingsWatch:
 
     async def check_next(self) -> Sequence[SettingDifference]:
         """Compare the next two objects in turn: one that concerns positions, and one of all others."""
-        chosen: list[DictionaryObject] = []
+        objects: list[DictionaryObject] = []
         for ring in self._rings:
             for _ in range(len(ring)):
                 ring.rotate(-1)
                 if self._is_watched(ring[-1]):
-                    chosen.append(ring[-1])
+                    objects.append(ring[-1])
                     break
-        return await self._compare(chosen)
+        return await self._compare(objects)
 
     async def restore_settings(self) -> bool:
         """Write the expected values again; return whether a PDO must be mapped again. Raises `Refusal`."""
-        node, unmapped = self._node, False
+        node, is_unmapped = self._node, False
         for obj in (*_PLACES, *_BEHAVIOUR, *self._pdo):
-            wanted = self._expected(obj)
-            if wanted is None or await self._read(obj) in (None, wanted):
+            wanted_value = self._expected(obj)
+            if wanted_value is None or await self._read(obj) in (None, wanted_value):
                 continue
             if obj in self._pdo:
-                unmapped = True
+                is_unmapped = True
                 continue
             try:
-                await node.sdo.write_value(obj, wanted)
+                await node.sdo.write_value(obj, wanted_value)
             except SdoAborted as error:
-                raise self._unrestored_refusal(obj, wanted, error) from None
-            node.log.info("a setting that was changed is written again", setting=str(obj), value=wanted)
+                raise self._unrestored_refusal(obj, wanted_value, error) from None
+            node.log.info("a setting that was changed is written again", setting=str(obj), value=wanted_value)
         self.has_differences = False
-        return unmapped
+        return is_unmapped
 
     # Internals
 
@@ -138,7 +138,7 @@ class SettingsWatch:
             return None
 
     async def _compare(self, chosen: Iterable[DictionaryObject]) -> list[SettingDifference]:
-        node, found = self._node, list[SettingDifference]()
+        node, differences = self._node, list[SettingDifference]()
         for obj in chosen:
             if not node.mapped or node.boots != self._boots or self._expected(obj) is None:
                 continue
@@ -146,20 +146,20 @@ class SettingsWatch:
             if value is not None and value != self._expected(obj):
                 # A command of this adapter may have been under way: the next answer comes after it.
                 value = await self._read(obj)
-            expected = self._expected(obj)
+            expected_value = self._expected(obj)
             # A drive that has restarted has lost its settings: that is reported in another way.
-            if value is not None and value != expected and node.boots == self._boots and node.mapped:
-                found.append(
+            if value is not None and value != expected_value and node.boots == self._boots and node.mapped:
+                differences.append(
                     SettingDifference(
                         item=f"{obj} of {node.name}",
                         found=str(value),
-                        expected=str(expected),
+                        expected=str(expected_value),
                         axis=self._axis,
                         moves_reference=obj in _REFERENCE,
                     )
                 )
                 self.has_differences = True
-        return found
+        return differences
 
     def _unrestored_refusal(self, obj: DictionaryObject, wanted: int, error: SdoAborted) -> Refusal:
         remedy = f"correct {obj} with the drive's own tool"

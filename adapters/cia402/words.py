@@ -105,5 +105,5 @@ def abort_text(code: int) -> str:
 
 def emergency_text(code: int) -> str:
     """Return the text of an emergency error code."""
-    known = _EMERGENCIES.get(code) or _CLASSES.get(code >> 8) or _CLASSES.get(code >> 8 & 0xF0) or "unknown error"
-    return f"{known} ({code:04X}h)"
+    error_name = _EMERGENCIES.get(code) or _CLASSES.get(code >> 8) or _CLASSES.get(code >> 8 & 0xF0) or "unknown error"
+    return f"{error_name} ({code:04X}h)"
