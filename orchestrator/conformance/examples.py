@@ -26,14 +26,14 @@ def make_case(make: str, config: Controller | None = None) -> Case:
         config = load_example(make)
     simulator = find_simulator(make)
     options = validate_options(find_make(make).options_model, config)
-    expected = {name: getattr(options, name) for name in type(options).model_fields}
+    option_values = {name: getattr(options, name) for name in type(options).model_fields}
     plain = config.to_plain()
     # The checks know one of each, by this name.
     for kind, points in (("inputs", config.inputs), ("outputs", config.outputs)):
-        plain[kind] = dict(zip(["line"], (each.to_plain() for each in points.values()), strict=False))
+        plain[kind] = dict(zip(["line"], (point.to_plain() for point in points.values()), strict=False))
     speeds = [axis.limits.velocity * float(axis.scale) for axis in config.axes.values()]
     slowest = min(speeds)
-    simulate = {**simulator.make_options(config, expected), **config.simulate.options}
+    simulate = {**simulator.make_options(config, option_values), **config.simulate.options}
     return Case(
         plain,
         simulate,

@@ -28,5 +28,5 @@ async def require_error(call: Awaitable[object], what: str, *kinds: type[_Error]
         await call
     except kinds as error:
         return error
-    names = " or ".join(each.__name__ for each in kinds)
+    names = " or ".join(kind.__name__ for kind in kinds)
     raise ContractBroken(f"{what} raised no {names}")

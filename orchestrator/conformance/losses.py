@@ -27,10 +27,10 @@ async def check_silence(world: World, call: str) -> None:
     driver = world.driver
     profiles = await world.plan(world.targets())
     mapping = driver.clock_mapping()
-    lowered = driver.lower_profiles(profiles, StartOptions(), mapping)
+    lowered_step = driver.lower_profiles(profiles, StartOptions(), mapping)
     t0_ns = world.clock.now_ns() + 3 * NS_PER_S
     if call == "verify":
-        await driver.slots.present.load(lowered, t0_ns, mapping)
+        await driver.slots.present.load(lowered_step, t0_ns, mapping)
     world.hit.wire.cut = True
     calls: dict[str, Callable[[], Awaitable[object]]] = {
         "connect": driver.connect,
@@ -38,7 +38,7 @@ async def check_silence(world: World, call: str) -> None:
         "poll": driver.poll,
         "enable": lambda: driver.set_enabled(world.axes, on=False),
         "home": lambda: driver.home_axes(world.axes, lambda _: None),
-        "arm": lambda: driver.slots.present.load(lowered, t0_ns, mapping),
+        "arm": lambda: driver.slots.present.load(lowered_step, t0_ns, mapping),
         "verify": driver.slots.present.verify,
         "set_output": lambda: set_output(driver, 1, on=True),
     }
@@ -62,10 +62,10 @@ async def check_silence(world: World, call: str) -> None:
 async def check_noise(world: World) -> None:
     """Poll over a line with noise."""
     await world.ready()
-    before = world.positions()
+    positions_before = world.positions()
 
     def garble(data: bytes) -> bytes:
-        return bytes(world.draw.randrange(256) if world.draw.random() < 0.2 else each for each in data)
+        return bytes(world.draw.randrange(256) if world.draw.random() < 0.2 else byte for byte in data)
 
     world.hit.wire.to_near = garble
     wrong = 0
@@ -83,9 +83,12 @@ async def check_noise(world: World) -> None:
     await sleep_ns(world.clock, NS_PER_S)
     await world.driver.connect()
     await world.driver.configure()
-    read = {axis: each.commanded_counts for axis, each in (await world.driver.poll()).axes.items()}
-    require(read == before, f"after the noise the positions {read} are read, before it they were {before}")
-    require(world.positions() == before, "noise towards the host has moved an axis")
+    read_positions = {axis: reading.commanded_counts for axis, reading in (await world.driver.poll()).axes.items()}
+    require(
+        read_positions == positions_before,
+        f"after the noise the positions {read_positions} are read, before it they were {positions_before}",
+    )
+    require(world.positions() == positions_before, "noise towards the host has moved an axis")
 
 
 async def check_power_cycle(world: World) -> None:
@@ -98,18 +101,20 @@ async def check_power_cycle(world: World) -> None:
     await sleep_ns(world.clock, OFF_NS)
     world.hit.controller.set_power(on=True)
     await sleep_ns(world.clock, STARTUP_NS)
-    noticed = False
+    is_noticed = False
     for _ in range(5):
         try:
-            noticed = noticed or (await world.driver.poll()).restarted
+            is_noticed = is_noticed or (await world.driver.poll()).restarted
         except LOST:
             # Its links are lost with it; after that it is queried again.
             await world.leave()
             await world.driver.connect()
             await world.driver.configure()
-    require(noticed, "no reading after the power cycle says that the controller has restarted")
-    moved = [motion for motion in world.hit.controller.commanded_motions if motion.end_counts != motion.start_counts]
-    require(world.at_rest and not moved, f"an axis has moved after the power cycle: {moved}")
+    require(is_noticed, "no reading after the power cycle says that the controller has restarted")
+    real_motions = [
+        motion for motion in world.hit.controller.commanded_motions if motion.end_counts != motion.start_counts
+    ]
+    require(world.at_rest and not real_motions, f"an axis has moved after the power cycle: {real_motions}")
     await world.driver.set_enabled(world.axes, on=True)
     await world.poll(40)
     await require_step(world)
@@ -118,10 +123,10 @@ async def check_power_cycle(world: World) -> None:
 async def check_power_cycle_between_connections(world: World) -> None:
     """Switch a controller off and on while nothing is connected to it."""
     await world.ready()
-    failed = await world.driver.home_axes(world.axes, lambda _: None)
-    require(not failed, f"homing failed: {failed}")
+    failures = await world.driver.home_axes(world.axes, lambda _: None)
+    require(not failures, f"homing failed: {failures}")
     await require_step(world)
-    before, positions = world.places(), world.positions()
+    places_before, positions = world.places(), world.positions()
     await world.leave()
     world.hit.controller.set_power(on=False)
     await sleep_ns(world.clock, OFF_NS)
@@ -129,19 +134,23 @@ async def check_power_cycle_between_connections(world: World) -> None:
     await sleep_ns(world.clock, STARTUP_NS)
     # The axes stand where they did, though their controllers report another position now.
     require(
-        all(abs(place - before[axis]) <= 1 for axis, place in world.places().items()), "a power cycle moved an axis"
+        all(abs(counts - places_before[axis]) <= 1 for axis, counts in world.places().items()),
+        "a power cycle moved an axis",
     )
     require(world.positions() != positions, "the simulator keeps its position over a power cycle")
-    for noticed in (True, False):
+    for is_noticed in (True, False):
         # A detected restart is reported although the link breaks before the next poll.
-        for _ in range(2 if noticed else 1):
+        for _ in range(2 if is_noticed else 1):
             await world.driver.connect()
             await world.driver.configure()
             await world.leave()
         await world.driver.connect()
         await world.driver.configure()
-        said = [(await world.driver.poll()).restarted for _ in range(3)]
-        require(said == [noticed, False, False], f"three polls report a restart so: {said}, expected once: {noticed}")
+        restarts = [(await world.driver.poll()).restarted for _ in range(3)]
+        require(
+            restarts == [is_noticed, False, False],
+            f"three polls report a restart so: {restarts}, expected once: {is_noticed}",
+        )
         await world.leave()
 
 
@@ -164,8 +173,8 @@ async def check_moving_controller(world: World) -> None:
         require(places == goals, f"connecting has stopped the axes at {places}, on their way to {goals}")
         return
     # It received no further setpoints, and needs no reset for that.
-    between = all(0 < abs(place) < abs(goals[axis]) for axis, place in places.items())
-    require(between, f"without setpoints the axes went to {places}")
+    are_between = all(0 < abs(counts) < abs(goals[axis]) for axis, counts in places.items())
+    require(are_between, f"without setpoints the axes went to {places}")
     await world.driver.configure()
     axes = (await world.driver.poll()).axes.values()
     require(all(axis.enabled for axis in axes), "an axis without setpoints was disabled")

@@ -41,28 +41,30 @@ COMMANDED: Mapping[str, CommandedMotion] = {"jog": command_jog, "home": command_
 
 def check_power_cuts(case: Case, act: CommandedMotion, moments_ns: Sequence[int]) -> None:
     """Cut the power at each of the moments, in a run of its own. Raises `ContractBroken`."""
-    begun: dict[int, list[str]] = {}
-    refused: list[bool] = []
+    begun_motions: dict[int, list[str]] = {}
+    refusals: list[bool] = []
 
     async def cut_power(world: World, moment_ns: int) -> None:
         await world.ready()
         await world.move(world.short_targets(3))
-        moving = asyncio.ensure_future(act(world))
+        command = asyncio.ensure_future(act(world))
         await sleep_ns(world.clock, moment_ns)
         world.hit.controller.set_power(on=False)
         await sleep_ns(world.clock, OFF_NS)
         back_ns = world.clock.now_ns()
         world.hit.controller.set_power(on=True)
         await sleep_ns(world.clock, 3 * NS_PER_S)
-        began = [each for unit, each in world.motions if unit is world.hit and each.start_ns >= back_ns]
+        began = [motion for unit, motion in world.motions if unit is world.hit and motion.start_ns >= back_ns]
         if began:
-            begun[moment_ns] = [f"{each.axis}: {each.start_counts} to {each.end_counts}" for each in began]
-        refused.append(moving.done() and moving.exception() is not None)
-        moving.cancel()
+            begun_motions[moment_ns] = [
+                f"{motion.axis}: {motion.start_counts} to {motion.end_counts}" for motion in began
+            ]
+        refusals.append(command.done() and command.exception() is not None)
+        command.cancel()
         with suppress(BaseException):
-            await moving
+            await command
 
     for moment_ns in moments_ns:
         run_case(case, partial(cut_power, moment_ns=moment_ns))
-    require(not begun, f"motions began after power-up, by the ns from the command to the cut: {begun}")
-    require(any(refused), "no command that a power cut interrupted has failed")
+    require(not begun_motions, f"motions began after power-up, by the ns from the command to the cut: {begun_motions}")
+    require(any(refusals), "no command that a power cut interrupted has failed")

@@ -32,8 +32,10 @@ async def check_connection(world: World) -> None:
     require(min(costs.arm_ns, costs.disarm_ns, costs.stop_ns) > 0, f"a declared cost is not positive: {costs}")
     # Reached again, while nothing is wrong, it is the same.
     await world.leave()
-    again = await world.driver.connect()
-    require(again == identity, f"connected again, it identifies itself as {again}, before as {identity}")
+    second_identity = await world.driver.connect()
+    require(
+        second_identity == identity, f"connected again, it identifies itself as {second_identity}, before as {identity}"
+    )
 
 
 async def check_motors_and_homing(world: World) -> None:
@@ -42,18 +44,18 @@ async def check_motors_and_homing(world: World) -> None:
     await world.driver.set_enabled(world.axes, on=False)
     axes = (await world.driver.poll()).axes.values()
     require(not any(axis.enabled for axis in axes), "an axis that was disabled is reported as enabled")
-    refused = await require_error(
+    refusal = await require_error(
         world.driver.home_axes(world.axes, lambda _: None), "homing of disabled axes", Refusal
     )
-    require("enable" in str(refused), f"the refusal of homing does not say that the axis is not enabled: {refused}")
+    require("enable" in str(refusal), f"the refusal of homing does not say that the axis is not enabled: {refusal}")
     require(not world.motions, "a disabled axis has moved")
     await world.driver.set_enabled(world.axes, on=True)
     axes = (await world.driver.poll()).axes.values()
     require(all(axis.enabled for axis in axes), "an axis that was enabled is reported as disabled")
-    found: list[str] = []
-    failed = await world.driver.home_axes(world.axes, found.append)
-    require(not failed, f"homing failed: {failed}")
-    require(sorted(found) == sorted(world.axes), f"references found: {found}, expected {world.axes}")
+    references: list[str] = []
+    failures = await world.driver.home_axes(world.axes, references.append)
+    require(not failures, f"homing failed: {failures}")
+    require(sorted(references) == sorted(world.axes), f"references found: {references}, expected {world.axes}")
     require(world.at_rest, "an axis moves after homing has returned")
     counts = {name: axis.commanded_counts for name, axis in (await world.driver.poll()).axes.items()}
     require(not any(counts.values()), f"after homing the positions are {counts}, not 0")
@@ -63,11 +65,11 @@ async def check_steps(world: World) -> None:
     """Steps to and fro, with evidence and bounds."""
     await world.ready(60)
     for factor in (1.0, -0.4, 2.0):
-        before = len(world.motions)
-        lowered, started, outcome, t0_ns, profiles = await world.move(world.targets(factor))
-        made = _require_done(world, before, started, outcome)
-        earliest_ns, latest_ns = lowered.window_ns
-        for axis, motion in made.items():
+        motion_count = len(world.motions)
+        lowered_step, start_spans, outcome, t0_ns, profiles = await world.move(world.targets(factor))
+        motions = _require_done(world, motion_count, start_spans, outcome)
+        earliest_ns, latest_ns = lowered_step.window_ns
+        for axis, motion in motions.items():
             after_ns = motion.start_ns - t0_ns
             require(
                 earliest_ns <= after_ns <= latest_ns or world.was_line_late(motion.start_ns),
@@ -75,8 +77,8 @@ async def check_steps(world: World) -> None:
             )
             _require_end(axis, motion.end_counts, profiles[axis])
         positions = {axis: reading.commanded_counts for axis, reading in (await world.driver.poll()).axes.items()}
-        expected = {axis: profile.end_counts for axis, profile in profiles.items()}
-        require(positions == expected, f"positions read after the step: {positions}, expected {expected}")
+        targets = {axis: profile.end_counts for axis, profile in profiles.items()}
+        require(positions == targets, f"positions read after the step: {positions}, expected {targets}")
 
 
 def _require_done(
@@ -85,10 +87,10 @@ def _require_done(
     """Return the motions of a step by axis, which must be done, with evidence that contains the truth. before: number
     of motions before it."""
     require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
-    made = motions_by_axis(world, before)
-    require_evidence(started, {axis: motion.start_ns for axis, motion in made.items()}, "start")
-    require_evidence(outcome.ended, {axis: motion.end_ns for axis, motion in made.items()}, "end")
-    return made
+    motions = motions_by_axis(world, before)
+    require_evidence(started, {axis: motion.start_ns for axis, motion in motions.items()}, "start")
+    require_evidence(outcome.ended, {axis: motion.end_ns for axis, motion in motions.items()}, "end")
+    return motions
 
 
 def _require_end(axis: str, end_counts: float | None, profile: Profile) -> None:
@@ -99,22 +101,22 @@ async def check_sooner_start(world: World) -> None:
     """Steps that start sooner than they were armed for."""
     await world.ready(60)
     for factor in (1.0, -0.4):
-        before = len(world.motions)
+        motion_count = len(world.motions)
         profiles = await world.plan(world.targets(factor))
-        lowered, armed_for_ns = await world.arm(profiles)
-        if not lowered.can_advance:
+        lowered_step, armed_for_ns = await world.arm(profiles)
+        if not lowered_step.can_advance:
             raise NotApplicable("this make begins when it was armed to")
-        tick_ns = lowered.tick_ns or 1.0
+        tick_ns = lowered_step.tick_ns or 1.0
         sooner_ns = round(100 * NS_PER_MS // tick_ns * tick_ns)
         await world.driver.slots.present.verify()
         await world.driver.slots.present.release(0, sooner_ns)
-        started, outcome = (
+        start_spans, outcome = (
             await world.driver.slots.present.wait_for_start(),
             await world.driver.slots.present.wait_for_end(),
         )
-        made = _require_done(world, before, started, outcome)
-        earliest_ns, latest_ns = lowered.window_ns
-        for axis, motion in made.items():
+        motions = _require_done(world, motion_count, start_spans, outcome)
+        earliest_ns, latest_ns = lowered_step.window_ns
+        for axis, motion in motions.items():
             after_ns = motion.start_ns - (armed_for_ns - sooner_ns)
             require(
                 earliest_ns - 1 <= after_ns <= latest_ns + 1,
@@ -128,14 +130,14 @@ async def check_lowering(world: World) -> None:
     await world.ready()
     profiles, mapping = await world.plan(world.targets()), world.driver.clock_mapping()
     first = world.driver.lower_profiles(profiles, StartOptions(), mapping)
-    again = world.driver.lower_profiles(profiles, StartOptions(), mapping)
-    require(first == again, "the same profiles are lowered in two ways")
+    second = world.driver.lower_profiles(profiles, StartOptions(), mapping)
+    require(first == second, "the same profiles are lowered in two ways")
     require(first.commands, "the lowered step shows no commands")
     for by in sorted(set(get_args(StartClass)) - {"line"}):  # which needs a wire
         start = StartOptions(start_class=by)
         if by in world.driver.capabilities.start_classes:
-            made = world.driver.lower_profiles(profiles, start, mapping).start_class
-            require(made == by, f"a start by {by} is lowered as a start by {made}")
+            start_class = world.driver.lower_profiles(profiles, start, mapping).start_class
+            require(start_class == by, f"a start by {by} is lowered as a start by {start_class}")
             continue
         try:
             world.driver.lower_profiles(profiles, start, mapping)
@@ -153,12 +155,14 @@ async def check_line_start(world: World) -> None:
     await world.ready(60)
     require_line_start(world)
     window_ns = NS_PER_MS
-    how = StartOptions(wait=TriggerWait(input="line", earliest_ns=-window_ns, latest_ns=window_ns))
+    options = StartOptions(wait=TriggerWait(input="line", earliest_ns=-window_ns, latest_ns=window_ns))
     for factor in (1.0, -0.4):
-        before = len(world.motions)
+        motion_count = len(world.motions)
         profiles = await world.plan(world.targets(factor))
-        lowered, t0_ns = await world.arm(profiles, how)
-        require(lowered.start_class == "line", f"a start by line is lowered as a start by {lowered.start_class}")
+        lowered_step, t0_ns = await world.arm(profiles, options)
+        require(
+            lowered_step.start_class == "line", f"a start by line is lowered as a start by {lowered_step.start_class}"
+        )
         await world.driver.slots.present.verify()
         await world.driver.slots.present.release()
         require(world.at_rest, "the step started before its line")
@@ -166,11 +170,11 @@ async def check_line_start(world: World) -> None:
         await world.until(edge_ns)
         require(world.at_rest, "the step started before its line")
         world.line(active=True)
-        started = await world.driver.slots.present.wait_for_start()
+        start_spans = await world.driver.slots.present.wait_for_start()
         outcome = await world.driver.slots.present.wait_for_end()
-        made = _require_done(world, before, started, outcome)
-        earliest_ns, latest_ns = sum_terms(term for term in lowered.terms if term.name != "line")
-        for axis, motion in made.items():
+        motions = _require_done(world, motion_count, start_spans, outcome)
+        earliest_ns, latest_ns = sum_terms(term for term in lowered_step.terms if term.name != "line")
+        for axis, motion in motions.items():
             after_ns = motion.start_ns - edge_ns
             require(
                 earliest_ns <= after_ns <= latest_ns,
@@ -185,18 +189,18 @@ async def check_active_line(world: World) -> None:
     await world.ready()
     require_line_start(world)
     wait = TriggerWait(input="line", earliest_ns=0, latest_ns=NS_PER_MS)
-    how = StartOptions(wait=wait)
+    options = StartOptions(wait=wait)
     profiles = await world.plan(world.targets())
     world.line(active=True)
-    error = await require_error(world.arm(profiles, how), "arming with an active line", Refusal)
+    error = await require_error(world.arm(profiles, options), "arming with an active line", Refusal)
     require(error.code == "line-level" and error.remedy, f"the refusal has code {error.code}, remedy {error.remedy!r}")
     await world.driver.slots.unload()
     world.line(active=False)
-    for released in (False, True):
+    for is_released in (False, True):
         await sleep_ns(world.clock, 2 * NS_PER_MS)  # the input's optocoupler
-        await world.arm(profiles, how)
+        await world.arm(profiles, options)
         await world.driver.slots.present.verify()
-        if released:
+        if is_released:
             await world.driver.slots.present.release()
             await world.driver.stop(abort=False)
         await world.driver.slots.unload()
@@ -204,9 +208,9 @@ async def check_active_line(world: World) -> None:
         await sleep_ns(world.clock, NS_PER_S)
         require(not world.motions, "a disarmed move was started by its line")
         world.line(active=False)
-    other = StartOptions(wait=wait.model_copy(update={"input": "other"}))
+    other_options = StartOptions(wait=wait.model_copy(update={"input": "other"}))
     try:
-        world.driver.lower_profiles(profiles, other, None)
+        world.driver.lower_profiles(profiles, other_options, None)
     except Refusal:
         return
     require(False, "a line that the fleet file does not name is accepted")  # noqa: FBT003 - a condition
@@ -218,38 +222,38 @@ async def check_driven_line(world: World) -> None:
         raise NotApplicable("this make has no outputs, or its example names none")
     world.line(active=False)
     await world.ready(60)
-    how = StartOptions(drive=TriggerDrive(output="line", active_ns=HOLD_NS))
+    options = StartOptions(drive=TriggerDrive(output="line", active_ns=HOLD_NS))
     changes: list[tuple[int, bool]] = []
     for unit in world.units:
         unit.controller.on_output(lambda number, level: changes.append((world.clock.now_ns(), level)))
     for moves in (False, True):
         changes.clear()
-        before = len(world.motions)
+        motion_count = len(world.motions)
         profiles = await world.plan(world.targets()) if moves else {}
-        lowered, t0_ns = await world.arm(profiles, how)
-        require(lowered.edge, "the lowered step declares no interval of the edge")
+        lowered_step, t0_ns = await world.arm(profiles, options)
+        require(lowered_step.edge, "the lowered step declares no interval of the edge")
         await world.driver.slots.present.verify()
         await world.driver.slots.present.release()
         require(not changes, "the output changed before T0")
-        started = await world.driver.slots.present.wait_for_start()
-        require(started.keys() == profiles.keys(), f"started axes: {list(started)}, expected {list(profiles)}")
+        start_spans = await world.driver.slots.present.wait_for_start()
+        require(start_spans.keys() == profiles.keys(), f"started axes: {list(start_spans)}, expected {list(profiles)}")
         outcome = await world.driver.slots.present.wait_for_end()
         require(outcome.state == "done", f"a step ended as {outcome.state}: {outcome.reason}")
         await world.until(t0_ns + 4 * HOLD_NS)
         require([level for _, level in changes] == [True, False], f"the output changed so: {changes}")
         (edge_ns, _), (released_ns, _) = changes
-        earliest_ns, latest_ns = lowered.edge_window_ns
+        earliest_ns, latest_ns = lowered_step.edge_window_ns
         require(
             earliest_ns <= edge_ns - t0_ns <= latest_ns,
             f"the edge came {edge_ns - t0_ns} ns after T0, declared were {earliest_ns} to {latest_ns} ns",
         )
         require(released_ns - edge_ns >= HOLD_NS * 0.99, f"the output was active for {released_ns - edge_ns} ns only")
-        moved = len(world.motions) - before
-        require(moved == len(profiles), f"{moved} axes moved, expected {len(profiles)}")
+        new_count = len(world.motions) - motion_count
+        require(new_count == len(profiles), f"{new_count} axes moved, expected {len(profiles)}")
     changes.clear()
-    await world.arm({}, how)
+    await world.arm({}, options)
     await world.driver.slots.unload()
-    _, t0_ns = await world.arm({}, how)
+    _, t0_ns = await world.arm({}, options)
     await world.driver.slots.present.verify()
     await world.driver.slots.present.release()
     await world.driver.stop(abort=False)
@@ -271,12 +275,12 @@ async def check_polls_in_motion(world: World) -> None:
             await world.poll(1)
 
     polling = world.start_task(poll())
-    started = await world.driver.slots.present.wait_for_start()
+    start_spans = await world.driver.slots.present.wait_for_start()
     outcome = await world.driver.slots.present.wait_for_end()
     polling.cancel()
     seldom = {name: times for name, times in world.polled_beside.items() if times <= 20}
     require(not seldom, f"controllers on the same line were hardly polled: {seldom}")
-    _require_done(world, 0, started, outcome)
+    _require_done(world, 0, start_spans, outcome)
 
 
 STEP_CHECKS: tuple[ContractCheck, ...] = (

@@ -16,28 +16,28 @@ ON_THE_LINE_NS = 100 * NS_PER_MS  # for bytes that were on the line before a sto
 async def check_disarm(world: World, stage: str) -> None:
     """Disarm a move after a stage of its step."""
     await world.ready()
-    before = world.positions()
-    lowered, t0_ns = await world.arm(await world.plan(world.targets()))
+    positions_before = world.positions()
+    lowered_step, t0_ns = await world.arm(await world.plan(world.targets()))
     if stage != "arm":
         await world.driver.slots.present.verify()
     if stage == "go":
         await world.driver.slots.present.release()
-    await world.until(min(t0_ns - lowered.costs.disarm_ns, world.clock.now_ns() + 30 * NS_PER_MS))
+    await world.until(min(t0_ns - lowered_step.costs.disarm_ns, world.clock.now_ns() + 30 * NS_PER_MS))
     await world.driver.slots.unload()
     await world.driver.slots.unload()
     await world.until(t0_ns + 3 * NS_PER_S)
-    require(world.positions() == before and world.at_rest, "a disarmed move has started")
+    require(world.positions() == positions_before and world.at_rest, "a disarmed move has started")
     await require_step(world)
 
 
 async def check_nothing_without_go(world: World) -> None:
     """An armed move without its release."""
     await world.ready()
-    before = world.positions()
+    positions_before = world.positions()
     _, t0_ns = await world.arm(await world.plan(world.targets()))
     await world.driver.slots.present.verify()
     await world.until(t0_ns + 3 * NS_PER_S)
-    require(world.positions() == before, "an armed move has started without `go`")
+    require(world.positions() == positions_before, "an armed move has started without `go`")
     await world.driver.slots.unload()
     await require_step(world)
 
@@ -46,14 +46,14 @@ async def check_stop(world: World, when_ms: int) -> None:
     """Stop, by ramp and by abort, some time before or after T0."""
     await world.ready()
     for abort, factor in ((False, 1.0), (True, -0.4)):
-        lowered, t0_ns = await world.arm(await world.plan(world.targets(4)))
+        lowered_step, t0_ns = await world.arm(await world.plan(world.targets(4)))
         await world.driver.slots.present.verify()
         await world.driver.slots.present.release()
         following = world.start_task(follow_to_end(world))
         await world.until(max(world.clock.now_ns(), t0_ns + when_ms * NS_PER_MS))
         await world.driver.stop(abort=abort)
-        await sleep_ns(world.clock, lowered.costs.stop_ns)
-        require(world.at_rest, f"an axis still moves {lowered.costs.stop_ns} ns after the stop, the declared time")
+        await sleep_ns(world.clock, lowered_step.costs.stop_ns)
+        require(world.at_rest, f"an axis still moves {lowered_step.costs.stop_ns} ns after the stop, the declared time")
         rests = world.positions()
         await following
         await world.until(max(world.clock.now_ns(), t0_ns) + 2 * NS_PER_S)
@@ -67,13 +67,13 @@ async def check_stop(world: World, when_ms: int) -> None:
 async def check_stop_of_homing(world: World, when_ms: int) -> None:
     """Stop a homing some time after it was commanded."""
     await world.ready()
-    found: list[str] = []
-    failed: dict[str, Refusal] = {}
+    references: list[str] = []
+    failures: dict[str, Refusal] = {}
 
     async def search() -> None:
         with contextlib.suppress(Refusal):
-            failed.update(await world.driver.home_axes(world.axes, found.append))
-            every = sorted([*found, *failed])
+            failures.update(await world.driver.home_axes(world.axes, references.append))
+            every = sorted([*references, *failures])
             require(every == sorted(world.axes), f"homing returned for the axes {every}, not for {world.axes}")
 
     searching = world.start_task(search())
@@ -86,19 +86,19 @@ async def check_stop_of_homing(world: World, when_ms: int) -> None:
     await sleep_ns(world.clock, 3 * NS_PER_S)
     require(world.at_rest, "an axis still moves after homing was stopped")
     # Bytes that were on the line before the stop may still start a motion, which the stop after them ends.
-    later = [motion for _, motion in world.motions if motion.start_ns > stopped_ns + ON_THE_LINE_NS]
-    require(not later, f"a search began after the stop: {later}")
+    late_motions = [motion for _, motion in world.motions if motion.start_ns > stopped_ns + ON_THE_LINE_NS]
+    require(not late_motions, f"a search began after the stop: {late_motions}")
     await world.driver.clear_faults()
     await world.driver.set_enabled(world.axes, on=True)
     await world.poll(5)
-    again = await world.driver.home_axes(world.axes, found.append)
-    require(not again, f"homing after a stop failed: {again}")
+    new_failures = await world.driver.home_axes(world.axes, references.append)
+    require(not new_failures, f"homing after a stop failed: {new_failures}")
 
 
 async def check_jog(world: World) -> None:
     """A jog to its end, and a jog of all axes of which one is stopped."""
     await world.ready()
-    axis, *others = world.axes
+    axis, *other_axes = world.axes
     config = world.axis(axis)
     speed, ramp = config.limits.velocity * float(config.scale) / 4, config.limits.acceleration * float(config.scale)
     end = round(speed)
@@ -113,16 +113,18 @@ async def check_jog(world: World) -> None:
     require(world.position(axis) == end, f"the jog ended at {world.position(axis)}, not at {end}")
     await world.manual.jog_axis(axis, JogMove(-speed, ramp, None))
     try:
-        for other in others:
-            await world.manual.jog_axis(other, JogMove(speed, ramp, None))
+        for other_axis in other_axes:
+            await world.manual.jog_axis(other_axis, JogMove(speed, ramp, None))
     except Refusal as error:
         require(not world.case.jogs_together, f"a second axis cannot be jogged: {error}")
-        others = []
+        other_axes = []
     await sleep_ns(world.clock, 300 * NS_PER_MS)
     await world.manual.stop_axes([axis])
     await sleep_ns(world.clock, 400 * NS_PER_MS)
     require(not world.moving(axis), f"{axis} still jogs after `stop_axes`")
-    require(all(world.moving(other) for other in others), "`stop_axes` of one axis has stopped another one")
+    require(
+        all(world.moving(other_axis) for other_axis in other_axes), "`stop_axes` of one axis has stopped another one"
+    )
     await world.driver.stop(abort=False)
     await world.rest(world.driver.capabilities.costs.stop_ns)
     await world.poll(3)

@@ -69,7 +69,7 @@ def list_checks(make: str, *, everything: bool = False, case: Case | None = None
     """
     checks = _generate_checks(make, case or make_case(make), everything=everything)
     # The fleets of the campaign are made from the example.
-    return [each for each in checks if case is None or each.part != "campaign"]
+    return [check for check in checks if case is None or check.part != "campaign"]
 
 
 def run_check(check: MakeCheck) -> CheckResult:
@@ -78,8 +78,8 @@ def run_check(check: MakeCheck) -> CheckResult:
         check.run()
     except NotApplicable as reason:
         return CheckResult(check.part, check.name, "not-applicable", str(reason))
-    except ContractBroken as broken:
-        return CheckResult(check.part, check.name, "broken", str(broken))
+    except ContractBroken as breach:
+        return CheckResult(check.part, check.name, "broken", str(breach))
     except Exception as error:
         return CheckResult(check.part, check.name, "broken", f"{type(error).__name__}: {error}")
     return CheckResult(check.part, check.name, "holds")
@@ -98,7 +98,7 @@ def _generate_checks(make: str, case: Case, *, everything: bool) -> Iterator[Mak
     name = f"{number} conversations with wrong replies end in faults only"
     yield MakeCheck("replies", name, partial(_check_conversations, make, case, number))
     for seed, cells in enumerate(_draw_cells(make, everything=everything)):
-        name = f"no invariant is violated with {', '.join(each.fault for each in cells)}"
+        name = f"no invariant is violated with {', '.join(cell.fault for cell in cells)}"
         yield MakeCheck("campaign", name, partial(_check_seed, seed, cells))
     for file in vector_files(make):
         yield MakeCheck("vectors", f"the simulator fulfils {file.name}", partial(_check_vectors, make, file))
@@ -137,7 +137,7 @@ def _check_vectors(make: str, file: Path) -> None:
     report = check_file(make, file)
     text = f"{len(report.failures)} of {len(report.failures) + len(report.passed)} vectors fail"
     for failures in list(report.failures.values())[:1]:
-        each = failures[0]
-        text += f"; {each.vector}: sent {each.sent!r}, expected {each.expected}, received {each.received}"
+        failure = failures[0]
+        text += f"; {failure.vector}: sent {failure.sent!r}, expected {failure.expected}, received {failure.received}"
     require(not report.failures, text)
     require(report.passed, f"{file} has no vectors")

@@ -52,11 +52,11 @@ class ReplyMutator:
         draw = self.draw
         match draw.randrange(9):
             case 0 | 1 | 2 | 3:
-                found = list(_NUMBER.finditer(data))
-                if not found:
+                number_matches = list(_NUMBER.finditer(data))
+                if not number_matches:
                     return data
-                one = draw.choice(found)
-                return data[: one.start()] + draw.choice(NUMBERS) + data[one.end() :]
+                number_match = draw.choice(number_matches)
+                return data[: number_match.start()] + draw.choice(NUMBERS) + data[number_match.end() :]
             case 4:
                 at = draw.randrange(len(data))
                 return data[:at] + bytes([draw.randrange(256)]) + data[at + 1 :]
@@ -73,18 +73,18 @@ class ReplyMutator:
     def _change_frames(self, data: bytes, last: bytes) -> bytes:
         draw, frames = self.draw, decode_frames(data)
         at = draw.randrange(len(frames))
-        one = frames[at]
+        frame = frames[at]
         match draw.randrange(7):
             case 0 | 1:
                 filler = draw.choice((b"\xff", b"\x80", b"\x00", b"\x7f"))
-                kept = draw.choice((0, 4, 6)) if len(one.data) == 8 else draw.choice((0, 2))
-                frames[at] = CanFrame(one.id, one.data[:kept] + filler * max(0, len(one.data) - kept))
+                kept_size = draw.choice((0, 4, 6)) if len(frame.data) == 8 else draw.choice((0, 2))
+                frames[at] = CanFrame(frame.id, frame.data[:kept_size] + filler * max(0, len(frame.data) - kept_size))
             case 2:
-                frames[at] = CanFrame(one.id, draw.randbytes(len(one.data)))
+                frames[at] = CanFrame(frame.id, draw.randbytes(len(frame.data)))
             case 3:
-                frames[at] = CanFrame(one.id, draw.randbytes(draw.randrange(9)))
+                frames[at] = CanFrame(frame.id, draw.randbytes(draw.randrange(9)))
             case 4:
-                frames[at] = CanFrame(one.id, one.data[: draw.randrange(len(one.data) + 1)])
+                frames[at] = CanFrame(frame.id, frame.data[: draw.randrange(len(frame.data) + 1)])
             case 5:
                 return last + data
             case _:
@@ -96,9 +96,9 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
     """Connect, read, and perhaps move; return what ended it. Nothing moves that was not released, and nothing moves
     after a stop over a line that works."""
     driver, draw = world.driver, mutator.draw
-    released, before = False, len(world.motions)
+    is_released, motion_count = False, len(world.motions)
     mutator.is_active = draw.random() < 0.5
-    ended = "done"
+    end = "done"
     try:
         await driver.connect()
         await driver.configure()
@@ -110,29 +110,29 @@ async def converse(world: World, mutator: ReplyMutator) -> str:
             await sleep_ns(world.clock, NS_PER_S // 20)
         await find_differences(driver, everything=True)
         mutator.is_active = True
-        far = {axis: draw.choice((1.5, -3)) for axis in world.axes}
-        profiles = await world.plan({axis: world.short_targets(factor)[axis] for axis, factor in far.items()})
+        axis_factors = {axis: draw.choice((1.5, -3)) for axis in world.axes}
+        profiles = await world.plan({axis: world.short_targets(factor)[axis] for axis, factor in axis_factors.items()})
         await world.arm(profiles)
         await driver.slots.present.verify()
-        released = True
+        is_released = True
         await driver.slots.present.release()
         await driver.slots.present.wait_for_start()
         await driver.slots.present.wait_for_end()
         require_sound_reading(await driver.poll())
     except EXPECTED as error:
-        ended = f"{type(error).__name__}: {error}"
+        end = f"{type(error).__name__}: {error}"
     mutator.is_active = False
-    require(released or len(world.motions) == before, f"an axis moved without a release, after {ended}")
+    require(is_released or len(world.motions) == motion_count, f"an axis moved without a release, after {end}")
     with suppress(*EXPECTED):
         await driver.stop(abort=False)
     await world.leave()
-    await world.rest(STOPPED_NS if released else 0)
-    return ended
+    await world.rest(STOPPED_NS if is_released else 0)
+    return end
 
 
 def run_conversation(name: str, case: Case, seed: int) -> str:
     """Run one conversation of a case; return what ended it. name: of the case, for the draws."""
-    ended: list[str] = []
+    ends: list[str] = []
 
     async def main(world: World) -> None:
         draw = Random(f"{name} {seed}")
@@ -145,7 +145,7 @@ def run_conversation(name: str, case: Case, seed: int) -> str:
         for unit in world.units:
             unit.wire.to_near = mutator.change
         async with asyncio.timeout(LONGEST_S):
-            ended.append(await converse(world, mutator))
+            ends.append(await converse(world, mutator))
 
     run_case(case, main, seed)
-    return ended[0]
+    return ends[0]

@@ -100,7 +100,9 @@ class World:
     def targets(self, factor: float = 1.0) -> dict[str, float]:
         """Targets of a step to `factor` times the usual distance, in counts."""
         base = self.case.base_counts
-        return {axis: base + round(each * factor) for axis, each in zip(self.axes, self.case.targets, strict=False)}
+        return {
+            axis: base + round(distance * factor) for axis, distance in zip(self.axes, self.case.targets, strict=False)
+        }
 
     def short_targets(self, factor: float) -> dict[str, float]:
         """Targets of a step of all axes to `factor` times the short distance, in counts."""
@@ -148,7 +150,7 @@ class World:
     def motions(self) -> list[tuple[Unit, CommandedMotion]]:
         """Every commanded motion, in order of start."""
         every = [(unit, motion) for unit in self.units for motion in unit.controller.commanded_motions]
-        return sorted(every, key=lambda each: each[1].start_ns)
+        return sorted(every, key=lambda unit_motion: unit_motion[1].start_ns)
 
     # What an adapter does with it
 
@@ -185,18 +187,18 @@ class World:
     async def plan(self, targets: Mapping[str, float], stretch: float = 1.3) -> dict[str, Profile]:
         """Profiles to `targets` (counts) from the present positions, of one duration; trapezoids if no jerk is
         limited."""
-        now = (await self.driver.poll()).axes
+        axes = (await self.driver.poll()).axes
         order = max(self.driver.capabilities.orders)
         moves: list[AxisMove] = []
         for name, target in targets.items():
-            axis, here = self.axis(name), now[name].commanded_counts
+            axis, counts = self.axis(name), axes[name].commanded_counts
             scale, limits = float(axis.scale), axis.limits
             jerk = None if limits.jerk is None else limits.jerk * scale
             velocity, acceleration = limits.velocity * scale, limits.acceleration * scale
             moves.append(
                 AxisMove(
                     axis=name,
-                    start_counts=here,
+                    start_counts=counts,
                     target_counts=round(target),
                     velocity=velocity,
                     acceleration=acceleration,
@@ -210,24 +212,24 @@ class World:
     async def arm(self, profiles: Mapping[str, Profile], how: StartOptions = AUTO) -> tuple[Lowered, int]:
         """Lowered and loaded; with T0, which is as near as the make allows."""
         mapping = self.driver.clock_mapping()
-        lowered = self.driver.lower_profiles(profiles, how, mapping)
-        t0_ns = self.clock.now_ns() + lowered.costs.arm_ns + lowered.costs.disarm_ns + 200 * NS_PER_MS
+        lowered_step = self.driver.lower_profiles(profiles, how, mapping)
+        t0_ns = self.clock.now_ns() + lowered_step.costs.arm_ns + lowered_step.costs.disarm_ns + 200 * NS_PER_MS
         if mapping is not None:
-            ahead = how.model_copy(update={"lead_ns": t0_ns - mapping.host_at_ns})
-            lowered = self.driver.lower_profiles(profiles, ahead, mapping)
-        await self.driver.slots.present.load(lowered, t0_ns, mapping)
-        return lowered, t0_ns
+            lead_options = how.model_copy(update={"lead_ns": t0_ns - mapping.host_at_ns})
+            lowered_step = self.driver.lower_profiles(profiles, lead_options, mapping)
+        await self.driver.slots.present.load(lowered_step, t0_ns, mapping)
+        return lowered_step, t0_ns
 
     async def move(
         self, targets: Mapping[str, float]
     ) -> tuple[Lowered, Mapping[str, HostInterval], MoveOutcome, int, dict[str, Profile]]:
         """A whole step."""
         profiles = await self.plan(targets)
-        lowered, t0_ns = await self.arm(profiles)
+        lowered_step, t0_ns = await self.arm(profiles)
         await self.driver.slots.present.verify()
         await self.driver.slots.present.release()
-        started = await self.driver.slots.present.wait_for_start()
-        return lowered, started, await self.driver.slots.present.wait_for_end(), t0_ns, profiles
+        start_spans = await self.driver.slots.present.wait_for_start()
+        return lowered_step, start_spans, await self.driver.slots.present.wait_for_end(), t0_ns, profiles
 
     def was_line_late(self, start_ns: int) -> bool:
         """Return whether a start may be later than declared because of the line."""
@@ -276,9 +278,11 @@ def build_unit(chosen: Case, name: str, around: Surroundings) -> Unit:
         timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=500 * NS_PER_US)
         return DeviceSpec(address, chosen.simulate, oscillator, timing, seed)
 
-    addresses = {name: own, **{f"beside {name} {each}": each for each in chosen.beside}}
-    in_order = dict(sorted(addresses.items(), key=lambda each: each[1] or 0))
-    line = build_line(find_simulator(config.adapter), clock, {each: branch(a) for each, a in in_order.items()})
+    addresses = {name: own, **{f"beside {name} {address}": address for address in chosen.beside}}
+    in_order = dict(sorted(addresses.items(), key=lambda name_and_address: name_and_address[1] or 0))
+    line = build_line(
+        find_simulator(config.adapter), clock, {line_name: branch(a) for line_name, a in in_order.items()}
+    )
     model = serial_wire(config.link.baud) if config.link.kind == "serial" else LAN
     if config.link.kind == "can":
         model = can_wire()
@@ -295,7 +299,7 @@ def build_unit(chosen: Case, name: str, around: Surroundings) -> Unit:
         seed=seed,
     )
     options = make.options_model.model_validate(config.options)
-    shared: dict[str, Any] = {}
+    shared_values: dict[str, Any] = {}
 
     def driver_of(each: str) -> Driver:
         link = config.link
@@ -310,13 +314,13 @@ def build_unit(chosen: Case, name: str, around: Surroundings) -> Unit:
                 clock=clock,
                 open_link=wire.open_link,
                 timed_writer=around.firer,
-                shared=shared,
+                shared=shared_values,
             )
         )
 
-    driver, *beside = [driver_of(each) for each in addresses]
-    others = dict(zip(list(addresses)[1:], beside, strict=True))
-    return Unit(config, line.devices[name], wire, driver, others)
+    driver, *other_drivers = [driver_of(driver_name) for driver_name in addresses]
+    drivers_beside = dict(zip(list(addresses)[1:], other_drivers, strict=True))
+    return Unit(config, line.devices[name], wire, driver, drivers_beside)
 
 
 def run_case(chosen: Case, main: Callable[[World], Awaitable[None]], seed: int = 0, ppm: float = 40.0) -> None:
@@ -326,15 +330,22 @@ def run_case(chosen: Case, main: Callable[[World], Awaitable[None]], seed: int =
         draw = Random(seed)
         firer = LoopTimedWriter(clock, lambda: draw.randrange(60 * NS_PER_US))
         units = [build_unit(chosen, "it", Surroundings(clock, firer, seed, ppm))]
-        for number, each in enumerate(chosen.also, 1):
+        for number, other_case in enumerate(chosen.also, 1):
             # Its clock goes wrong the other way.
-            units.append(build_unit(each, f"also{number}", Surroundings(clock, firer, seed + 1000 * number, -ppm)))
+            units.append(
+                build_unit(other_case, f"also{number}", Surroundings(clock, firer, seed + 1000 * number, -ppm))
+            )
         driver = units[0].driver
         if chosen.also:
             driver = Together({unit.driver: list(unit.config.axes) for unit in units})
-        beside = {name: each for unit in units for name, each in unit.beside.items()}
+        drivers_beside = {name: driver for unit in units for name, driver in unit.beside.items()}
         world = World(
-            clock=clock, case=chosen, units=units, driver=driver, draw=draw, polled_beside=dict.fromkeys(beside, 0)
+            clock=clock,
+            case=chosen,
+            units=units,
+            driver=driver,
+            draw=draw,
+            polled_beside=dict.fromkeys(drivers_beside, 0),
         )
         loop = asyncio.get_running_loop()
 
@@ -342,14 +353,14 @@ def run_case(chosen: Case, main: Callable[[World], Awaitable[None]], seed: int =
             def polled() -> None:
                 world.polled_beside[name] += 1
 
-            return loop.create_task(poll_for_ever(clock, beside[name], polled))
+            return loop.create_task(poll_for_ever(clock, drivers_beside[name], polled))
 
-        others = [poll_beside(name) for name in beside]
+        polls = [poll_beside(name) for name in drivers_beside]
         try:
             await main(world)
         finally:
-            for other in others:
-                other.cancel()
+            for poll in polls:
+                poll.cancel()
             await driver.close()
 
     run_virtual(within)
