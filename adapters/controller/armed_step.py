@@ -48,10 +48,10 @@ class ArmedStep:
 
     def is_for(self, request: StepRequest, t0_fleet_ns: int | None = None) -> bool:
         """Whether it is the step that a request is about; for this T0, if one is given."""
-        same = (self.job, self.step) == (request.job, request.step)
-        return same and t0_fleet_ns in (None, self.t0_fleet_ns)
+        is_same_step = (self.job, self.step) == (request.job, request.step)
+        return is_same_step and t0_fleet_ns in (None, self.t0_fleet_ns)
 
     def is_same(self, other: "ArmedStep | None") -> bool:
         """Whether it is the same step for the same T0, in any phase."""
-        mine = (self.job, self.step, self.t0_fleet_ns)
-        return other is not None and mine == (other.job, other.step, other.t0_fleet_ns)
+        own_key = (self.job, self.step, self.t0_fleet_ns)
+        return other is not None and own_key == (other.job, other.step, other.t0_fleet_ns)

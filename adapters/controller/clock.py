@@ -54,16 +54,16 @@ def learned_starts(latency: StartLatency, past_steps: Iterable[PastStep], now_ns
     """Return the bus form of the starts that widen the bounds of a start, with what is left of each and its step."""
     # A start is learned at the end of its step, before another one begins.
     steps = list(past_steps)
-    found: list[LearnedStart] = []
-    for each in latency.unusual:
-        step = next((step for step in steps if step.t0_ns <= each.at_ns <= step.ended_ns), None)
-        found.append(
+    starts: list[LearnedStart] = []
+    for start in latency.unusual:
+        step = next((step for step in steps if step.t0_ns <= start.at_ns <= step.ended_ns), None)
+        starts.append(
             LearnedStart(
-                outside_ns=each.outside_ns,
-                age_ns=now_ns - each.at_ns,
-                remaining_ns=round(each.remaining_ns(now_ns)),
+                outside_ns=start.outside_ns,
+                age_ns=now_ns - start.at_ns,
+                remaining_ns=round(start.remaining_ns(now_ns)),
                 job="" if step is None else step.job,
                 step=None if step is None else step.step,
             )
         )
-    return found
+    return starts

@@ -204,8 +204,8 @@ class ControllerCommands:
         leader = request.leader
         if (leader.epoch, leader.coordinator) != (request.epoch, request.coordinator):
             raise Refusal("bad-request", "the heartbeat in an adoption must be that of the adopting coordinator", "")
-        stated = PartVersion(leader.tutti, leader.protocol)
-        require_version(stated, f"coordinator {leader.coordinator[:8]}", "this adapter host")
+        version = PartVersion(leader.tutti, leader.protocol)
+        require_version(version, f"coordinator {leader.coordinator[:8]}", "this adapter host")
         fresh = await self._fence.adopt_leader(request)
         self._context.follow_leader(self._context.controller, leader)
         if fresh:
@@ -218,9 +218,11 @@ class ControllerCommands:
         """Only at rest: until the leader adopts the controller, nothing can be started, and jogs have ended."""
         status = self._status
         self._require_no_step()
-        moving = [name for name, axis in status.require_online().axes.items() if axis.moving or name in status.homing]
-        if moving or status.jogging:
-            name = min([*moving, *status.jogging])
+        moving_axes = [
+            name for name, axis in status.require_online().axes.items() if axis.moving or name in status.homing
+        ]
+        if moving_axes or status.jogging:
+            name = min([*moving_axes, *status.jogging])
             raise Refusal("moving", f"axis {name} is moving", "wait for the end of the motion, then repeat")
         await self._fence.accept_epoch(request)
         self._components.leases.end_all(f"the epoch was repaired by {request.actor}")
@@ -252,11 +254,11 @@ class ControllerCommands:
 
     async def _handle_lease(self, request: LeaseRequest) -> LeaseReply:
         self._status.require_known(request.axes)
-        before = self._components.leases.holders
+        old_holders = self._components.leases.holders
         self._components.leases.apply_request(request)
         # The requester gets the state at once, others with the next poll or heartbeat; not at each renewal.
-        changed = self._components.leases.holders != before
-        return LeaseReply(state=self._publisher.current_state() if changed else None)
+        is_changed = self._components.leases.holders != old_holders
+        return LeaseReply(state=self._publisher.current_state() if is_changed else None)
 
     async def _handle_enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)
@@ -308,8 +310,8 @@ class ControllerCommands:
     async def _handle_output(self, request: OutputRequest) -> Reply:
         point = self._config.outputs.get(request.output)
         if point is None:
-            known = ", ".join(self._config.outputs) or "none"
-            raise Refusal("unknown-output", f"no output {request.output}; outputs: {known}")
+            output_names = ", ".join(self._config.outputs) or "none"
+            raise Refusal("unknown-output", f"no output {request.output}; outputs: {output_names}")
         self._status.require_online()
         await set_output(self._driver, point.number, on=request.value == (point.active == "high"))
         await self._supervisor.poll_and_publish()
@@ -343,9 +345,9 @@ class ControllerCommands:
         await self._components.surveillance.recheck_settings()
         await self._supervisor.poll_and_publish()
         status.require_no_fault()
-        moving = [name for name, axis in status.require_online().axes.items() if axis.moving]
-        if moving:
-            raise Refusal("moving", f"axis {moving[0]} is moving", "wait for the end of the motion, then reset")
+        moving_axes = [name for name, axis in status.require_online().axes.items() if axis.moving]
+        if moving_axes:
+            raise Refusal("moving", f"axis {moving_axes[0]} is moving", "wait for the end of the motion, then reset")
 
     async def _handle_configure(self, request: ConfigureRequest) -> Reply:
         self._require_no_step()

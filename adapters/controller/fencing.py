@@ -47,23 +47,24 @@ class EpochFence:
 
         Requests of the new leader wait meanwhile: only leases of the former leader are dropped by the caller."""
         async with self._adopting:
-            known = self._remembered.values
+            known_leader = self._remembered.values
             if not self._compared:
                 raise Refusal(COMPARING, "e-stop latches are being compared with other processes", "try again")
             if self._is_outdated(request):
                 raise Refusal(
                     "stale-epoch",
                     f"epoch {request.epoch} of coordinator {request.coordinator[:8]} is over; epoch "
-                    f"{known.epoch} of {known.coordinator[:8]} has been seen",
-                    EPOCH_REMEDY if known.epoch > request.epoch + MAX_EPOCH_STEP else "stop the old coordinator",
+                    f"{known_leader.epoch} of {known_leader.coordinator[:8]} has been seen",
+                    EPOCH_REMEDY if known_leader.epoch > request.epoch + MAX_EPOCH_STEP else "stop the old coordinator",
                 )
-            if request.epoch > known.epoch + MAX_EPOCH_STEP:
+            if request.epoch > known_leader.epoch + MAX_EPOCH_STEP:
                 raise Refusal(
                     "far-epoch",
-                    f"epoch {request.epoch} is far from the known epoch {known.epoch}: no restart makes such a step",
+                    f"epoch {request.epoch} is far from the known epoch {known_leader.epoch}: "
+                    "no restart makes such a step",
                     EPOCH_REMEDY,
                 )
-            if (request.epoch, request.coordinator) != (known.epoch, known.coordinator):
+            if (request.epoch, request.coordinator) != (known_leader.epoch, known_leader.coordinator):
                 self._remembered.change_values(epoch=request.epoch, coordinator=request.coordinator)
                 self._adopted = False
             await self.persist()
@@ -79,16 +80,18 @@ class EpochFence:
     async def require_current_leader(self, request: FencedRequest) -> None:
         """Raise `Refusal` unless `request` comes from the coordinator that adopted this controller."""
         async with self._adopting:
-            known = self._remembered.values
+            known_leader = self._remembered.values
             if self._is_outdated(request):
-                raise Refusal("stale-epoch", f"epoch {request.epoch} is over; the current epoch is {known.epoch}", "")
-            if not self._adopted or request.epoch > known.epoch:
+                raise Refusal(
+                    "stale-epoch", f"epoch {request.epoch} is over; the current epoch is {known_leader.epoch}", ""
+                )
+            if not self._adopted or request.epoch > known_leader.epoch:
                 raise Refusal("not-adopted", "the controller has not been adopted in this epoch", "adopt it first")
 
     def _is_outdated(self, request: FencedRequest) -> bool:
-        known = self._remembered.values
-        other = request.coordinator != known.coordinator
-        return request.epoch < known.epoch or (request.epoch == known.epoch and other)
+        known_leader = self._remembered.values
+        is_other = request.coordinator != known_leader.coordinator
+        return request.epoch < known_leader.epoch or (request.epoch == known_leader.epoch and is_other)
 
     def require_no_estop(self) -> None:
         """Raise `Refusal` while an e-stop is latched."""

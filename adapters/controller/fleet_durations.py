@@ -41,12 +41,14 @@ def to_host_start(start: StartOptions, scale: FleetScale) -> StartOptions:
     chunk = start.chunk
     if chunk is not None:
         chunk = chunk.model_copy(update={"end_s": chunk.end_s * scale.host_share})
-    triggers = [_to_host_trigger(each, scale) for each in start.triggers]
+    triggers = [_to_host_trigger(trigger, scale) for trigger in start.triggers]
     return start.model_copy(update={"triggers": triggers, "chunk": chunk})
 
 
 def _to_host_trigger(trigger: OutputTrigger, scale: FleetScale) -> OutputTrigger:
-    return trigger.model_copy(update={"instants_ns": [round(each * scale.host_share) for each in trigger.instants_ns]})
+    return trigger.model_copy(
+        update={"instants_ns": [round(instant_ns * scale.host_share) for instant_ns in trigger.instants_ns]}
+    )
 
 
 def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: Mapping[str, int]) -> StatedMove:
@@ -56,21 +58,21 @@ def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: M
     trigger line: its start is where the edge is, whatever its host believes about the time.
     """
     terms, edge = list(lowered.terms), list(lowered.edge)
-    switched = {output: list(each) for output, each in lowered.triggers.items()}
+    switch_terms = {output: list(terms) for output, terms in lowered.triggers.items()}
     if not scale.is_exact:
         own = _make_term(scale, t0_host_ns)
         if lowered.start_class != "line":
             terms.append(own)
         if edge:
             edge.append(own)
-        for output, each in switched.items():
-            each.append(_make_term(scale, t0_host_ns + triggers[output]))
+        for output, output_terms in switch_terms.items():
+            output_terms.append(_make_term(scale, t0_host_ns + triggers[output]))
     return StatedMove(
-        durations_s={axis: each * (1.0 + scale.rate) for axis, each in lowered.durations_s.items()},
+        durations_s={axis: duration_s * (1.0 + scale.rate) for axis, duration_s in lowered.durations_s.items()},
         tick_ns=lowered.tick_ns * (1.0 + scale.rate),
         terms=terms,
         edge=edge,
-        triggers=switched,
+        triggers=switch_terms,
         clock_ppm=lowered.clock_ppm + scale.drift_ppm,
     )
 

@@ -80,29 +80,29 @@ class JogControl:
             [axis for axis, velocity in request.velocities.items() if velocity == 0], "the jog key is no longer pressed"
         )
         until_ns = self._clock.now_ns() + request.valid_ms * NS_PER_MS
-        moving = {axis: velocity for axis, velocity in request.velocities.items() if velocity != 0}
-        for axis in moving:
+        moving_velocities = {axis: velocity for axis, velocity in request.velocities.items() if velocity != 0}
+        for axis in moving_velocities:
             if axis not in self._jogs and not request.renew:
                 self._begin_jog(axis, _AxisJog(request.holder, until_ns))
         # All deadlines are set before the first command: a command may take longer than its own validity, and renewals
         # arrive meanwhile.
-        jogs = {axis: self._jogs[axis] for axis in moving if axis in self._jogs}
+        jogs = {axis: self._jogs[axis] for axis in moving_velocities if axis in self._jogs}
         for jog in jogs.values():
             jog.until_ns = until_ns
-        changed_jogs = {axis: jog for axis, jog in jogs.items() if jog.wanted != moving[axis]}
+        changed_jogs = {axis: jog for axis, jog in jogs.items() if jog.wanted != moving_velocities[axis]}
         for axis, jog in changed_jogs.items():
-            jog.wanted = moving[axis]
+            jog.wanted = moving_velocities[axis]
         try:
             for axis in list(changed_jogs):
-                await self._send_jog(axis, changed_jogs.pop(axis), moving[axis])
+                await self._send_jog(axis, changed_jogs.pop(axis), moving_velocities[axis])
         except BaseException:
             for axis, jog in changed_jogs.items():
                 self._revert_jog(axis, jog)
             raise
-        for axis in moving:
+        for axis in moving_velocities:
             if axis not in jogs:
-                why = self._end_reasons.get(axis, "it is not jogging")
-                raise Refusal("not-jogging", f"axis {axis}: {why}", "press the jog key again")
+                reason = self._end_reasons.get(axis, "it is not jogging")
+                raise Refusal("not-jogging", f"axis {axis}: {reason}", "press the jog key again")
 
     def _begin_jog(self, axis: str, jog: _AxisJog) -> None:
         self._jogs[axis] = jog
@@ -140,14 +140,14 @@ class JogControl:
         condition, axis = self._status, self._status.config.axes[name]
         reading = condition.require_online()
         condition.require_enabled([name])
-        referenced = condition.referenced[name]
-        fastest = axis.jog_speed(referenced=referenced)
+        is_referenced = condition.referenced[name]
+        fastest = axis.jog_speed(referenced=is_referenced)
         if abs(velocity) > fastest * (1 + SPEED_TOLERANCE):
-            why = "" if referenced else " while it is not referenced"
+            reference_text = "" if is_referenced else " while it is not referenced"
             raise Refusal(
                 "too-fast",
-                f"axis {name} may jog at {fastest:g} {axis.unit}/s at most{why}, not at {abs(velocity):g}",
-                "jog more slowly" if referenced else "jog more slowly, or home it first",
+                f"axis {name} may jog at {fastest:g} {axis.unit}/s at most{reference_text}, not at {abs(velocity):g}",
+                "jog more slowly" if is_referenced else "jog more slowly, or home it first",
             )
         counts_s = velocity * float(axis.counts_per_unit)
         limit = reading.axes[name].limit
@@ -209,13 +209,17 @@ class JogControl:
         The stop is sent all the same: on a disturbed line the reading may come from another controller's reply, or be
         wrong."""
         for axis, jog in list(self._jogs.items()):
-            now = reading.axes[axis]
-            if not now.enabled:
+            axis_reading = reading.axes[axis]
+            if not axis_reading.enabled:
                 self._spawn(self.stop_axes([axis], "its motor has switched off"))
             elif jog.wanted != jog.velocity:
                 pass  # it may come to rest to change its speed
-            elif jog.accepted_ns is not None and not now.moving and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS:
-                reason = "it is on its limit switch" if now.limit != "none" else "it is at its soft limit"
+            elif (
+                jog.accepted_ns is not None
+                and not axis_reading.moving
+                and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS
+            ):
+                reason = "it is on its limit switch" if axis_reading.limit != "none" else "it is at its soft limit"
                 self._spawn(self.stop_axes([axis], reason))
 
     def _expect_rest(self, axes: Sequence[str]) -> None:

@@ -76,12 +76,12 @@ class MotionLeases:
                 f"lease all of them: {', '.join(self._config.axes)}",
             )
         if request.ttl_ms == 0:
-            mine = [axis for axis in request.axes if self._is_holder(request.holder, axis)]
-            self._end_leases(mine, request.reason or "the lease was released")
+            own_axes = [axis for axis in request.axes if self._is_holder(request.holder, axis)]
+            self._end_leases(own_axes, request.reason or "the lease was released")
             self._record_end(request.holder, request.reason or "the lease was released", request.acquisition)
             return
-        ended = self._lease_ends.get(request.holder)
-        if ended is not None and ended.taking is not None and request.acquisition <= ended.taking:
+        lease_end = self._lease_ends.get(request.holder)
+        if lease_end is not None and lease_end.taking is not None and request.acquisition <= lease_end.taking:
             raise Refusal("lease-over", f"the lease of {request.holder} is over", "acquire it under a new name")
         for axis in request.axes:
             lease = self._leases.get(axis)
@@ -102,9 +102,11 @@ class MotionLeases:
         for axis in axes:
             lease = self._leases.get(axis)
             if lease is None:
-                ended = self._lease_ends.get(holder)
-                why = f"; its lease has ended: {ended.reason}" if ended is not None else ""
-                raise Refusal("not-leased", f"axis {axis} is not leased to {holder}{why}", "acquire the lease first")
+                lease_end = self._lease_ends.get(holder)
+                end_text = f"; its lease has ended: {lease_end.reason}" if lease_end is not None else ""
+                raise Refusal(
+                    "not-leased", f"axis {axis} is not leased to {holder}{end_text}", "acquire the lease first"
+                )
             if lease.holder != holder:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
@@ -113,7 +115,7 @@ class MotionLeases:
     def end_all(self, reason: str) -> None:
         """End all leases: there is a new leader, which numbers its leases from the beginning, or none."""
         self._lease_ends = OrderedDict(
-            (holder, _LeaseEnd(each.reason, None)) for holder, each in self._lease_ends.items()
+            (holder, _LeaseEnd(lease_end.reason, None)) for holder, lease_end in self._lease_ends.items()
         )
         self._end_leases(list(self._leases), reason)
 
@@ -146,9 +148,9 @@ class MotionLeases:
         by_holder: dict[str, list[str]] = {}
         for axis in axes:
             by_holder.setdefault(self._leases.pop(axis).holder, []).append(axis)
-        for holder, lost in by_holder.items():
+        for holder, lost_axes in by_holder.items():
             self._record_end(holder, reason, _EVER if final else None)
-            self._on_ended(holder, lost, reason)
+            self._on_ended(holder, lost_axes, reason)
 
     def _record_end(self, holder: str, reason: str, taking: int | None) -> None:
         self._lease_ends[holder] = _LeaseEnd(reason, taking)

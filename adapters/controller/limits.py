@@ -25,21 +25,21 @@ def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *,
     status.require_enabled(profiles)
     reading = status.require_online()
     for name, profile in profiles.items():
-        axis, now = status.config.axes[name], reading.axes[name]
+        axis, axis_reading = status.config.axes[name], reading.axes[name]
         if not status.referenced[name]:
             raise Refusal(
                 "not-referenced", f"axis {name} is not referenced", f"home it first: a step `do: home` for {name}"
             )
-        if now.moving:
+        if axis_reading.moving:
             raise Refusal("moving", f"axis {name} is moving", "wait for its end, or stop it")
-        if now.commanded_counts != profile.start_counts:
+        if axis_reading.commanded_counts != profile.start_counts:
             raise Refusal(
                 "other-start",
-                f"axis {name} is at {now.commanded_counts} counts; the plan starts at {profile.start_counts}",
+                f"axis {name} is at {axis_reading.commanded_counts} counts; the plan starts at {profile.start_counts}",
                 "plan again from the present position",
             )
         check_limits(name, axis, profile)
-        _check_limit_switch(name, now.limit, profile)
+        _check_limit_switch(name, axis_reading.limit, profile)
 
 
 def check_path_limits(status: ControllerStatus, profiles: Mapping[str, Profile]) -> None:
@@ -53,8 +53,8 @@ def _check_limit_switch(name: str, active: str, profile: Profile) -> None:
     """Raise `Refusal` when the axis is on a limit switch in the direction of motion."""
     low, high = profile.extent_counts
     forward, reverse = high > profile.start_counts + 0.5, low < profile.start_counts - 0.5
-    for side, wanted in (("forward", forward), ("reverse", reverse)):
-        if wanted and active in (side, "both"):
+    for side, is_wanted in (("forward", forward), ("reverse", reverse)):
+        if is_wanted and active in (side, "both"):
             raise Refusal(
                 "limit-switch",
                 f"axis {name} is on its {side} limit switch, and the move goes in that direction",
@@ -92,10 +92,10 @@ def check_limits(name: str, axis: Axis, profile: Profile) -> None:
     if limits is None:
         return
     # A start outside the limits may only lead back inside; half a count allows for rounding along the path.
-    inside = limits[0] - 0.5 <= profile.end_counts <= limits[1] + 0.5
+    ends_inside = limits[0] - 0.5 <= profile.end_counts <= limits[1] + 0.5
     start_outside = not limits[0] <= profile.start_counts <= limits[1]
-    within = (limits[0] - 0.5 <= low and high <= limits[1] + 0.5) or start_outside
-    if not (inside and within):
+    stays_within = (limits[0] - 0.5 <= low and high <= limits[1] + 0.5) or start_outside
+    if not (ends_inside and stays_within):
         raise Refusal(
             "soft-limit",
             f"axis {name}: the move reaches {axis.to_unit(low):g} to {axis.to_unit(high):g} {axis.unit}; soft limits "

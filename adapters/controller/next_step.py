@@ -83,9 +83,13 @@ class NextStepSlot:
 
     def find_waiting(self, request: CommitRequest) -> FollowingStep | None:
         """The step of the request, for the same T0, if the adapter loads it behind the one before, or has done so."""
-        for each in (self._following, self._behind):
-            if each is not None and not each.in_controller and each.armed_step.is_for(request, request.t0_fleet_ns):
-                return each
+        for waiting_move in (self._following, self._behind):
+            if (
+                waiting_move is not None
+                and not waiting_move.in_controller
+                and waiting_move.armed_step.is_for(request, request.t0_fleet_ns)
+            ):
+                return waiting_move
         return None
 
     def hold_back(self, move: PreparedMove, *, checked: bool) -> None:
@@ -123,12 +127,12 @@ class NextStepSlot:
 
     def drop(self, reason: str) -> ArmedStep | None:
         """Forget the following step; the controller is stopped, unloaded or unreachable."""
-        dropped = None if self._following is None else self._following.armed_step
+        dropped_step = None if self._following is None else self._following.armed_step
         for following in (self._following, self._behind):
             if following is not None:
                 self.finish_loading(following, Refusal("stopped", reason, ""))
         self._following = self._behind = None
-        return dropped
+        return dropped_step
 
     async def unload(self) -> None:
         """Unload the following step, which the caller drops after that; the present one continues."""

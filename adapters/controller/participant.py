@@ -144,24 +144,24 @@ class StepParticipant:
                 self._requested_ns = self._clock.now_ns()
             scale, mapping = self.require_scale(), self._driver.clock_mapping()
             start = to_host_start(request.start, scale)
-            lowered = self._driver.lower_profiles(to_host_profiles(request.profiles, scale), start, mapping)
-            require_triggers(lowered, start)
-        at_ticks = mapping is not None and lowered.tick_ns > 0 and lowered.start_class == "clock"
-        stated = state_move(lowered, scale, self._clock.now_ns() + start.lead_ns, _find_last_instants(start))
+            lowered_step = self._driver.lower_profiles(to_host_profiles(request.profiles, scale), start, mapping)
+            require_triggers(lowered_step, start)
+        at_ticks = mapping is not None and lowered_step.tick_ns > 0 and lowered_step.start_class == "clock"
+        statement = state_move(lowered_step, scale, self._clock.now_ns() + start.lead_ns, _find_last_instants(start))
         return Proposal(
             tick_at_fleet_ns=scale.to_fleet_ns(mapping.host_at_ns) if at_ticks and mapping is not None else None,
-            durations_s=stated.durations_s,
-            path_error_counts=dict(lowered.path_error_counts),
-            costs=lowered.costs,
-            start_class=lowered.start_class,
-            tick_ns=stated.tick_ns,
-            terms=stated.terms,
-            edge=stated.edge,
-            triggers=stated.triggers,
-            clock_ppm=stated.clock_ppm,
-            can_advance=lowered.can_advance,
-            gap_ns=lowered.gap_ns if request.start.follows else None,
-            commands=list(lowered.commands),
+            durations_s=statement.durations_s,
+            path_error_counts=dict(lowered_step.path_error_counts),
+            costs=lowered_step.costs,
+            start_class=lowered_step.start_class,
+            tick_ns=statement.tick_ns,
+            terms=statement.terms,
+            edge=statement.edge,
+            triggers=statement.triggers,
+            clock_ppm=statement.clock_ppm,
+            can_advance=lowered_step.can_advance,
+            gap_ns=lowered_step.gap_ns if request.start.follows else None,
+            commands=list(lowered_step.commands),
         )
 
     async def arm_step(self, request: ArmRequest) -> ArmedReply:
@@ -197,9 +197,9 @@ class StepParticipant:
             t0_ns = scale.to_host_ns(request.t0_fleet_ns)
             lead_ns = 0 if mapping is None else max(0, t0_ns - mapping.host_at_ns)
             start = to_host_start(request.start, scale).model_copy(update={"lead_ns": lead_ns, "exact": True})
-            lowered = self._driver.lower_profiles(to_host_profiles(request.profiles, scale), start, mapping)
-            require_triggers(lowered, start)
-        if self._clock.now_ns() + lowered.costs.disarm_ns >= t0_ns:
+            lowered_step = self._driver.lower_profiles(to_host_profiles(request.profiles, scale), start, mapping)
+            require_triggers(lowered_step, start)
+        if self._clock.now_ns() + lowered_step.costs.disarm_ns >= t0_ns:
             raise Refusal("late", "T0 is too near to arm; the arm request came late", "increase the lead time")
         armed_step = ArmedStep(
             job=request.job,
@@ -208,18 +208,18 @@ class StepParticipant:
             t0_host_ns=t0_ns,
             axes=tuple(request.profiles),
             scale=scale,
-            can_advance=lowered.can_advance,
-            promised_s=dict(lowered.durations_s),
-            clock_ppm=lowered.clock_ppm,
+            can_advance=lowered_step.can_advance,
+            promised_s=dict(lowered_step.durations_s),
+            clock_ppm=lowered_step.clock_ppm,
         )
-        return PreparedMove(request, armed_step, lowered, mapping, began_ns)
+        return PreparedMove(request, armed_step, lowered_step, mapping, began_ns)
 
     async def _load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
         """Load the move into the controller, whose axes are at rest. following: the step before has just ended, and it
         waited for that."""
-        place: LoadPlace = "at rest" if following is None else "behind"
-        checked = following is not None and following.checked
-        stages = await self._load(move, self._slots.present, place, checked=checked)
+        load_place: LoadPlace = "at rest" if following is None else "behind"
+        is_checked = following is not None and following.checked
+        stages = await self._load(move, self._slots.present, load_place, checked=is_checked)
         self.armed_step, self.stop_ns = move.armed_step, move.lowered.costs.stop_ns
         self._requested_ns = self._clock.now_ns()  # the commit is next
         self._spawn(self._unload_at_t0(move.armed_step))
@@ -248,12 +248,12 @@ class StepParticipant:
     def _make_armed_reply(self, move: PreparedMove, stages: Mapping[str, int]) -> ArmedReply:
         mapping, armed_step = move.mapping, move.armed_step
         last_instants = _find_last_instants(move.request.start)
-        stated = state_move(move.lowered, armed_step.scale, armed_step.t0_host_ns, last_instants)
+        statement = state_move(move.lowered, armed_step.scale, armed_step.t0_host_ns, last_instants)
         return ArmedReply(
-            durations_s=stated.durations_s,
-            terms=stated.terms,
-            edge=stated.edge,
-            triggers=stated.triggers,
+            durations_s=statement.durations_s,
+            terms=statement.terms,
+            edge=statement.edge,
+            triggers=statement.triggers,
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, move.began_ns),
             began_fleet_ns=armed_step.scale.to_fleet_ns(move.began_ns),
             took_ns=self._clock.now_ns() - move.began_ns,
@@ -268,10 +268,10 @@ class StepParticipant:
         present = self.armed_step
         must_settle = present is not None and self._must_settle(present.axes)
         if move.lowered.gap_ns is None or must_settle:
-            checked = self._driver.capabilities.checks_while_moving
-            if checked:
+            is_checked = self._driver.capabilities.checks_while_moving
+            if is_checked:
                 await self._require_settings()
-            self._next.hold_back(move, checked=checked)
+            self._next.hold_back(move, checked=is_checked)
             self._spawn(self._unload_at_t0(move.armed_step))
             if self.armed_step is None:
                 self._begin_next()
@@ -315,14 +315,14 @@ class StepParticipant:
 
     async def _commit_following(self, request: CommitRequest, following: FollowingStep) -> CommittedReply:
         """Promise a step that is loaded after the present one, as soon as it is."""
-        armed = await asyncio.shield(following.loaded)
-        return (await self._commit_present(request)).model_copy(update={"armed": armed})
+        armed_reply = await asyncio.shield(following.loaded)
+        return (await self._commit_present(request)).model_copy(update={"armed": armed_reply})
 
     def _drop_following(self, kind: EventKind, reason: str) -> None:
         """Forget the following step, which the caller unloads or stops, and report that."""
-        dropped = self._next.drop(reason)
-        if dropped is not None:
-            self._emit(kind, reason, dropped)
+        dropped_step = self._next.drop(reason)
+        if dropped_step is not None:
+            self._emit(kind, reason, dropped_step)
 
     async def _withdraw_following(self, reason: str) -> None:
         """The present step has not ended as planned: nothing follows it. Raises `LinkClosed`, `ControllerFault`."""
@@ -344,9 +344,9 @@ class StepParticipant:
 
     async def commit_step(self, request: CommitRequest) -> CommittedReply:
         """Commit to the step after a final check of the controller."""
-        waiting = self._next.find_waiting(request)
-        if waiting is not None:
-            return await self._commit_following(request, waiting)
+        waiting_move = self._next.find_waiting(request)
+        if waiting_move is not None:
+            return await self._commit_following(request, waiting_move)
         return await self._commit_present(request)
 
     async def _commit_present(self, request: CommitRequest) -> CommittedReply:
@@ -357,11 +357,11 @@ class StepParticipant:
             await (self._next.require_slot() if follows else self._slots.present).verify()
             if interruptions != self._interruptions or not armed_step.is_same(self._find_step(request)):
                 raise Refusal("stopped", "a stop came before the commit", "")
-            committed = replace(armed_step, phase=StepPhase.COMMITTED)
+            committed_step = replace(armed_step, phase=StepPhase.COMMITTED)
             if armed_step is self._next.armed_step:
-                self._next.armed_step = committed
+                self._next.armed_step = committed_step
             else:  # the step before may have ended meanwhile
-                self.armed_step = committed
+                self.armed_step = committed_step
             return CommittedReply()
 
     async def start_step(self, request: GoRequest) -> Reply:
@@ -377,11 +377,13 @@ class StepParticipant:
             advance_ns = armed_step.t0_host_ns - t0_ns
             if self._clock.now_ns() >= t0_ns:
                 raise Refusal("late", "T0 has passed", "increase the lead time")
-            released = replace(armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns)
+            released_step = replace(
+                armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
+            )
             interruptions = self._interruptions
             if armed_step is self._next.armed_step:
-                return await self._release_following(released, advance_ns)
-            self.armed_step = released
+                return await self._release_following(released_step, advance_ns)
+            self.armed_step = released_step
             try:
                 await self._slots.present.release(request.start_tolerance_ns, advance_ns)
             except (Refusal, ControllerFault):
@@ -390,10 +392,10 @@ class StepParticipant:
                 await self._stop_driver()
                 await self._slots.unload()
                 raise
-            if interruptions != self._interruptions or self.armed_step is not released:
+            if interruptions != self._interruptions or self.armed_step is not released_step:
                 await self._slots.unload()
                 raise Refusal("stopped", "a stop came before the start", "")
-            self._spawn(self._follow_step(released))
+            self._spawn(self._follow_step(released_step))
             return Reply()
 
     async def _release_following(self, released: ArmedStep, advance_ns: int) -> Reply:
@@ -418,19 +420,19 @@ class StepParticipant:
                 following = self._next.armed_step
         if following is not None and following.is_for(request):
             return await self._disarm_following(request, following)
-        armed_step, begun = self.armed_step, False
+        armed_step, has_begun = self.armed_step, False
         if armed_step is not None and not armed_step.is_for(request):
             return DisarmedReply()  # another job's step, which is still in use
         if armed_step is not None and armed_step.phase is StepPhase.RELEASED:
             # This bypasses a `go` that is still under way, because T0 is near.
             self._interruptions += 1
-            begun = self._clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
+            has_begun = self._clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
             await self._stop_driver()
         async with self._transition_lock:
             armed_step = self.armed_step
             if armed_step is None:
                 await self._unload_step()
-                return DisarmedReply(may_have_started=begun)
+                return DisarmedReply(may_have_started=has_begun)
             if armed_step.phase is StepPhase.MOVING:
                 raise Refusal("moving", "the step is already moving", "stop it")
             self._interruptions += 1
@@ -440,7 +442,7 @@ class StepParticipant:
                 await self._stop_driver()
             await self._unload_step()
             self._emit("disarmed", "disarmed on request", armed_step)
-            return DisarmedReply(may_have_started=begun)
+            return DisarmedReply(may_have_started=has_begun)
 
     async def _unload_released(self, released: ArmedStep) -> bool:
         """Unload a released step behind the present one, or stop both if its start is too near for that; return whether
@@ -488,9 +490,9 @@ class StepParticipant:
         armed_step, self.armed_step = self.armed_step, None
         following = self._next.drop(reason)
         await self._stop_driver(abort=abort)
-        for each in (armed_step, following):
-            if each is not None:
-                self._emit("stopped", reason, each)
+        for step in (armed_step, following):
+            if step is not None:
+                self._emit("stopped", reason, step)
 
     async def abandon_step(self, reason: str) -> None:
         """Handle the loss of the coordinator: unload what has not started, stop what moves."""
@@ -580,9 +582,9 @@ class StepParticipant:
 
     def _find_step(self, request: StepRequest) -> ArmedStep | None:
         """The present or the following step, if it is the one of the request."""
-        for each in (self.armed_step, self._next.armed_step):
-            if each is not None and each.is_for(request):
-                return each
+        for step in (self.armed_step, self._next.armed_step):
+            if step is not None and step.is_for(request):
+                return step
         return None
 
     @property
@@ -591,8 +593,8 @@ class StepParticipant:
         present, following = self.armed_step, self._next.armed_step
         if present is None or present.phase is not StepPhase.MOVING:
             return ()
-        released = following is not None and following.phase is StepPhase.RELEASED
-        return (*present.axes, *following.axes) if following is not None and released else present.axes
+        is_released = following is not None and following.phase is StepPhase.RELEASED
+        return (*present.axes, *following.axes) if following is not None and is_released else present.axes
 
     def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
         armed_step = self._find_step(request)
@@ -610,10 +612,10 @@ class StepParticipant:
         """Unload a step whose `go` has not arrived by T0."""
         await sleep_until_ns(self._clock, armed_step.t0_host_ns)
         present, following = self.armed_step, self._next.armed_step
-        waiting = (StepPhase.ARMED, StepPhase.COMMITTED)
-        if present is not None and armed_step.is_same(present) and present.phase in waiting:
+        waiting_phases = (StepPhase.ARMED, StepPhase.COMMITTED)
+        if present is not None and armed_step.is_same(present) and present.phase in waiting_phases:
             await self.abandon_step("T0 passed without a go")
-        elif following is not None and armed_step.is_same(following) and following.phase in waiting:
+        elif following is not None and armed_step.is_same(following) and following.phase in waiting_phases:
             await self._next.unload()
             self._drop_following("disarmed", "T0 passed without a go")
 
@@ -646,30 +648,32 @@ class StepParticipant:
     async def _watch_motion(self, armed_step: ArmedStep) -> MotionEnd | None:
         """Wait for start and end of the move, and withdraw what follows it unless it ends as planned; None if a stop
         has ended it meanwhile."""
-        started = await self._slots.present.wait_for_start()
+        start_spans = await self._slots.present.wait_for_start()
         if self.armed_step is not armed_step:
             if self.armed_step is None and not self._transition_lock.locked():
                 await (
                     self._slots.present.wait_for_end()
                 )  # stopped at this moment: not over before a poll has shown rest
             return None
-        moving = self.armed_step = replace(armed_step, phase=StepPhase.MOVING)
-        begun = MotionStart(started, armed_step.scale)
-        self._emit("started", begun.text, moving, begun.seen_evidence)
+        moving_step = self.armed_step = replace(armed_step, phase=StepPhase.MOVING)
+        motion_start = MotionStart(start_spans, armed_step.scale)
+        self._emit("started", motion_start.text, moving_step, motion_start.seen_evidence)
         outcome = await self._slots.present.wait_for_end()
-        self._ended_ns = moving.ends_host_ns
-        self.past_steps.append(PastStep(moving.job, moving.step, moving.t0_host_ns, self._clock.now_ns()))
-        settled = await self._settle_end(armed_step.axes, outcome)
-        if self.armed_step is not moving:
+        self._ended_ns = moving_step.ends_host_ns
+        self.past_steps.append(
+            PastStep(moving_step.job, moving_step.step, moving_step.t0_host_ns, self._clock.now_ns())
+        )
+        settled_end = await self._settle_end(armed_step.axes, outcome)
+        if self.armed_step is not moving_step:
             return None
-        end = MotionEnd(moving, begun, outcome, settled)
+        end = MotionEnd(moving_step, motion_start, outcome, settled_end)
         if end.kind != "done":
             await self._withdraw_following(end.reason or outcome.reason)
         elif self._reading_is_old and self._next.armed_step is None:
             # The step that was to follow has been unloaded meanwhile.
             self._reading_is_old = False
             await self._settle(armed_step.axes)
-        return end if self.armed_step is moving else None
+        return end if self.armed_step is moving_step else None
 
     async def _settle_end(self, axes: Sequence[str], outcome: MoveOutcome) -> SettlingResult:
         """Wait until the axes are at rest. The coordinator plans the next step from the state: at the end event it must
@@ -698,4 +702,4 @@ class StepParticipant:
 
 def _find_last_instants(start: StartOptions) -> dict[str, int]:
     """By output with triggers, the last of its instants, ns after T0."""
-    return {each.output: each.instants_ns[-1] for each in start.triggers}
+    return {trigger.output: trigger.instants_ns[-1] for trigger in start.triggers}

@@ -70,14 +70,14 @@ class PathChunks:
     async def release(self, request: ReleaseChunkRequest) -> Reply:
         """Change over to the loaded chunk. Raises `Refusal` (code `late`): the present one is executed to its end."""
         async with self._lock:
-            step, loaded = self._require_step(request), self._loaded
-            if self._loader is None or loaded is None or loaded[0].number != request.number:
+            step, loaded_chunk = self._require_step(request), self._loaded
+            if self._loader is None or loaded_chunk is None or loaded_chunk[0].number != request.number:
                 raise Refusal("not-loaded", f"chunk {request.number} is not loaded", "load it first")
             self._loaded = None
             await self._loader.release_chunk(request.number)
             self._require_step(request)
             # What the step has promised so far grows with every chunk.
-            step.promised_s.update(dict.fromkeys(step.promised_s, loaded[1]))
+            step.promised_s.update(dict.fromkeys(step.promised_s, loaded_chunk[1]))
             return Reply()
 
     def _require_step(self, request: LoadChunkRequest | ReleaseChunkRequest) -> ArmedStep:

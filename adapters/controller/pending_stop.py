@@ -80,11 +80,11 @@ class PendingStop:
             yield
             return
         context = self._context
-        sent = await send_stop_once(context.open_link, context.make.stop_bytes(context.config), context.clock)
-        if sent.answer:
+        stop_answer = await send_stop_once(context.open_link, context.make.stop_bytes(context.config), context.clock)
+        if stop_answer.answer:
             yield
             return
-        repeating = asyncio.get_running_loop().create_task(self._repeat_until_answered(sent.written_ns))
+        repeating = asyncio.get_running_loop().create_task(self._repeat_until_answered(stop_answer.written_ns))
         try:
             yield
         finally:
@@ -108,9 +108,9 @@ class PendingStop:
     async def send_stop(self) -> bool:
         """Send the pending stop to the connected controller: the one before was early, but the line may have recovered
         only after it. Return False if none is pending."""
-        requested = self._requested
+        stop_order = self._requested
         if not self.is_pending:
             return False
         await self._context.driver.stop(abort=False)
-        self._sent = requested
+        self._sent = stop_order
         return True

@@ -168,8 +168,8 @@ class StatePublisher:
         """Publish what changes slowly: the clock mapping, and the bytes on the link."""
         mapping, trace = self._clock_mapping(), self._context.trace
         if mapping is not None:
-            shown = clock_mapping(self._controller, mapping, self._clock.now_ns())
-            self._bus.put(self._keys.clock(self._controller), shown.to_json(), Priority.STATE)
+            clock_state = clock_mapping(self._controller, mapping, self._clock.now_ns())
+            self._bus.put(self._keys.clock(self._controller), clock_state.to_json(), Priority.STATE)
         totals = LinkTotals(controller=self._controller, bytes_out=trace.bytes_out, bytes_in=trace.bytes_in)
         self._bus.put(self._keys.link(self._controller), totals.to_json(), Priority.STATE)
 
@@ -190,23 +190,23 @@ class StatePublisher:
                 enabled=False,
                 referenced=False,
             )
-        now = reading.axes[name]
-        motor = axis.to_unit(now.actual_counts)
+        axis_reading = reading.axes[name]
+        motor = axis.to_unit(axis_reading.actual_counts)
         shift = float(offset) if offset else 0.0
         return AxisState(
             position=axis.wrap_position(motor + shift),
-            commanded=axis.wrap_position(axis.to_unit(now.commanded_counts) + shift),
-            velocity=axis.to_unit(now.velocity_counts_s),
+            commanded=axis.wrap_position(axis.to_unit(axis_reading.commanded_counts) + shift),
+            velocity=axis.to_unit(axis_reading.velocity_counts_s),
             motor_position=motor,
-            raw_counts=now.actual_counts,
-            commanded_counts=now.commanded_counts,
+            raw_counts=axis_reading.actual_counts,
+            commanded_counts=axis_reading.commanded_counts,
             offset=offset,
             unit=axis.unit,
-            moving=now.moving,
+            moving=axis_reading.moving,
             homing=name in self._status.homing,
-            enabled=now.enabled and name not in self._status.braked,
+            enabled=axis_reading.enabled and name not in self._status.braked,
             referenced=self._status.referenced[name],
-            limit=now.limit,
+            limit=axis_reading.limit,
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
         )
 
@@ -316,7 +316,7 @@ def _named_points(
     points: Mapping[str, DigitalInput] | Mapping[str, DigitalOutput], levels: Mapping[int, bool]
 ) -> dict[str, bool]:
     """Return named inputs or outputs, true where active."""
-    return {name: levels.get(each.number, False) == (each.active == "high") for name, each in points.items()}
+    return {name: levels.get(point.number, False) == (point.active == "high") for name, point in points.items()}
 
 
 def first_error_text(error: ValidationError) -> str:

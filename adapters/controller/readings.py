@@ -11,7 +11,7 @@ LARGEST_COUNTS = 2**53  # a larger count is not a whole number in JSON, nor in a
 def require_sound_reading(reading: ControllerReading) -> None:
     """Raise `ControllerFault` for a count or a velocity that no controller can have."""
     for name, axis in reading.axes.items():
-        for what, value in (
+        for value_name, value in (
             ("commanded position", axis.commanded_counts),
             ("actual position", axis.actual_counts),
             ("velocity", axis.velocity_counts_s),
@@ -19,7 +19,7 @@ def require_sound_reading(reading: ControllerReading) -> None:
             if not isfinite(value) or abs(value) > LARGEST_COUNTS:
                 raise ControllerFault(
                     "garbage",
-                    f"axis {name}: the {what} {value:g} is not within ±2^53",
+                    f"axis {name}: the {value_name} {value:g} is not within ±2^53",
                     "check cable and ground; `tutti trace` shows the bytes",
                     name,
                 )

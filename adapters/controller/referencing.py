@@ -39,10 +39,10 @@ class AxisReferencing:
         status.require_enabled(axes)
         status.referenced.update(dict.fromkeys(axes, False))
         status.homing.update(axes)
-        restarts, stopped_ns, homed = status.restarts, status.stopped_ns, list[str]()
+        restarts, stopped_ns, homed_axes = status.restarts, status.stopped_ns, list[str]()
 
         def report_found(name: str) -> None:
-            homed.append(name)
+            homed_axes.append(name)
             status.homing.discard(name)
             self._emit("homed", f"axis {name} has found its reference")
 
@@ -52,20 +52,20 @@ class AxisReferencing:
             await self._refresh()
             if status.stopped_ns != stopped_ns:
                 raise Refusal("stopped", "the controller was stopped before homing began", "home again")
-            failed = await self._search_references(axes, report_found)
+            failures = await self._search_references(axes, report_found)
         finally:
             status.homing.difference_update(axes)
         await self._refresh()
         if status.reading is None or status.restarts != restarts:
             raise Refusal("restarted", "the connection to the controller was lost while homing", "home again")
-        for name in [name for name in homed if status.reading.axes[name].position_lost]:
-            homed.remove(name)
-            failed[name] = Refusal("unreferenced", f"axis {name} has lost its position again", "home it again")
-        status.referenced.update(dict.fromkeys(homed, True))
-        await self.load_soft_limits(homed)
-        for error in failed.values():
+        for name in [name for name in homed_axes if status.reading.axes[name].position_lost]:
+            homed_axes.remove(name)
+            failures[name] = Refusal("unreferenced", f"axis {name} has lost its position again", "home it again")
+        status.referenced.update(dict.fromkeys(homed_axes, True))
+        await self.load_soft_limits(homed_axes)
+        for error in failures.values():
             self._emit("refusal", f"home: {error}")
-        return HomeReply(homed=homed, failed={name: RefusalDetails.of(error) for name, error in failed.items()})
+        return HomeReply(homed=homed_axes, failed={name: RefusalDetails.of(error) for name, error in failures.items()})
 
     async def _search_references(self, axes: Sequence[str], found: Callable[[str], None]) -> dict[str, Refusal]:
         """Return the axes without a reference: those that the driver reports, or that are still searching at the
@@ -76,27 +76,31 @@ class AxisReferencing:
             async with asyncio.timeout(longest_s):
                 return dict(await self._driver.home_axes(axes, found))
         except TimeoutError:
-            left = [name for name in axes if name in self._status.homing]
+            axes_left = [name for name in axes if name in self._status.homing]
             await self._driver.stop(abort=False)
             # No other motion may begin while these axes still decelerate.
             await self._settling.wait_for_rest(axes, self._driver.capabilities.costs.stop_ns + NS_PER_S)
             text = f"no reference found within {longest_s:g} s"
             remedy = "check the home switch, or allow more time (homing.timeout_s)"
-            return {name: Refusal("homing-timeout", f"axis {name}: {text}", remedy) for name in left}
+            return {name: Refusal("homing-timeout", f"axis {name}: {text}", remedy) for name in axes_left}
 
     def handle_reading(self, reading: ControllerReading) -> list[str]:
         """Handle a poll: drop the reference of axes that have just lost their position, and return these axes."""
         status = self._status
         if reading.restarted:
             status.restarts += 1
-            lost = [name for name, known in status.referenced.items() if known]
+            lost_axes = [name for name, is_known in status.referenced.items() if is_known]
             status.forget_references()
-            return lost
-        lost = [name for name, now in reading.axes.items() if now.position_lost and status.referenced[name]]
-        status.referenced.update(dict.fromkeys(lost, False))
-        for name in lost:
+            return lost_axes
+        lost_axes = [
+            name
+            for name, axis_reading in reading.axes.items()
+            if axis_reading.position_lost and status.referenced[name]
+        ]
+        status.referenced.update(dict.fromkeys(lost_axes, False))
+        for name in lost_axes:
             self._emit("unreferenced", f"axis {name} has lost its position and must be homed again")
-        return lost
+        return lost_axes
 
     async def load_soft_limits(self, axes: Sequence[str]) -> None:
         """Load the controller's own soft limits, for axes with a known position."""

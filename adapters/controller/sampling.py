@@ -42,16 +42,16 @@ class SampleCollection:
             raise Refusal("no-samples", f"nothing was recorded for job {request.job} step {request.step}", "")
         self._require_rest()
         self._recorded_for = None
-        found, scale = await self._driver.take_samples(), self._scale()
+        samples, scale = await self._driver.take_samples(), self._scale()
         return SamplesTaken(
-            fleet_ns=[scale.to_fleet_ns(at_ns) for at_ns in found.at_ns],
-            bound_ns=found.bound_ns
-            + max((scale.bound_at_ns(each) for each in (*found.at_ns[:1], *found.at_ns[-1:])), default=0),
-            counts={axis: list(counts) for axis, counts in found.counts.items()},
+            fleet_ns=[scale.to_fleet_ns(at_ns) for at_ns in samples.at_ns],
+            bound_ns=samples.bound_ns
+            + max((scale.bound_at_ns(at_ns) for at_ns in (*samples.at_ns[:1], *samples.at_ns[-1:])), default=0),
+            counts={axis: list(counts) for axis, counts in samples.counts.items()},
         )
 
     def _require_rest(self) -> None:
-        moving = [name for name, axis in self._status.require_online().axes.items() if axis.moving]
-        if moving or self._has_step():
-            what = f"axis {moving[0]} is moving" if moving else "a step is loaded"
-            raise Refusal("moving", what, "wait for the end of the motion")
+        moving_axes = [name for name, axis in self._status.require_online().axes.items() if axis.moving]
+        if moving_axes or self._has_step():
+            activity = f"axis {moving_axes[0]} is moving" if moving_axes else "a step is loaded"
+            raise Refusal("moving", activity, "wait for the end of the motion")

@@ -35,17 +35,17 @@ class SettlingMonitor:
 
     def find_following_errors(self, reading: ControllerReading) -> list[FaultReport]:
         """Return a fault for each axis whose following error is too large; axes with the motor off are exempt."""
-        found: list[FaultReport] = []
+        faults: list[FaultReport] = []
         for name, axis in self._status.config.axes.items():
-            now = reading.axes[name]
-            if axis.following_error is None or not now.enabled:
+            axis_reading = reading.axes[name]
+            if axis.following_error is None or not axis_reading.enabled:
                 continue
-            off = abs(now.actual_counts - now.commanded_counts) / float(axis.scale)
+            off = abs(axis_reading.actual_counts - axis_reading.commanded_counts) / float(axis.scale)
             if off > axis.following_error:
                 text = f"axis {name} is {off:g} {axis.unit} off its command; {axis.following_error:g} are allowed"
                 remedy = "find what blocks the axis; then disable and enable it, which accepts its present position"
-                found.append(FaultReport(code="following-error", text=text, remedy=remedy, axis=name))
-        return found
+                faults.append(FaultReport(code="following-error", text=text, remedy=remedy, axis=name))
+        return faults
 
     async def wait_for_rest(self, axes: Sequence[str], within_ns: int) -> bool:
         """Wait until none of `axes` moves. Return whether that took at most `within_ns` and the controller was
@@ -69,23 +69,23 @@ class SettlingMonitor:
         """Wait, after the ends of the profiles of `axes`, until a reading shows them at rest, and those with `done:
         in_position` inside their windows."""
         configs = self._status.config.axes
-        waiting = [name for name in axes if configs[name].done == "in_position"]
+        waiting_axes = [name for name in axes if configs[name].done == "in_position"]
         began_ns, settled_s = self._clock.now_ns(), dict[str, float]()
         while True:
             await self._refresh()
             reading = self._status.require_online()
             gone_s = (self._clock.now_ns() - began_ns) / NS_PER_S
-            for name in list(waiting):
-                axis, now = configs[name], reading.axes[name]
-                off = abs(now.actual_counts - now.commanded_counts) / float(axis.scale)
+            for name in list(waiting_axes):
+                axis, axis_reading = configs[name], reading.axes[name]
+                off = abs(axis_reading.actual_counts - axis_reading.commanded_counts) / float(axis.scale)
                 if off <= (axis.in_position_window or 0.0):
-                    waiting.remove(name)
+                    waiting_axes.remove(name)
                     settled_s[name] = gone_s
                 elif gone_s > axis.in_position_timeout_s:
                     text = f"axis {name} is still {off:g} {axis.unit} off its target after {gone_s:.3g} s"
                     return SettlingResult(settled_s, f"{text}; its window is {axis.in_position_window:g}")
             # A drive may report motion for a moment after the end of its profile.
             moves = gone_s < LAST_MOTION_S and any(reading.axes[name].moving for name in axes)
-            if not waiting and not moves:
+            if not waiting_axes and not moves:
                 return SettlingResult(settled_s)
             await sleep_ns(self._clock, SETTLING_POLL_NS)

@@ -40,8 +40,8 @@ class MotionEnd:
         self.outcome = outcome
         self._begun = begun
         self._settled = settled
-        done = outcome.state == "done"
-        self.wrong_durations = _find_wrong_durations(moving, begun.spans, outcome.ended) if done else {}
+        is_done = outcome.state == "done"
+        self.wrong_durations = _find_wrong_durations(moving, begun.spans, outcome.ended) if is_done else {}
         self.reason = settled.reason or "; ".join(self.wrong_durations.values())
         self.kind: EventKind = "failed" if self.reason else _KIND_OF_END[outcome.state]
 
@@ -50,11 +50,11 @@ class MotionEnd:
         evidence = dict(self._begun.evidence)
         for axis, span in self.outcome.ended.items():
             if axis in evidence and span.earliest_ns <= span.latest_ns:
-                ended = {
+                end_evidence = {
                     "end": _fleet_interval(span, self.moving.scale),
                     "settled_s": self._settled.settled_s.get(axis),
                 }
-                evidence[axis] = evidence[axis].model_copy(update=ended)
+                evidence[axis] = evidence[axis].model_copy(update=end_evidence)
         return evidence if self.outcome.state == "done" else _without_axes(evidence, self._begun.unseen)
 
 
@@ -63,22 +63,22 @@ def _find_wrong_durations(
 ) -> dict[str, str]:
     """Axes whose motion has certainly taken another time than the controller was loaded with, with a description: their
     settings or their position were changed meanwhile."""
-    found: dict[str, str] = {}
+    wrong_durations: dict[str, str] = {}
     for axis, end in ended.items():
         start, promised_s = started.get(axis), step.promised_s.get(axis)
         if start is None or promised_s is None:
             continue
         taken_s = find_other_duration(start, end, promised_s, step.clock_ppm)
         if taken_s is not None:
-            found[axis] = (
+            wrong_durations[axis] = (
                 f"axis {axis} took {taken_s:.3f} s, promised {promised_s:.3f} s: another client has changed its "
                 "settings or its position; it must be homed again"
             )
-    return found
+    return wrong_durations
 
 
 def _without_axes(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[str, AxisEvidence]:
-    return {axis: each for axis, each in evidence.items() if axis not in axes}
+    return {axis: axis_evidence for axis, axis_evidence in evidence.items() if axis not in axes}
 
 
 def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:

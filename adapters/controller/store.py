@@ -44,12 +44,12 @@ class PersistentMemory:
 
     async def store_values(self, **fields: Any) -> None:
         """Change values and save them. Raises `OSError`; then these are as before."""
-        before = {name: getattr(self.values, name) for name in fields}
+        old_values = {name: getattr(self.values, name) for name in fields}
         self.change_values(**fields)
         try:
             await self.persist()
         except OSError:
-            self.change_values(**before)
+            self.change_values(**old_values)
             raise
 
     async def persist(self) -> None:
@@ -76,13 +76,13 @@ class FileStore:
             return AdapterMemory()
         except (OSError, ValueError) as error:
             reason = f"{self._path} cannot be read ({type(error).__name__}); reset the e-stop to continue"
-        copied = AdapterMemory()
+        memory_copy = AdapterMemory()
         try:
-            copied = self._read_memory(self._copy)
+            memory_copy = self._read_memory(self._copy)
         except (OSError, ValueError):
             reason += ", and check the positions of its axes: offsets that were set are lost"
         latch = EstopLatch(event="unreadable-store", actor="adapter", reason=reason, utc="")
-        return copied.model_copy(update={"estop": copied.estop or latch})
+        return memory_copy.model_copy(update={"estop": memory_copy.estop or latch})
 
     def save(self, memory: AdapterMemory) -> None:
         contents = add_checksum(memory.to_json())

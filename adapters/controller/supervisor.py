@@ -83,7 +83,7 @@ class ControllerSupervisor:
                 settle=self._settling.wait_until_settled,
                 must_settle=self._settling.must_settle,
                 doubt_positions=lambda wrong: self._surveillance.doubt_positions(wrong),
-                note_differences=lambda found: self._surveillance.note_differences(found),
+                note_differences=lambda differences: self._surveillance.note_differences(differences),
                 spawn=self._spawn_task,
             ),
             context.lowering_lock,
@@ -161,9 +161,9 @@ class ControllerSupervisor:
 
     async def close(self) -> None:
         """Leave the bus and close the link. The controller stays as it is."""
-        declared, self._declared = self._declared, []
-        for each in declared:
-            await each.undeclare()
+        declarations, self._declared = self._declared, []
+        for declaration in declarations:
+            await declaration.undeclare()
         for task in list(self._tasks):
             task.cancel()
         await self._driver.close()
@@ -175,13 +175,13 @@ class ControllerSupervisor:
 
     async def _adopt_fleet_latch(self) -> None:
         """Latch what any other process of the fleet has latched; only then can this controller be adopted."""
-        replies, kept = await asyncio.gather(
+        replies, kept_latches = await asyncio.gather(
             self._bus.request_all(self._keys.state(), b"", timeout_s=1.0),
             self._bus.request_all(self._keys.kept_estop(), b"", timeout_s=1.0),
         )
-        for key in sorted(kept):
+        for key in sorted(kept_latches):
             with suppress(ValidationError):
-                latch = KeptEstop.read_message(kept[key]).estop
+                latch = KeptEstop.read_message(kept_latches[key]).estop
                 if latch is not None:
                     self._fence.latch_estop(latch)
         for key in sorted(replies):
@@ -314,8 +314,8 @@ class ControllerSupervisor:
         nothing."""
         status = self._status
         armed_step = self._participant.armed_step
-        released = armed_step is not None and armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING)
-        busy = released or self._participant.is_following or bool(status.homing | status.jogging)
+        is_released = armed_step is not None and armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING)
+        busy = is_released or self._participant.is_following or bool(status.homing | status.jogging)
         return busy or status.stop_unseen or self.is_moving
 
     def _has_step(self) -> bool:
@@ -342,38 +342,38 @@ class ControllerSupervisor:
     def _handle_reading(self, reading: ControllerReading) -> None:
         """Compare a fresh reading with the last one, and report what has changed."""
         status = self._status
-        before, status.reading = status.reading, reading
+        last_reading, status.reading = status.reading, reading
         status.may_move = False
-        unreferenced = self._referencing.handle_reading(reading)
-        unreferenced += self._surveillance.find_jumps(before, reading)
+        unreferenced_axes = self._referencing.handle_reading(reading)
+        unreferenced_axes += self._surveillance.find_jumps(last_reading, reading)
         if reading.restarted:
             self._publisher.emit_event("fault", "the controller was restarted; its axes are no longer referenced")
             self._participant.drop_step("the controller was restarted")
             self._jogging.drop_all("the controller was restarted")
-        if unreferenced or reading.restarted:
+        if unreferenced_axes or reading.restarted:
             self._spawn_task(self._referencing.load_soft_limits(list(self._config.axes)))
         self._jogging.handle_reading(reading)
-        for name, now in reading.axes.items():
-            old = before.axes[name].limit if before is not None else "none"
-            if now.limit not in ("none", old):
-                self._publisher.emit_event("limit", f"axis {name} is on its {now.limit} limit switch")
+        for name, axis_reading in reading.axes.items():
+            old = last_reading.axes[name].limit if last_reading is not None else "none"
+            if axis_reading.limit not in ("none", old):
+                self._publisher.emit_event("limit", f"axis {name} is on its {axis_reading.limit} limit switch")
         for name, point in self._config.inputs.items():
             level = reading.inputs.get(point.number)
-            if before is not None and before.inputs.get(point.number) != level:
+            if last_reading is not None and last_reading.inputs.get(point.number) != level:
                 active = level == (point.active == "high")
                 self._publisher.emit_event("input", f"input {name} is {'active' if active else 'inactive'}")
         faults = [*reading.faults, *self._settling.find_following_errors(reading)]
-        faults += [each.to_fault() for each in status.differences.values()]
-        known = {(fault.code, fault.axis) for fault in status.faults}
+        faults += [difference.to_fault() for difference in status.differences.values()]
+        known_faults = {(fault.code, fault.axis) for fault in status.faults}
         for fault in faults:
-            if (fault.code, fault.axis) not in known:
+            if (fault.code, fault.axis) not in known_faults:
                 self._publisher.emit_event("fault", fault.text, fault=fault)
         if status.faults and not faults:
             self._publisher.emit_event("cleared", "all faults are cleared")
         status.faults = faults
         if faults and status.jogging:
             self._spawn_task(self._jogging.stop_axes(sorted(status.jogging), faults[0].text))
-        failure = self._motion_failure(before, reading)
+        failure = self._motion_failure(last_reading, reading)
         if failure is not None:
             self._spawn_task(self._participant.fail_step(failure))
         self._repeat_lost_stop(reading)
@@ -388,8 +388,8 @@ class ControllerSupervisor:
             # A step that was loaded when the stop was lost begins in spite of it.
             status.stop_unseen = reading.at_ns < status.begun_by_ns
             return
-        owned = self._participant.armed_step is not None or bool(status.jogging | status.homing)
-        if not owned and reading.at_ns > status.stopping_until_ns:
+        is_owned = self._participant.armed_step is not None or bool(status.jogging | status.homing)
+        if not is_owned and reading.at_ns > status.stopping_until_ns:
             self._log.warning(
                 "the controller moves although it was stopped; the stop is sent again", controller=self.controller
             )
@@ -399,41 +399,41 @@ class ControllerSupervisor:
         """Return the reason why a moving step must be aborted after this poll, or None; a failure of one axis is a
         failure of the step."""
         armed_step = self._participant.armed_step
-        moving = armed_step if armed_step is not None and armed_step.phase is StepPhase.MOVING else None
-        outside = self._surveillance.find_outside_motion(self._participant.ordered_axes, reading)
-        if moving is None or before is None:
+        moving_step = armed_step if armed_step is not None and armed_step.phase is StepPhase.MOVING else None
+        outside_text = self._surveillance.find_outside_motion(self._participant.ordered_axes, reading)
+        if moving_step is None or before is None:
             return None
         if self._status.faults:
             return self._status.faults[0].text
-        for name in moving.axes:
-            now, old = reading.axes[name], before.axes[name]
-            if now.position_lost and not old.position_lost:
+        for name in moving_step.axes:
+            axis_reading, old = reading.axes[name], before.axes[name]
+            if axis_reading.position_lost and not old.position_lost:
                 return f"axis {name} has lost its position"
             # The axis leaves a switch that was active at the start.
-            if now.limit not in ("none", old.limit):
-                return f"axis {name} has run into its {now.limit} limit switch"
-            if old.enabled and not now.enabled:
+            if axis_reading.limit not in ("none", old.limit):
+                return f"axis {name} has run into its {axis_reading.limit} limit switch"
+            if old.enabled and not axis_reading.enabled:
                 return f"the motor of axis {name} has switched off"
-        return outside
+        return outside_text
 
     def _handle_offline(self, fault: FaultReport) -> None:
         status, participant = self._status, self._participant
         self._is_connected = False
-        before, status.reading = status.reading, None
-        was_online = before is not None
-        repeated, status.faults = status.faults == [fault], [fault]
+        last_reading, status.reading = status.reading, None
+        was_online = last_reading is not None
+        is_repeated, status.faults = status.faults == [fault], [fault]
         # A stop that was sent is not yet a stop: its bytes may have been lost with the link.
-        unseen = before is not None and (
-            before.at_ns < status.stopped_ns or any(axis.moving for axis in before.axes.values())
+        unseen = last_reading is not None and (
+            last_reading.at_ns < status.stopped_ns or any(axis.moving for axis in last_reading.axes.values())
         )
         # A move that waits for a trigger line waits before the participant is armed.
-        loaded = (
+        has_load = (
             participant.armed_step is not None
             or participant.is_following
             or participant.is_loading
             or participant.stop_pending
         )
-        may_move = unseen or loaded or bool(status.jogging | status.homing)
+        may_move = unseen or has_load or bool(status.jogging | status.homing)
         status.may_move = status.may_move or may_move
         if may_move:
             self._pending_stop.request_stop()
@@ -443,7 +443,7 @@ class ControllerSupervisor:
         if was_online:
             self._publisher.emit_event("offline", fault.text, fault=fault)
             self._publisher.publish_state()
-        if not repeated:  # while a stop is pending, attempts are frequent
+        if not is_repeated:  # while a stop is pending, attempts are frequent
             self._log.warning(fault.text, controller=self.controller, code=fault.code)
 
     # Stops, bypassing everything else
@@ -547,8 +547,8 @@ class ControllerSupervisor:
         if isinstance(request, ArmRequest):
             self._leases.require_lease(request.job, request.profiles)
         if status.homing | status.jogging:
-            doing = "homing" if status.homing else "jogging"
-            raise Refusal(doing, f"{min(status.homing | status.jogging)} is {doing}", "wait for its end")
+            activity = "homing" if status.homing else "jogging"
+            raise Refusal(activity, f"{min(status.homing | status.jogging)} is {activity}", "wait for its end")
         status.require_no_fault()
 
     def _require_same_digest(self, request: ProposeRequest | ArmRequest) -> None:

@@ -59,19 +59,19 @@ class Surveillance:
         self._was_busy = busy
         if before is None or busy or was_busy or self._status.ordered_ns >= before.at_ns:
             return []
-        jumped: list[str] = []
-        for name, now in reading.axes.items():
+        jumped_axes: list[str] = []
+        for name, axis_reading in reading.axes.items():
             old, axis = before.axes[name], self._status.config.axes[name]
-            by = now.commanded_counts - old.commanded_counts
-            at_rest = not (now.moving or old.moving) and now.enabled and old.enabled
+            by = axis_reading.commanded_counts - old.commanded_counts
+            at_rest = not (axis_reading.moving or old.moving) and axis_reading.enabled and old.enabled
             if at_rest and abs(by) > JUMP_COUNTS and self._status.referenced[name]:
-                jumped.append(name)
+                jumped_axes.append(name)
                 text = (
                     f"axis {name}: its position has changed by {axis.to_unit(by):g} {axis.unit} at rest, without an "
                     "order: another client has set it, or moved it; it must be homed again"
                 )
                 self._drop_reference(name, text)
-        return jumped
+        return jumped_axes
 
     def find_outside_motion(self, moved: Sequence[str], reading: ControllerReading) -> str | None:
         """Return which axis moves although the step under way does not move it, in words. moved: the step's axes; none:
@@ -81,12 +81,12 @@ class Surveillance:
             return None
         self._note_outside_axes(moved, reading)
         for name, began in self._outside.items():
-            now, axis = reading.axes[name], self._status.config.axes[name]
-            if not (now.enabled and began.enabled):
+            axis_reading, axis = reading.axes[name], self._status.config.axes[name]
+            if not (axis_reading.enabled and began.enabled):
                 continue
-            commanded = abs(now.commanded_counts - began.commanded_counts) > JUMP_COUNTS
-            if commanded or abs(now.actual_counts - began.actual_counts) > _deadband_counts(axis):
-                by = axis.to_unit(now.actual_counts - began.actual_counts)
+            was_commanded = abs(axis_reading.commanded_counts - began.commanded_counts) > JUMP_COUNTS
+            if was_commanded or abs(axis_reading.actual_counts - began.actual_counts) > _deadband_counts(axis):
+                by = axis.to_unit(axis_reading.actual_counts - began.actual_counts)
                 return f"axis {name} has moved by {by:g} {axis.unit}, although this step does not move it"
         return None
 
@@ -124,15 +124,15 @@ class Surveillance:
 
     def note_differences(self, found: Sequence[SettingDifference]) -> None:
         """Keep the controller from moving while a setting differs; report each once."""
-        for each in found:
-            if each.item in self._status.differences:
+        for difference in found:
+            if difference.item in self._status.differences:
                 continue
-            self._status.differences[each.item] = each
-            self._emit("setting", each.to_fault().text)
-            if each.moves_reference:
-                lost = [name for name in self._status.config.axes if each.axis in (None, name)]
-                self._status.referenced.update(dict.fromkeys(lost, False))
-                self._emit("unreferenced", f"{', '.join(lost)}: {each.item} has changed; home again")
+            self._status.differences[difference.item] = difference
+            self._emit("setting", difference.to_fault().text)
+            if difference.moves_reference:
+                lost_axes = [name for name in self._status.config.axes if difference.axis in (None, name)]
+                self._status.referenced.update(dict.fromkeys(lost_axes, False))
+                self._emit("unreferenced", f"{', '.join(lost_axes)}: {difference.item} has changed; home again")
 
     async def recheck_settings(self) -> None:
         """Compare all settings after a reset, and forget the differences that are gone."""

@@ -31,11 +31,11 @@ def read_trace_part(context: ControllerContext, request: TraceRequest) -> TraceP
 
 def _encode_entries(entries: Sequence[TraceEntry], begin: int) -> list[TracedBytes]:
     """The entries, numbered from `begin`, as many as are allowed; at least one."""
-    found: list[TracedBytes] = []
+    traced_parts: list[TracedBytes] = []
     size = 0
     for number, (at_ns, direction, data) in enumerate(entries, start=begin):
         size += len(data)
-        if found and size > MAX_TRACE_PART_BYTES:
+        if traced_parts and size > MAX_TRACE_PART_BYTES:
             break
-        found.append(TracedBytes(number=number, at_ns=at_ns, direction=direction, data=b64encode(data).decode()))
-    return found
+        traced_parts.append(TracedBytes(number=number, at_ns=at_ns, direction=direction, data=b64encode(data).decode()))
+    return traced_parts

@@ -49,11 +49,13 @@ class TriggerCollection:
             await sleep_ns(self._clock, LOOK_NS)
         if self._has_step():
             raise Refusal("busy", "a step is loaded", "wait for its end")
-        switched: Mapping[str, SwitchedOutput] = {}
+        switched_outputs: Mapping[str, SwitchedOutput] = {}
         if self._driver is not None:
-            switched = await self._driver.take_triggers()
+            switched_outputs = await self._driver.take_triggers()
         scale = self._scale()
-        return TriggersTaken(outputs={output: _to_fleet(each, scale) for output, each in switched.items()})
+        return TriggersTaken(
+            outputs={output: _to_fleet(switched_output, scale) for output, switched_output in switched_outputs.items()}
+        )
 
 
 class LatchControl:
@@ -77,19 +79,19 @@ class LatchControl:
         self._require_idle(request)
         point = self._config.inputs.get(request.input)
         if point is None:
-            known = ", ".join(self._config.inputs) or "none"
-            raise Refusal("unknown-input", f"no input {request.input}; inputs: {known}", "correct the name")
+            input_names = ", ".join(self._config.inputs) or "none"
+            raise Refusal("unknown-input", f"no input {request.input}; inputs: {input_names}", "correct the name")
         axis = request.axes[0]
         if self._driver is None:
             text = f"axis {axis}: this make has no position latch"
             raise Refusal("no-latch", text, "use an axis of an SMC-4000, or of a CiA 402 drive")
-        found, scale = await self._driver.latch_position(axis, point, request.within_ns), self._scale()
-        earliest_ns, latest_ns = scale.to_fleet_span(found.span.earliest_ns, found.span.latest_ns)
-        return LatchReply(counts=found.counts, earliest_ns=earliest_ns, latest_ns=latest_ns)
+        latch, scale = await self._driver.latch_position(axis, point, request.within_ns), self._scale()
+        earliest_ns, latest_ns = scale.to_fleet_span(latch.span.earliest_ns, latch.span.latest_ns)
+        return LatchReply(counts=latch.counts, earliest_ns=earliest_ns, latest_ns=latest_ns)
 
 
 def _to_fleet(switched: SwitchedOutput, scale: FleetScale) -> TriggerEdges:
-    spans = [scale.to_fleet_span(each.earliest_ns, each.latest_ns) for each in switched.edges]
+    spans = [scale.to_fleet_span(edge.earliest_ns, edge.latest_ns) for edge in switched.edges]
     return TriggerEdges(
         earliest_ns=[earliest_ns for earliest_ns, _ in spans],
         latest_ns=[latest_ns for _, latest_ns in spans],
