@@ -78,18 +78,18 @@ class Smc30Decoder:
     def decode_bytes(self, direction: FrameDirection, data: bytes) -> list[DecodedFrame]:
         if direction == "out":
             return [self._describe_sent(line) for line in self._sent.cut_lines(data)]
-        found: list[DecodedFrame] = []
+        frames: list[DecodedFrame] = []
         for reply in self._replies.feed_bytes(data, 0):
             # A reply follows the last command: an earlier one without a reply was lost.
-            asked = self._pending.take_answered()
-            address, _, command = asked.rpartition(" ")
+            query = self._pending.take_answered()
+            address, _, command = query.rpartition(" ")
             text = "" if reply.text is None else reply.text
-            found.append(DecodedFrame(text, self._describe_reply(reply.text, command), address))
-        return found
+            frames.append(DecodedFrame(text, self._describe_reply(reply.text, command), address))
+        return frames
 
     def _describe_sent(self, line: bytes) -> DecodedFrame:
-        summed = self._with_checksum and len(line) > 1 and line[-1] == line_checksum(line[:-1])
-        text = printable_text(line[:-1] if summed else line)
+        has_checksum = self._with_checksum and len(line) > 1 and line[-1] == line_checksum(line[:-1])
+        text = printable_text(line[:-1] if has_checksum else line)
         address, command = (text[:1], text[1:]) if text[:1].isdigit() else ("", text)
         self._pending.clear()
         self._pending.note_sent(f"{address} {command}")

@@ -142,9 +142,9 @@ class Smc30Driver(
     async def poll(self) -> ControllerReading:
         unit, poller = self.connection.state, self.connection.poller
         reading = await poller.poll_state()
-        restarted, self._restarted = self._restarted, False
+        is_restarted, self._restarted = self._restarted, False
         self._lost = unit.lost
-        return replace(reading, restarted=restarted)
+        return replace(reading, restarted=is_restarted)
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Set the currents again before a step: no query shows them. At rest nothing is sent, because a client that
@@ -169,17 +169,17 @@ class Smc30Driver(
     def lower_profiles(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Smc30Lowered:
-        ramp_s = max([self._ramp_s, *(max(each.durations_s, default=0.0) for each in profiles.values())])
-        known = self._crystal.estimate_at(self._clock.now_ns())
-        traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, known)
+        ramp_s = max([self._ramp_s, *(max(profile.durations_s, default=0.0) for profile in profiles.values())])
+        estimate = self._crystal.estimate_at(self._clock.now_ns())
+        traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, estimate)
         return lower_step(self._config, self._options, traits, dict(profiles), start)
 
     async def stop(self, *, abort: bool) -> None:
         """Stop with Z, by the ramp of the motion; or with K, at once, after which its counter may be wrong
         (L1848-L1859)."""
         unit, mover = self.connection.state, self.connection.mover
-        after = passive_commands(mover.move.lowered) if mover.move is not None else ()
-        mover.record_stop(unit.write_stop("K" if abort else "Z", *after))
+        last_commands = passive_commands(mover.move.lowered) if mover.move is not None else ()
+        mover.record_stop(unit.write_stop("K" if abort else "Z", *last_commands))
         self._log.info("stop written", abort=abort)
 
     async def stop_before_connect(self) -> bool:
@@ -245,12 +245,12 @@ class Smc30Driver(
             return await unit.session.send_raw(command)
 
     async def close(self) -> None:
-        ended, self._connection = self._connection, None
-        if ended is None:
+        old_connection, self._connection = self._connection, None
+        if old_connection is None:
             return
         self._log.info("link closed")
-        ended.mover.drop_start()
-        ended.state.cancel_confirmations()
+        old_connection.mover.drop_start()
+        old_connection.state.cancel_confirmations()
         await self._line.detach_controller(self._address)
 
     # Internals

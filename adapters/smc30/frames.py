@@ -52,11 +52,11 @@ class ReplyReader:
             yield ReceivedReply(None, at_ns, _LONGEST)
 
     def _parse_line(self, piece: bytes, at_ns: int) -> Iterator[ReceivedReply]:
-        held, self._held = self._held, None
-        if held is not None:
-            whole = not piece
-            yield ReceivedReply(_printable_text(held) if whole else None, at_ns, len(held) + 2)
-            if whole:
+        held_line, self._held = self._held, None
+        if held_line is not None:
+            is_whole = not piece
+            yield ReceivedReply(_printable_text(held_line) if is_whole else None, at_ns, len(held_line) + 2)
+            if is_whole:
                 return
         piece = piece.lstrip(b"\n\0") if not self._with_checksum else piece
         if not piece:

@@ -71,21 +71,21 @@ class Smc30ManualMotion:
     async def start_jog(self, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         unit = self._unit
-        since = unit.session.stops
+        stop_count = unit.session.stops
         async with unit.loading:
             await unit.wait_for_stops()
-            unit.session.require_no_stop(since)
+            unit.session.require_no_stop(stop_count)
             self._require_free()
             run = self.run
             if (await unit.read_status()).busy:
                 if unit.doing != "jog" or run is None:
                     raise Refusal("moving", f"axis {self._name} is moving", "wait for its end, or stop it")
-                if move == self._wanted and run.stops == since:
+                if move == self._wanted and run.stops == stop_count:
                     return
                 self._wanted = None
                 # Unlike an external stop: a request that came after it may begin.
                 unit.write_stop("Z")
-                since += 1
+                stop_count += 1
                 if (
                     await unit.wait_until_ready(self._clock.now_ns() + round(run.ramp_s * NS_PER_S) + _REST_MARGIN_NS)
                     is None
@@ -95,14 +95,16 @@ class Smc30ManualMotion:
                     )
                 await unit.wait_for_stops()
             async with unit.exclusive_turn():
-                wanted = _make_run(self._name, move, axis_bounds(self._axis), await unit.require_ready(), since)
-                await unit.load_program(wanted.program_lines, since)
+                wanted_run = _make_run(
+                    self._name, move, axis_bounds(self._axis), await unit.require_ready(), stop_count
+                )
+                await unit.load_program(wanted_run.program_lines, stop_count)
                 self._require_free()
                 await unit.require_not_restarted("loaded with its jog", "jog it again; its counter was reset")
-                self.run, self._wanted, self.accepted_ns = wanted, move, None
-                answer = await unit.run_program(since, "jog")
+                self.run, self._wanted, self.accepted_ns = wanted_run, move, None
+                answer = await unit.run_program(stop_count, "jog")
             self.accepted_ns = answer.at_ns
-            self.began_ns = answer.at_ns + len(wanted.program_lines) * self._options.line_us * NS_PER_US
+            self.began_ns = answer.at_ns + len(wanted_run.program_lines) * self._options.line_us * NS_PER_US
             unit.limit = "none"
 
     def _require_free(self) -> None:
@@ -116,19 +118,19 @@ class Smc30ManualMotion:
     async def find_reference(self, found: Callable[[str], None]) -> Mapping[str, Refusal]:
         """Search for the reference; the counter is 0 there. Raises `Refusal` when the search did not begin."""
         unit = self._unit
-        since = unit.session.stops
+        stop_count = unit.session.stops
         async with unit.loading:
             await unit.wait_for_stops()
             self._require_free()
             async with unit.exclusive_turn():
                 await unit.require_ready()
-                await unit.load_program(homing_program(self._axis), since)
+                await unit.load_program(homing_program(self._axis), stop_count)
                 await unit.require_not_restarted("loaded with its reference search", "home it again")
-                await unit.run_program(since, "home")
+                await unit.run_program(stop_count, "home")
         try:
             while (await unit.read_status()).busy:
                 await sleep_ns(self._clock, _POLL_NS)
-            why = await self._search_failure(since)
+            reason = await self._search_failure(stop_count)
         except BaseException:
             # After a cancellation nothing waits for the searching axis.
             with suppress(LinkClosed):
@@ -136,8 +138,8 @@ class Smc30ManualMotion:
             raise
         finally:
             unit.doing = "nothing"
-        if why:
-            text = f"axis {self._name} has not found its reference: {why}"
+        if reason:
+            text = f"axis {self._name} has not found its reference: {reason}"
             return {self._name: Refusal("homing-failed", text, "check its inputs")}
         unit.lost = unit.overflow = False
         unit.limit = "none"
@@ -182,10 +184,10 @@ def homing_program(axis: Axis) -> tuple[str, ...]:
 def _make_run(name: str, move: JogMove, limits: Smc30Bounds, now: int, stops: int) -> ManualRun:
     """Return whole numbers that do not exceed `move`. A ramp longer than the controller supports is replaced by a lower
     rate."""
-    asked = abs(move.velocity_counts_s)
-    t = min(limits.top, floor(asked * (1 + _ROUNDING)))
+    rate = abs(move.velocity_counts_s)
+    t = min(limits.top, floor(rate * (1 + _ROUNDING)))
     if t < TOP_MIN:
-        raise Refusal("too-slow", f"axis {name}: {asked:g} steps/s is below its lowest rate", f"at least {TOP_MIN}")
+        raise Refusal("too-slow", f"axis {name}: {rate:g} steps/s is below its lowest rate", f"at least {TOP_MIN}")
     sign = 1 if move.velocity_counts_s > 0 else -1
     end = sign * POSITION_MAX if move.end_counts is None else max(-POSITION_MAX, min(POSITION_MAX, move.end_counts))
     way = sign * (end - now)

@@ -99,7 +99,7 @@ class Smc30Line:
     def order_index(self, unit: int | None) -> int:
         """Return the index of a controller among the addresses of the line, from 0: the common order of starting
         commands."""
-        return sorted(each or 0 for each in self.units).index(unit or 0)
+        return sorted(number or 0 for number in self.units).index(unit or 0)
 
     def wire_ns(self, characters: int) -> int:
         """Return the transmission time of `characters` characters."""
@@ -182,7 +182,7 @@ class Smc30Line:
             link, stops = self.link, self.stops
             sent_ns = link.write(data)
             arrived_ns = sent_ns + self.wire_ns(len(data))
-            waiting = self._waiting = _PendingExchange(unit, arrived_ns)
+            exchange = self._waiting = _PendingExchange(unit, arrived_ns)
             self._last = unit
             replies: list[ReceivedReply] = []
             try:
@@ -190,7 +190,7 @@ class Smc30Line:
                     since_ns = max(arrived_ns, replies[-1].at_ns if replies else 0)
                     left_ns = since_ns + self._answer_ns + self.wire_ns(LONGEST_REPLY) - self._clock.now_ns()
                     async with asyncio.timeout(max(left_ns, 0) / NS_PER_S):
-                        reply = await waiting.replies.get()
+                        reply = await exchange.replies.get()
                     if isinstance(reply, Exception):
                         raise reply
                     replies.append(reply)
@@ -251,11 +251,12 @@ class Smc30Line:
 
     def reserve_slot(self, slot: StartSlot) -> None:
         """Reserve a slot. Raises `Refusal` when another one overlaps it."""
-        for other in self._slots:
-            if abs(slot.begin_ns - other.begin_ns) < max(slot.each_ns, other.each_ns):
+        for other_slot in self._slots:
+            if abs(slot.begin_ns - other_slot.begin_ns) < max(slot.each_ns, other_slot.each_ns):
                 raise Refusal(
                     "line-busy",
-                    f"{_controller_name(slot.unit)}: the line starts {_controller_name(other.unit)} at that instant",
+                    f"{_controller_name(slot.unit)}: the line starts {_controller_name(other_slot.unit)} "
+                    "at that instant",
                     "start controllers of one line in one step, or at least a second apart",
                 )
         self._slots.append(slot)
@@ -276,12 +277,14 @@ class Smc30Line:
         """Assign the answers of adjacent slots in the order of the slots, because the delay of a late host makes their
         instants ambiguous. If an answer is missing, none of them can be assigned."""
         now_ns = self._clock.now_ns()
-        fired = sorted((shot for shot in self._slots if shot.begin_ns <= now_ns), key=lambda shot: shot.begin_ns)
-        if any(shot.end_ns > now_ns for shot in fired):
+        started_slots = sorted(
+            (shot for shot in self._slots if shot.begin_ns <= now_ns), key=lambda shot: shot.begin_ns
+        )
+        if any(shot.end_ns > now_ns for shot in started_slots):
             return
         answers, self._answers = self._answers, []
-        sure = len(answers) == len(fired)
-        for number, shot in enumerate(fired):
+        sure = len(answers) == len(started_slots)
+        for number, shot in enumerate(started_slots):
             shot.set_answer(answers[number] if sure else None)
             self._slots.remove(shot)
 
@@ -290,8 +293,8 @@ class Smc30Line:
     async def _read_replies(self, link: Link) -> None:
         try:
             while True:
-                received = await link.read()
-                for reply in self._reader.feed_bytes(received.data, received.at_ns):
+                chunk = await link.read()
+                for reply in self._reader.feed_bytes(chunk.data, chunk.at_ns):
                     self._handle_reply(reply)
         except LinkClosed as error:
             self._handle_link_loss(link, error)
@@ -300,13 +303,13 @@ class Smc30Line:
         if any(shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns for shot in self._slots):
             self._answers.append(reply)
             return
-        waiting = self._waiting
-        if waiting is not None and reply.at_ns >= waiting.first_ns:
-            waiting.replies.put_nowait(reply)
+        exchange = self._waiting
+        if exchange is not None and reply.at_ns >= exchange.first_ns:
+            exchange.replies.put_nowait(reply)
         elif self._clock.now_ns() >= self._settled_ns:
             # No query is outstanding, or it cannot be answered yet: a duplicate answer to the last query.
             self._strays[self._last] += 1
-            if waiting is None:
+            if exchange is None:
                 self._leave_idle(0)
 
     def _leave_idle(self, characters: int) -> None:

@@ -110,7 +110,7 @@ def lower_step(
     start: StartOptions,
 ) -> Smc30Lowered:
     """Lower a step. Raises `Refusal`."""
-    schedule, known = traits.schedule, traits.known
+    schedule, estimate = traits.schedule, traits.known
     require_start_class(start, ("host", "line"), "the SMC30 has no readable clock to start by")
     wait, drive = _wait_point(config, start.wait), _drive_point(config, start.drive)
     if wait is not None and drive is not None:
@@ -126,22 +126,22 @@ def lower_step(
         )
     axis, _ = only_axis(config)
     profile = profiles.get(axis)
-    shape = None if profile is None else _fit_shape(config, options, profile, known.rate.clock_factor, start)
+    shape = None if profile is None else _fit_shape(config, options, profile, estimate.rate.clock_factor, start)
     start_counts = 0 if profile is None else profile.start_counts
     target = None if profile is None or shape is None else profile.end_counts
-    lead_ns = known.latency.usual_ns + schedule.delay_ns
+    lead_ns = estimate.latency.usual_ns + schedule.delay_ns
     hold_ns = 0 if start.drive is None else start.drive.active_ns
     program = _build_program(_Motion(shape, start_counts, target), schedule.delay_ns, wait, drive, hold_ns)
-    edge = _host_terms(options, schedule, known.latency)
+    edge = _host_terms(options, schedule, estimate.latency)
     start_class: StartClass = "host"
     if wait is not None and start.wait is not None:
         start_class, terms = "line", _line_terms(options, start.wait)
     elif drive is not None:
         # The motion is the line after the one that switches the output.
-        terms = _host_terms(options, schedule, known.latency, lines_after=1)
+        terms = _host_terms(options, schedule, estimate.latency, lines_after=1)
     else:
         terms = edge
-    scale = 1 / known.rate.clock_factor
+    scale = 1 / estimate.rate.clock_factor
     duration_s = 0.0 if shape is None else shape.duration_s * scale
     costs = traits.costs
     if start.follows and wait is None and drive is None:
@@ -153,7 +153,7 @@ def lower_step(
         terms=terms,
         edge=edge if drive is not None else (),
         tick_ns=0.0,
-        clock_ppm=known.bound_ppm(duration_s),
+        clock_ppm=estimate.bound_ppm(duration_s),
         can_advance=True,
         costs=costs,
         commands=("PO", *program, "PX", "Q", "E") if program else (),
@@ -172,10 +172,10 @@ def lower_step(
 def move_lines(shape: Smc30Shape, start_counts: int, target: int) -> tuple[list[str], list[str]]:
     """Return the parameters of the first motor command, and that command with everything that follows it."""
     sign = 1 if target > start_counts else -1
-    first, *rest = shape.parts
+    first, *later_parts = shape.parts
     at = start_counts + sign * first.steps
     moves = [f"G{at:+d}"]
-    for part in rest:
+    for part in later_parts:
         at += sign * part.steps
         moves += [f"T{part.t}", f"G{at:+d}"]
     # T below S is a constant rate (L2286).

@@ -83,29 +83,31 @@ class Smc30Mover:
             raise
 
     async def _arm_loaded(self, move: LoadedStep) -> Mapping[str, int]:
-        lowered, unit = move.lowered, self._unit
-        if not lowered.program:
+        lowered_step, unit = move.lowered, self._unit
+        if not lowered_step.program:
             return {}
-        if lowered.target is not None and not unit.enabled:
-            raise Refusal("not-enabled", f"axis {lowered.axis} is not enabled", f"enable {lowered.axis} first")
-        began_ns, since = self._clock.now_ns(), unit.session.stops
+        if lowered_step.target is not None and not unit.enabled:
+            raise Refusal(
+                "not-enabled", f"axis {lowered_step.axis} is not enabled", f"enable {lowered_step.axis} first"
+            )
+        began_ns, stop_count = self._clock.now_ns(), unit.session.stops
         async with unit.loading:
             await unit.wait_for_stops()
             async with unit.exclusive_turn():
-                loaded_ns = await self._load_program(move, since)
-        unit.session.require_no_stop(since)
+                loaded_ns = await self._load_program(move, stop_count)
+        unit.session.require_no_stop(stop_count)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
     async def _load_program(self, move: LoadedStep, since: int) -> int:
         """Check the position, load the program and read it back, and start its wait if it has one; return when it was
         loaded."""
-        lowered, unit = move.lowered, self._unit
-        await self._require_start(lowered)
-        await unit.load_program(lowered.program, since)
+        lowered_step, unit = move.lowered, self._unit
+        await self._require_start(lowered_step)
+        await unit.load_program(lowered_step.program, since)
         loaded_ns = self._clock.now_ns()
-        if lowered.wait is not None or lowered.drive is not None:
-            await self._require_passive(lowered)
-        if lowered.wait is None:
+        if lowered_step.wait is not None or lowered_step.drive is not None:
+            await self._require_passive(lowered_step)
+        if lowered_step.wait is None:
             return loaded_ns
         # A start by the host is verified before the commit; this program runs from now on.
         await unit.require_not_restarted("armed", "arm it again; its axis must be homed before")
@@ -114,7 +116,7 @@ class Smc30Mover:
         if not (await unit.read_status()).busy:
             raise Refusal(
                 "line-level",
-                f"axis {lowered.axis} has not begun to wait for input {lowered.wait.name}",
+                f"axis {lowered_step.axis} has not begun to wait for input {lowered_step.wait.name}",
                 "is the trigger line already active?",
             )
         return loaded_ns
@@ -123,23 +125,23 @@ class Smc30Mover:
         """Check that the program is still loaded at the start of the plan, or still waits for its trigger line. Raises
         `Refusal`."""
         move = self._require_step()
-        lowered, unit = move.lowered, self._unit
-        if not lowered.program:
+        lowered_step, unit = move.lowered, self._unit
+        if not lowered_step.program:
             return
-        if lowered.wait is not None:
+        if lowered_step.wait is not None:
             if not (await unit.read_status()).busy:
                 raise Refusal(
                     "not-armed",
-                    f"axis {lowered.axis} no longer waits for input {lowered.wait.name}",
+                    f"axis {lowered_step.axis} no longer waits for input {lowered_step.wait.name}",
                     "arm it again; was the trigger line active, or was the controller stopped or switched off?",
                 )
             return
-        await self._require_start(lowered)
+        await self._require_start(lowered_step)
         try:
-            known = unit.program == lowered.program and await unit.holds_sentinel()
+            is_loaded = unit.program == lowered_step.program and await unit.holds_sentinel()
         except ControllerBusy:
-            known = False
-        if not known:
+            is_loaded = False
+        if not is_loaded:
             raise Refusal("not-loaded", f"{unit.session.name} has lost its program", "arm it again")
 
     async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
@@ -147,12 +149,12 @@ class Smc30Mover:
         `start_tolerance_ns` later than guaranteed: but no later where the next controller's slot follows."""
         move = self._require_step()
         move.t0_ns -= advance_ns
-        lowered, session = move.lowered, self._unit.session
-        if not lowered.program or lowered.wait is not None:
+        lowered_step, session = move.lowered, self._unit.session
+        if not lowered_step.program or lowered_step.wait is not None:
             return
         data = session.frame_command("E")
         wire_ns = session.line.wire_ns(len(data))
-        at_ns = move.t0_ns - lowered.lead_ns - wire_ns
+        at_ns = move.t0_ns - lowered_step.lead_ns - wire_ns
         if self._slots.count > 1:
             start_tolerance_ns = 0
         latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns)
@@ -207,20 +209,20 @@ class Smc30Mover:
         """Return when the axis started; raise `ControllerFault` when it did not."""
         move = self._require_step()
         move.followed = True
-        lowered = move.lowered
-        if not lowered.program:
-            return {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
-        span = await (self._started_by_line(move) if lowered.wait is not None else self._started_by_host(move))
+        lowered_step = move.lowered
+        if not lowered_step.program:
+            return {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered_step.durations_s}
+        span = await (self._started_by_line(move) if lowered_step.wait is not None else self._started_by_host(move))
         move.started = span
-        shape = lowered.shape
+        shape = lowered_step.shape
         # The interpreter takes time between several commands, and for a driven output after the motion.
-        if lowered.wait is None and lowered.drive is None and shape is not None and len(shape.parts) == 1:
+        if lowered_step.wait is None and lowered_step.drive is None and shape is not None and len(shape.parts) == 1:
             move.timed = TimedMove(shape.duration_s, shape.motion_legs, (span.earliest_ns, span.latest_ns))
         await self._sleep_until(move, span.latest_ns)
-        if lowered.wait is None and lowered.target not in (None, lowered.start_counts):
+        if lowered_step.wait is None and lowered_step.target not in (None, lowered_step.start_counts):
             await self._require_motion(move)
-        moving = {} if lowered.target is None else dict.fromkeys(lowered.durations_s, span)
-        return {name: moving.get(name, HostInterval(move.t0_ns, move.t0_ns)) for name in lowered.durations_s}
+        start_spans = {} if lowered_step.target is None else dict.fromkeys(lowered_step.durations_s, span)
+        return {name: start_spans.get(name, HostInterval(move.t0_ns, move.t0_ns)) for name in lowered_step.durations_s}
 
     async def _started_by_host(self, move: LoadedStep) -> HostInterval:
         """Return the start: not earlier than the arrival of the command at the controller, not later than the begin of
@@ -229,15 +231,15 @@ class Smc30Mover:
         if order is None or slot is None:
             raise ControllerFault("not-started", "no starting command was scheduled", "arm it again")
         session = self._unit.session
-        fired = await wait_for_write(order, lambda: not move.running)
-        if fired.late:
+        write = await wait_for_write(order, lambda: not move.running)
+        if write.late:
             session.line.free_slot(slot)
             move.running = False
-            raise missed_write_fault("the starting command", session.line.link, fired)
-        late_ns = self._options.excess_delay_ns(fired)
+            raise missed_write_fault("the starting command", session.line.link, write)
+        late_ns = self._options.excess_delay_ns(write)
         session.line.record_write(slot, late_ns)
         reply = await slot.answer
-        at_unit_ns = move.arrived_ns = fired.written_ns + slot.wire_ns
+        at_unit_ns = move.arrived_ns = write.written_ns + slot.wire_ns
         least_ns, most_ns = move.lowered.program_ns
         if reply is not None and reply.text == "Y":
             latest_ns = move.answered_ns = reply.at_ns - session.line.wire_ns(reply.characters)
@@ -246,10 +248,10 @@ class Smc30Mover:
             latest_ns = self._clock.now_ns()
         else:
             move.running = False
-            said = "nothing" if reply is None else "a garbled line" if reply.text is None else repr(reply.text)
+            answer_text = "nothing" if reply is None else "a garbled line" if reply.text is None else repr(reply.text)
             raise ControllerFault(
                 "not-started",
-                f"{session.name} has answered {said} to the starting command, and does not move",
+                f"{session.name} has answered {answer_text} to the starting command, and does not move",
                 "check cable and power; do two controllers have its address?",
             )
         return HostInterval(min(at_unit_ns, latest_ns) + least_ns, latest_ns + most_ns, late_ns=late_ns)
@@ -273,7 +275,7 @@ class Smc30Mover:
     async def _started_by_line(self, move: LoadedStep) -> HostInterval:
         """Return the window of the trigger line. The controller itself shows only that it is not ready: it may still be
         waiting."""
-        earliest_ns, latest_ns = (move.t0_ns + each for each in move.lowered.window_ns)
+        earliest_ns, latest_ns = (move.t0_ns + limit_ns for limit_ns in move.lowered.window_ns)
         await self._sleep_until(move, latest_ns)
         if (await self._unit.read_status()).busy or move.stopped_ns is not None:
             return HostInterval(earliest_ns, latest_ns, seen=False)
@@ -288,10 +290,12 @@ class Smc30Mover:
     async def wait_for_end(self) -> MoveOutcome:
         """Wait until the program has ended, and check the final position."""
         move = self._require_step()
-        lowered, unit = move.lowered, self._unit
-        if not lowered.program or move.started is None:
+        lowered_step, unit = move.lowered, self._unit
+        if not lowered_step.program or move.started is None:
             self._finish_step(move)
-            return MoveOutcome("done", {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered.durations_s})
+            return MoveOutcome(
+                "done", {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered_step.durations_s}
+            )
         least_ns, most_ns = self._duration_bounds_ns(move)
         # The end of a long motion is queried without a pause, so that the latest instant before the end is known as
         # well.
@@ -300,10 +304,10 @@ class Smc30Mover:
         await self._sleep_until(move, move.start.earliest_ns + least_ns - before_ns)
         overdue_ns = self._clock.now_ns() + self._program_excess_ns(move)
         last_busy_ns = 0
-        while (now := await unit.read_status()).busy:
-            last_busy_ns = now.arrived_ns
+        while (status := await unit.read_status()).busy:
+            last_busy_ns = status.arrived_ns
             if move.timed is not None:
-                move.timed.mark_moving(now.arrived_ns)
+                move.timed.mark_moving(status.arrived_ns)
             if self._clock.now_ns() > overdue_ns and move.stopped_ns is None:
                 return await self._kill_overdue(move)
             if not close or move.stopped_ns is not None or self._clock.now_ns() > move.start.latest_ns + most_ns:
@@ -311,23 +315,27 @@ class Smc30Mover:
         await unit.wait_for_stops()
         counts = await self._counts_at_rest()
         self._finish_step(move)
-        if lowered.target is None:
-            done = move.stopped_ns is None
-            ended = {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered.durations_s}
-            return MoveOutcome("done", ended) if done else MoveOutcome("stopped", ended, "stopped on request")
-        if counts == lowered.target:
+        if lowered_step.target is None:
+            is_done = move.stopped_ns is None
+            end_spans = {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered_step.durations_s}
+            return (
+                MoveOutcome("done", end_spans) if is_done else MoveOutcome("stopped", end_spans, "stopped on request")
+            )
+        if counts == lowered_step.target:
             unit.limit = "none"
-            self._learn_crystal(move, now.at_ns)
-            return MoveOutcome("done", {lowered.axis: self._end_interval(move, last_busy_ns, now.at_ns)})
-        span = HostInterval(min(move.start.earliest_ns, now.at_ns), now.at_ns)
-        stands = f"axis {lowered.axis} is at {counts}, not at its target {lowered.target}"
+            self._learn_crystal(move, status.at_ns)
+            return MoveOutcome("done", {lowered_step.axis: self._end_interval(move, last_busy_ns, status.at_ns)})
+        span = HostInterval(min(move.start.earliest_ns, status.at_ns), status.at_ns)
+        stands = f"axis {lowered_step.axis} is at {counts}, not at its target {lowered_step.target}"
         if move.stopped_ns is not None:
-            return MoveOutcome("stopped", {lowered.axis: span}, f"stopped on request; {stands}")
-        forward = lowered.target > lowered.start_counts
+            return MoveOutcome("stopped", {lowered_step.axis: span}, f"stopped on request; {stands}")
+        forward = lowered_step.target > lowered_step.start_counts
         unit.limit = "forward" if forward else "reverse"
         side = "CW" if forward else "CCW"
         return MoveOutcome(
-            "fault", {lowered.axis: span}, f"{stands}: has the {side} end-of-travel input stopped it, or its own error?"
+            "fault",
+            {lowered_step.axis: span},
+            f"{stands}: has the {side} end-of-travel input stopped it, or its own error?",
         )
 
     def add_position(self, place: PositionReading) -> None:
@@ -341,9 +349,9 @@ class Smc30Mover:
         """Learn the crystal's rate and the start delay from a motion that has ended as planned."""
         if move.timed is None or move.stopped_ns is not None:
             return
-        lowered = move.lowered
+        lowered_step = move.lowered
         move.timed.mark_ended(ready_ns)
-        program_ns = sum(lowered.program_ns) // 2
+        program_ns = sum(lowered_step.program_ns) // 2
         answered_ns = None if move.answered_ns is None else move.answered_ns + program_ns
         # Without the delay, which is not the same in all programs.
         began_ns = move.arrived_ns + program_ns - LINES_BEFORE * self._options.line_us * NS_PER_US
@@ -377,13 +385,13 @@ class Smc30Mover:
         counts = await self._counts_at_rest()
         self._finish_step(move)
         now_ns = self._clock.now_ns()
-        lowered = move.lowered
-        if counts == lowered.start_counts and lowered.wait is not None:
-            reason = f"axis {lowered.axis} has not started: input {lowered.wait.name} did not become active"
+        lowered_step = move.lowered
+        if counts == lowered_step.start_counts and lowered_step.wait is not None:
+            reason = f"axis {lowered_step.axis} has not started: input {lowered_step.wait.name} did not become active"
         else:
-            reason = f"axis {lowered.axis} does not reach its end and is at {counts}: is its Stop input active?"
+            reason = f"axis {lowered_step.axis} does not reach its end and is at {counts}: is its Stop input active?"
         return MoveOutcome(
-            "fault", dict.fromkeys(lowered.durations_s, HostInterval(move.start.earliest_ns, now_ns)), reason
+            "fault", dict.fromkeys(lowered_step.durations_s, HostInterval(move.start.earliest_ns, now_ns)), reason
         )
 
     # Internals
@@ -399,11 +407,11 @@ class Smc30Mover:
         return self.move
 
     async def _require_start(self, lowered: Smc30Lowered) -> None:
-        found = await self._unit.require_ready()
-        if lowered.target is not None and found != lowered.start_counts:
+        counts = await self._unit.require_ready()
+        if lowered.target is not None and counts != lowered.start_counts:
             raise Refusal(
                 "other-start",
-                f"axis {lowered.axis} is at {found} steps; the plan starts at {lowered.start_counts}",
+                f"axis {lowered.axis} is at {counts} steps; the plan starts at {lowered.start_counts}",
                 "plan again from the present position",
             )
 
@@ -457,8 +465,8 @@ class Smc30Mover:
 
     def _program_excess_ns(self, move: LoadedStep) -> int:
         """Return how much longer than the motion its program may take."""
-        held = [int(line[1:]) for line in move.lowered.program if line.startswith("D") and move.lowered.drive]
-        return _OVERDUE_NS + sum(held) * 10 * NS_PER_MS
+        hold_times = [int(line[1:]) for line in move.lowered.program if line.startswith("D") and move.lowered.drive]
+        return _OVERDUE_NS + sum(hold_times) * 10 * NS_PER_MS
 
 
 def passive_commands(lowered: Smc30Lowered) -> tuple[str, ...]:

@@ -33,31 +33,31 @@ class Smc30Poller:
     async def poll_state(self) -> ControllerReading:
         """Read the state. Raises `ControllerRestarted`."""
         unit = self._unit
-        now = await unit.read_status()
+        status = await unit.read_status()
         # In Programming Mode neither position nor inputs can be read; the axis has not moved.
-        if not now.busy and not unit.loading.locked():
+        if not status.busy and not unit.loading.locked():
             try:
                 async with unit.loading:
                     await self._query_at_rest()
             except ControllerBusy:
-                now = await unit.read_status()
-        if not now.busy:
-            self._mover.record_ready(now.sent_ns)
-            self._handle_rest(now)
-            counts, velocity, moving = unit.rest_counts, 0.0, False
+                status = await unit.read_status()
+        if not status.busy:
+            self._mover.record_ready(status.sent_ns)
+            self._handle_rest(status)
+            counts, velocity, is_moving = unit.rest_counts, 0.0, False
         else:
-            counts, velocity, moving = await self._read_in_motion(now.at_ns)
+            counts, velocity, is_moving = await self._read_in_motion(status.at_ns)
         axis = AxisReading(
             commanded_counts=counts,
             actual_counts=float(counts),
             velocity_counts_s=velocity,
-            moving=moving,
+            moving=is_moving,
             enabled=unit.enabled,
             limit=unit.limit,
             position_lost=unit.lost,
         )
         return ControllerReading(
-            at_ns=now.at_ns,
+            at_ns=status.at_ns,
             axes={self._axis: axis},
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
@@ -85,28 +85,28 @@ class Smc30Poller:
 
     async def _read_in_motion(self, at_ns: int) -> tuple[int, float, bool]:
         unit, move = self._unit, self._mover.move
-        counts, velocity, moving = unit.rest_counts, 0.0, True
+        counts, velocity, is_moving = unit.rest_counts, 0.0, True
         if unit.doing == "step" and move is not None:
-            counts, velocity, moving = _profile_position(move, at_ns)
+            counts, velocity, is_moving = _profile_position(move, at_ns)
         elif unit.doing == "jog" and self._manual_motion.run is not None:
             run = self._manual_motion.run
             shape = Smc30Shape((Smc30Ramp(abs(run.end - run.begin), run.s, run.t, run.r),))
             steps, rate = shape.state_at((at_ns - self._manual_motion.began_ns) / NS_PER_S)
             counts, velocity = run.begin + run.direction_sign * round(steps), run.direction_sign * rate
-        if unit.live is not False and moving:
+        if unit.live is not False and is_moving:
             try:
-                place = await unit.read_place()
-                counts, unit.live = place.counts, True
-                self._mover.add_position(place)
+                axis_place = await unit.read_place()
+                counts, unit.live = axis_place.counts, True
+                self._mover.add_position(axis_place)
             except ControllerBusy:
                 unit.live = False
-        return counts, velocity, moving
+        return counts, velocity, is_moving
 
     def _controller_faults(self) -> list[FaultReport]:
         unit = self._unit
-        found: list[FaultReport] = []
+        faults: list[FaultReport] = []
         if unit.overflow:
-            found.append(
+            faults.append(
                 FaultReport(
                     code="counter-overflow",
                     text=f"{unit.session.name}: the position counter has overflowed; the motor was stopped (E5)",
@@ -114,25 +114,25 @@ class Smc30Poller:
                 )
             )
         if unit.program_error:
-            found.append(
+            faults.append(
                 FaultReport(
                     code="program-error",
                     text=f"{unit.session.name}: its program has ended with an error (E4)",
                     remedy="clear it with `tutti reset`; was another program loaded?",
                 )
             )
-        return found
+        return faults
 
 
 def _profile_position(move: LoadedStep, at_ns: int) -> tuple[int, float, bool]:
     """Return the position of a step by its profile, from the middle of the interval of its start."""
-    lowered = move.lowered
-    if lowered.shape is None or lowered.target is None:
-        return lowered.start_counts, 0.0, False
-    window = lowered.window_ns
+    lowered_step = move.lowered
+    if lowered_step.shape is None or lowered_step.target is None:
+        return lowered_step.start_counts, 0.0, False
+    window = lowered_step.window_ns
     start_ns = move.t0_ns + sum(window) // 2
     if move.started is not None:
         start_ns = (move.started.earliest_ns + move.started.latest_ns) // 2
-    sign = 1 if lowered.target > lowered.start_counts else -1
-    steps, rate = lowered.shape.state_at((at_ns - start_ns) / NS_PER_S)
-    return lowered.start_counts + sign * round(steps), sign * rate, at_ns > start_ns
+    sign = 1 if lowered_step.target > lowered_step.start_counts else -1
+    steps, rate = lowered_step.shape.state_at((at_ns - start_ns) / NS_PER_S)
+    return lowered_step.start_counts + sign * round(steps), sign * rate, at_ns > start_ns

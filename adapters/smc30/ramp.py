@@ -89,22 +89,22 @@ class Smc30Shape:
 
     @property
     def motion_legs(self) -> tuple[Smc30Leg, ...]:
-        first, *rest = self.parts
+        first, *later_parts = self.parts
         return first.motion_legs + tuple(
-            leg for part in rest for leg in (Smc30Leg(self.gap_s, 0.0, 0.0), *part.motion_legs)
+            leg for part in later_parts for leg in (Smc30Leg(self.gap_s, 0.0, 0.0), *part.motion_legs)
         )
 
     def state_at(self, elapsed_s: float) -> tuple[float, float]:
         """Return the steps completed and the rate, `elapsed_s` after the start."""
         if elapsed_s <= 0.0:
             return 0.0, 0.0
-        done = 0.0
+        steps = 0.0
         for leg in self.motion_legs:
             t = min(elapsed_s, leg.duration_s)
-            done += t * (leg.rate + t * leg.acceleration / 2)
+            steps += t * (leg.rate + t * leg.acceleration / 2)
             elapsed_s -= leg.duration_s
             if elapsed_s < 0.0:
-                return done, leg.rate + t * leg.acceleration
+                return steps, leg.rate + t * leg.acceleration
         return float(self.total_steps), 0.0
 
 
@@ -129,12 +129,12 @@ def fit_shape(steps: int, duration_s: float, ramp_s: float, limits: Smc30Bounds,
     The result is cached: a move is lowered again when it is armed. None: no numbers respect the limits. If the
     requested time cannot be reached, the result is the nearest possible one.
     """
-    one = _fit_single(steps, duration_s, ramp_s, limits)
-    if one is None or abs(one.duration_s - duration_s) <= _SPLIT_S:
-        return None if one is None else Smc30Shape((one,))
-    best = Smc30Shape((one,))
-    for between in (False, True):
-        split = _split_move(steps, duration_s, limits, gap_s, between=between)
+    single = _fit_single(steps, duration_s, ramp_s, limits)
+    if single is None or abs(single.duration_s - duration_s) <= _SPLIT_S:
+        return None if single is None else Smc30Shape((single,))
+    best = Smc30Shape((single,))
+    for is_between in (False, True):
+        split = _split_move(steps, duration_s, limits, gap_s, between=is_between)
         if split is not None and abs(split.duration_s - duration_s) < abs(best.duration_s - duration_s):
             best = split
         if abs(best.duration_s - duration_s) <= _SPLIT_S:
@@ -152,15 +152,15 @@ def _split_move(
         return None
     for slow, quick, middle in _rate_choices(steps / moving_s, min(limits.start_max, limits.top), between=between):
         for inner in range(1, min(_INNER, steps - 2) + 1) if middle else (0,):
-            rest_s, rest = (moving_s - inner / middle, steps - inner) if middle else (moving_s, steps)
-            first = round((rest_s - rest / quick) / (1 / slow - 1 / quick))
-            if not 1 <= first < rest:
+            rest_s, outer_steps = (moving_s - inner / middle, steps - inner) if middle else (moving_s, steps)
+            first = round((rest_s - outer_steps / quick) / (1 / slow - 1 / quick))
+            if not 1 <= first < outer_steps:
                 continue
-            lengths = ((first, slow), (inner, middle), (rest - first, quick))
-            found = Smc30Shape(tuple(Smc30Ramp(count, rate, rate, 1) for count, rate in lengths if count), gap_s)
-            error_s = abs(found.duration_s - duration_s)
+            lengths = ((first, slow), (inner, middle), (outer_steps - first, quick))
+            shape = Smc30Shape(tuple(Smc30Ramp(count, rate, rate, 1) for count, rate in lengths if count), gap_s)
+            error_s = abs(shape.duration_s - duration_s)
             if best is None or error_s < abs(best.duration_s - duration_s):
-                best = found
+                best = shape
             if error_s <= _GOOD_ENOUGH_S:
                 return best
     return best
@@ -179,12 +179,12 @@ def _fit_single(steps: int, duration_s: float, ramp_s: float, limits: Smc30Bound
     `ramp_s`."""
     best: Smc30Ramp | None = None
     score = (float("inf"), float("inf"))
-    for tried in (_FEW, _MANY):
-        for each in _ramp_candidates(steps, duration_s, ramp_s, limits, tried):
-            error_s = abs(each.duration_s - duration_s)
-            found = (0.0 if error_s <= _GOOD_ENOUGH_S else error_s, abs(each.ramp_s - ramp_s))
-            if found < score and is_allowed(each, limits):
-                best, score = each, found
+    for candidate_count in (_FEW, _MANY):
+        for candidate in _ramp_candidates(steps, duration_s, ramp_s, limits, candidate_count):
+            error_s = abs(candidate.duration_s - duration_s)
+            candidate_score = (0.0 if error_s <= _GOOD_ENOUGH_S else error_s, abs(candidate.ramp_s - ramp_s))
+            if candidate_score < score and is_allowed(candidate, limits):
+                best, score = candidate, candidate_score
         if score[0] == 0.0:
             break
     return best
@@ -207,8 +207,8 @@ def _ramp_candidates(
     if tried == _MANY and (start_high - limits.start_min + 1) * (quick - slow + 1) <= _ALL:
         tried = _ALL
     for s in _spread_values(limits.start_min, start_high, limits.start_min, tried):
-        planned = (steps - s * ramp_s) / (duration_s - ramp_s) if duration_s > ramp_s else 2 * mean - s
-        for t in _spread_values(max(s + 1, slow), quick, round(planned), tried):
+        planned_top = (steps - s * ramp_s) / (duration_s - ramp_s) if duration_s > ramp_s else 2 * mean - s
+        for t in _spread_values(max(s + 1, slow), quick, round(planned_top), tried):
             yield from _with_ramp(steps, duration_s, s, t)
     for t in _spread_values(slow, quick, round(mean), tried if tried < _ALL else _FEW):
         for r in _spread_values(1, min(RAMP_MAX, steps // 2), round(ramp_s * t / 2), min(tried, _MANY)):
@@ -219,8 +219,8 @@ def _with_ramp(steps: int, duration_s: float, s: int, t: int) -> Iterator[Smc30R
     if t <= s:
         return
     r = (duration_s - steps / t) * t * (s + t) / (2 * (t - s))
-    for each in (floor(r), ceil(r)):
-        yield Smc30Ramp(steps, s, t, each)
+    for ramp in (floor(r), ceil(r)):
+        yield Smc30Ramp(steps, s, t, ramp)
 
 
 def _with_start(steps: int, duration_s: float, t: int, r: int) -> Iterator[Smc30Ramp]:
@@ -228,9 +228,9 @@ def _with_start(steps: int, duration_s: float, t: int, r: int) -> Iterator[Smc30
     if rest_s <= 0:
         return
     s = 4 * r / rest_s - t
-    for each in (floor(s), ceil(s)):
-        if TOP_MIN <= each < t:
-            yield Smc30Ramp(steps, each, t, r)
+    for start_rate in (floor(s), ceil(s)):
+        if TOP_MIN <= start_rate < t:
+            yield Smc30Ramp(steps, start_rate, t, r)
 
 
 def _fastest_ramps(steps: int, limits: Smc30Bounds) -> Iterator[Smc30Ramp]:
@@ -248,8 +248,8 @@ def _spread_values(low: int, high: int, centre: int, tried: int) -> Iterator[int
     if high < low:
         return
     centre = min(max(centre, low), high)
-    near = range(max(low, centre - _NEAR), min(high, centre + _NEAR) + 1)
-    yield from near
-    for each in range(low, high + 1, max(1, (high - low) // tried)):
-        if each not in near:
-            yield each
+    near_values = range(max(low, centre - _NEAR), min(high, centre + _NEAR) + 1)
+    yield from near_values
+    for value in range(low, high + 1, max(1, (high - low) // tried)):
+        if value not in near_values:
+            yield value

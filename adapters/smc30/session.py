@@ -74,25 +74,25 @@ class Smc30Session:
     async def upload_program(self, lines: Sequence[str], since: int) -> None:
         """Replace the program in working memory (L1882-L1891). Raises like `send_query`; then the program in memory is
         undefined."""
-        for left in reversed(range(_TRIES)):
+        for tries_left in reversed(range(_TRIES)):
             try:
                 await self.send_setting("PO")
-                for each in lines:
-                    await self.send_once(each, since)
+                for line in lines:
+                    await self.send_once(line, since)
                 await self.send_setting("PX")
             except ControllerFault as error:
-                self.log.warning(f"the upload of the program failed: {error.text}", tries_left=left)
-                if not left:
+                self.log.warning(f"the upload of the program failed: {error.text}", tries_left=tries_left)
+                if not tries_left:
                     raise
             else:
                 return
 
     async def list_program(self) -> list[str]:
         """Return the program in working memory (Q, L1901-L1910): its lines, and Y after them."""
-        for left in reversed(range(_TRIES)):
+        for tries_left in reversed(range(_TRIES)):
             try:
                 _, replies = await self._run_exchange(
-                    "Q", lambda got: bool(got) and got[-1].text in ("Y", "B", "E1"), None
+                    "Q", lambda answers: bool(answers) and answers[-1].text in ("Y", "B", "E1"), None
                 )
             except ExchangeDisturbed:
                 continue
@@ -101,14 +101,16 @@ class Smc30Session:
                 return [text for text in texts[:-1] if text is not None]
             if texts == ["B"]:
                 raise ControllerBusy("Q")
-            if not left:
+            if not tries_left:
                 raise self._garbled_fault("Q", "the program's lines and Y", replies)
         raise self._disturbed_refusal("Q")
 
     async def send_raw(self, command: str) -> str:
         """Return all replies to a raw command, until silence."""
         try:
-            _, replies = await self._run_exchange(command, lambda got: bool(got) and _ends_upload(got[-1].text), None)
+            _, replies = await self._run_exchange(
+                command, lambda answers: bool(answers) and _ends_upload(answers[-1].text), None
+            )
         except ExchangeDisturbed:
             raise self._disturbed_refusal(command) from None
         if not replies:
@@ -138,10 +140,10 @@ class Smc30Session:
     async def _send_command(
         self, command: str, form: re.Pattern[str], *, repeatable: bool, before_send: Callable[[], None] | None = None
     ) -> Smc30Answer:
-        refused = 0
-        for left in reversed(range(_TRIES)):
+        refusals = 0
+        for tries_left in reversed(range(_TRIES)):
             try:
-                sent_ns, replies = await self._run_exchange(command, lambda got: bool(got), before_send)
+                sent_ns, replies = await self._run_exchange(command, lambda answers: bool(answers), before_send)
             except ExchangeDisturbed:
                 if not repeatable:
                     raise self._disturbed_refusal(command) from None
@@ -154,19 +156,19 @@ class Smc30Session:
                     return Smc30Answer(text, sent_ns, reply.at_ns - self.line.wire_ns(reply.characters))
                 if text == "B":
                     raise ControllerBusy(command)
-                if text in _ERRORS and (refused or not repeatable):
+                if text in _ERRORS and (refusals or not repeatable):
                     raise self._command_refusal(command, text)
-                refused += text in _ERRORS
+                refusals += text in _ERRORS
             if text is not None and text not in _ERRORS and text != "E1":
                 self.line.discard_late_replies()  # It may be the late reply to an earlier command.
             # E1: the controller has accepted nothing. Any other reply: the result is unknown.
-            if not left or (not repeatable and text != "E1"):
+            if not tries_left or (not repeatable and text != "E1"):
                 raise (
                     self._silence_fault(command)
                     if reply is None
                     else self._garbled_fault(command, form.pattern, replies)
                 )
-            self.log.warning(f"{command!r} is repeated", answer=text or "none", tries_left=left)
+            self.log.warning(f"{command!r} is repeated", answer=text or "none", tries_left=tries_left)
         raise self._disturbed_refusal(command)
 
     async def _run_exchange(
@@ -189,12 +191,12 @@ class Smc30Session:
         )
 
     def _garbled_fault(self, command: str, expected: str, replies: Sequence[ReceivedReply]) -> ControllerFault:
-        found = (
+        received_text = (
             ", ".join("a garbled line" if reply.text is None else repr(reply.text) for reply in replies) or "nothing"
         )
         return ControllerFault(
             "garbage",
-            f"{self.name}: sent {command!r}, expected {expected}, received {found}",
+            f"{self.name}: sent {command!r}, expected {expected}, received {received_text}",
             "check cable and ground, the switch CHS against option `checksum`, and that each address exists once",
         )
 

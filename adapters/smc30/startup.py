@@ -48,13 +48,13 @@ async def _leave_programming(session: Smc30Session) -> None:
 
 async def _answers_otherwise(session: Smc30Session) -> bool:
     """Return whether the controller answers F in the other format, with or without a checksum."""
-    sent = frame_line("F", session.unit, with_checksum=not session.with_checksum)
+    query = frame_line("F", session.unit, with_checksum=not session.with_checksum)
 
     def any_reply(replies: list[ReceivedReply]) -> bool:
         return bool(replies)
 
     try:
-        _, replies = await session.line.run_exchange(session.unit, sent, any_reply)
+        _, replies = await session.line.run_exchange(session.unit, query, any_reply)
     except (ControllerFault, ExchangeDisturbed):
         return False
     # With its checksum a reply looks like a longer one, and without one like a garbled one.
@@ -64,10 +64,10 @@ async def _answers_otherwise(session: Smc30Session) -> bool:
 
 
 def _other_checksum(session: Smc30Session) -> ControllerFault:
-    wanted, found = ("on", "off") if session.with_checksum else ("off", "on")
+    option_state, checksum_state = ("on", "off") if session.with_checksum else ("off", "on")
     return ControllerFault(
         "config-mismatch",
-        f"{session.name}: the switch CHS is {found}; option `checksum` requires {wanted}",
+        f"{session.name}: the switch CHS is {checksum_state}; option `checksum` requires {option_state}",
         "set the switch, and switch the controller off and on, or set `checksum: "
         f"{str(not session.with_checksum).lower()}`",
     )
@@ -108,5 +108,5 @@ async def configure_controller(unit: Smc30State, options: Smc30DriverOptions, cl
 
 def current_commands(options: Smc30DriverOptions, *, enabled: bool) -> list[str]:
     """Return the commands that set the motor's currents (L1996-L2008)."""
-    given = {"CS": options.standby_ma if enabled else 0, "CR": options.ramp_ma, "CT": options.top_ma}
-    return [f"{command}{milliamps}" for command, milliamps in given.items() if milliamps is not None]
+    currents_ma = {"CS": options.standby_ma if enabled else 0, "CR": options.ramp_ma, "CT": options.top_ma}
+    return [f"{command}{milliamps}" for command, milliamps in currents_ma.items() if milliamps is not None]

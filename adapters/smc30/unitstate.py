@@ -115,10 +115,10 @@ class Smc30State:
         is unknown and its rate settings are lost."""
         name = self.session.name
         try:
-            held = await self.holds_sentinel()
+            is_held = await self.holds_sentinel()
         except ControllerBusy:
             raise Refusal("moving", f"{name} executes a program", "wait for its end, or stop it") from None
-        if not held:
+        if not is_held:
             raise Refusal("not-loaded", f"{name} was restarted while it was {while_it_was}", remedy)
 
     async def leave_programming(self) -> None:
@@ -134,12 +134,12 @@ class Smc30State:
             if (await self.read_status()).busy:
                 raise ControllerBusy("F")
             await self.leave_programming()
-            found = await self.read_position()
+            position = await self.read_position()
         except ControllerBusy:
             raise Refusal("moving", f"{self.session.name} executes a program", "wait for its end, or stop it") from None
         self.require_no_fault()
-        self.rest_counts = found
-        return found
+        self.rest_counts = position
+        return position
 
     def require_no_fault(self) -> None:
         """Raise `Refusal` while the controller has a fault."""
@@ -153,9 +153,9 @@ class Smc30State:
     async def wait_until_ready(self, until_ns: int) -> ActivityReading | None:
         """Wait until it is ready; None when it still is not at `until_ns`."""
         while True:
-            now = await self.read_status()
-            if not now.busy:
-                return now
+            status = await self.read_status()
+            if not status.busy:
+                return status
             if self.clock.now_ns() >= until_ns:
                 return None
             await sleep_ns(self.clock, _POLL_NS)
@@ -181,17 +181,17 @@ class Smc30State:
                 self.program, self.programming = None, True
                 await self.session.upload_program(program, since)
                 self.programming = False
-            found = await self.session.list_program()
+            listing = await self.session.list_program()
         except ControllerBusy:
             raise Refusal("moving", f"{self.session.name} executes a program", "wait for its end, or stop it") from None
         except Refusal:
             self.program = None
             raise
-        if tuple(found) != program:
+        if tuple(listing) != program:
             self.program = None
             raise Refusal(
                 "load-garbled",
-                f"{self.session.name} was given {' '.join(program)!r}, and lists {' '.join(found)!r}",
+                f"{self.session.name} was given {' '.join(program)!r}, and lists {' '.join(listing)!r}",
                 "arm it again; check the cable, and whether another client programs it",
             )
         self.program = program
@@ -245,7 +245,7 @@ class Smc30State:
 
         A controller with a checksum may not understand Z at address 3, where the checksum is itself a CR (L1066-L1081).
         """
-        before = self.rest_counts
+        old_counts = self.rest_counts
         with suppress(LinkClosed, Refusal, ControllerFault):
             try:
                 await self.session.send_setting(command)
@@ -253,7 +253,7 @@ class Smc30State:
                 command = "K"
                 self.session.write_at_once("K")
                 await self.session.send_setting("K")
-            if command == "K" and await self._moved_from(before):
+            if command == "K" and await self._moved_from(old_counts):
                 self.lost = True
             if after:
                 await self._send_at_rest(after)
@@ -278,9 +278,9 @@ class Smc30State:
 def _matched_group(answer: Smc30Answer) -> str:
     if answer.text == "B":
         raise ControllerBusy("query")
-    found = re.search(r"[+-]?\d+$", answer.text)
-    assert found is not None  # the expected pattern guarantees the group
-    return found[0]
+    number_match = re.search(r"[+-]?\d+$", answer.text)
+    assert number_match is not None  # the expected pattern guarantees the group
+    return number_match[0]
 
 
 def _point_levels(value: int) -> dict[int, bool]:
