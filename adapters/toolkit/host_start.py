@@ -63,10 +63,10 @@ def resting_intervals(durations_s: Mapping[str, float], t0_ns: int) -> dict[str,
 
 def unmoved_outcome(durations_s: Mapping[str, float], t0_ns: int, failure: str, *, stopped: bool) -> MoveOutcome:
     """Return the outcome of a step in which the controller only drives a trigger line, if anything."""
-    ended = {name: HostInterval(t0_ns, t0_ns) for name in durations_s}
+    end_spans = {name: HostInterval(t0_ns, t0_ns) for name in durations_s}
     if failure:
-        return MoveOutcome("fault", ended, failure)
-    return MoveOutcome("stopped" if stopped else "done", ended, "stopped on request" if stopped else "")
+        return MoveOutcome("fault", end_spans, failure)
+    return MoveOutcome("stopped" if stopped else "done", end_spans, "stopped on request" if stopped else "")
 
 
 def moved_outcome(

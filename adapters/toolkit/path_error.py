@@ -19,28 +19,28 @@ def path_error_counts(profile: Profile, legs: Iterable[tuple[float, float, float
     """
     distance = profile.end_counts - profile.start_counts
     sign = 1 if distance > 0 else -1
-    executed: list[_Segment] = []
+    executed_segments: list[_Segment] = []
     clock_s = position = 0.0
     for duration_s, speed, acceleration in legs:
         if duration_s <= 0.0:  # it would hide the segment that begins at the same instant
             continue
-        executed.append((clock_s, sign * position, sign * speed, sign * acceleration))
+        executed_segments.append((clock_s, sign * position, sign * speed, sign * acceleration))
         clock_s += duration_s
         position += duration_s * (speed + duration_s * acceleration / 2)
-    executed.append((clock_s, float(distance), 0.0, 0.0))
-    planned = [
-        (each.start_s, each.position, each.velocity, each.acceleration)
-        for each in profile.segments
-        if each.duration_s > 0.0
+    executed_segments.append((clock_s, float(distance), 0.0, 0.0))
+    planned_segments = [
+        (segment.start_s, segment.position, segment.velocity, segment.acceleration)
+        for segment in profile.segments
+        if segment.duration_s > 0.0
     ]
-    planned.append((profile.duration_s, float(distance), 0.0, 0.0))
+    planned_segments.append((profile.duration_s, float(distance), 0.0, 0.0))
     worst = 0.0
-    for begin_s, end_s in pairwise(sorted({each[0] for each in (*executed, *planned)})):
+    for begin_s, end_s in pairwise(sorted({segment[0] for segment in (*executed_segments, *planned_segments)})):
         middle_s = (begin_s + end_s) / 2
-        mine, plan = _segment_at(executed, middle_s), _segment_at(planned, middle_s)
-        a = mine[3] - plan[3]
-        v = mine[2] + (begin_s - mine[0]) * mine[3] - (plan[2] + (begin_s - plan[0]) * plan[3])
-        x = _position_at(mine, begin_s) - _position_at(plan, begin_s)
+        own_segment, plan = _segment_at(executed_segments, middle_s), _segment_at(planned_segments, middle_s)
+        a = own_segment[3] - plan[3]
+        v = own_segment[2] + (begin_s - own_segment[0]) * own_segment[3] - (plan[2] + (begin_s - plan[0]) * plan[3])
+        x = _position_at(own_segment, begin_s) - _position_at(plan, begin_s)
         instants = [0.0, end_s - begin_s]
         if a and 0.0 < -v / a < end_s - begin_s:
             instants.append(-v / a)
@@ -58,7 +58,7 @@ def legs_in_host_time(
 
 def _segment_at(pieces: Sequence[_Segment], time_s: float) -> _Segment:
     """Return the segment that is active at `time_s`."""
-    return max((each for each in pieces if each[0] <= time_s), key=lambda each: each[0])
+    return max((piece for piece in pieces if piece[0] <= time_s), key=lambda piece: piece[0])
 
 
 def _position_at(piece: _Segment, time_s: float) -> float:

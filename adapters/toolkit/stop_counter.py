@@ -36,12 +36,12 @@ async def send_or_brake(
     send: sends the command, after it has called its argument. check: raises `Refusal` when the command must not be
     sent. A `Refusal` after that is the controller's answer: the motor is at rest.
     """
-    sent = False
+    is_sent = False
 
     def check_and_mark() -> None:
-        nonlocal sent
+        nonlocal is_sent
         check()
-        sent = True
+        is_sent = True
 
     try:
         await send(check_and_mark)
@@ -49,7 +49,7 @@ async def send_or_brake(
         raise
     except BaseException:
         # Cancelled or unanswered: no caller would stop it later.
-        if sent:
+        if is_sent:
             with suppress(LinkClosed):
                 brake()
         raise

@@ -22,7 +22,7 @@ async def check_watched_settings(
     watch: SettingsComparison, log: DriverLog, *, everything: bool
 ) -> Sequence[SettingDifference]:
     """Do what `Driver.check_settings` states, and log each difference."""
-    found = await (watch.check_motion() if everything else watch.check_next())
-    for each in found:
-        log.warning(f"another client has changed a setting: {each.item}", found=each.found)
-    return found
+    differences = await (watch.check_motion() if everything else watch.check_next())
+    for difference in differences:
+        log.warning(f"another client has changed a setting: {difference.item}", found=difference.found)
+    return differences

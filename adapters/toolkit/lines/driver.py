@@ -174,9 +174,9 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         state = await unit.read_state()
         if await unit.is_restarted(state):
             raise ControllerRestarted
-        restarted, self._restarted = self._restarted, False
+        is_restarted, self._restarted = self._restarted, False
         self._note_alarm(state)
-        self._last = self._make_reading(state, restarted=restarted)
+        self._last = self._make_reading(state, restarted=is_restarted)
         return self._last
 
     def _note_alarm(self, state: LineUnitState) -> None:
@@ -193,12 +193,12 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         axes: dict[str, AxisReading] = {}
         for name, axis in self._config.axes.items():
             status, counts = state.status.axes[axis.motors[0]], state.counts[name]
-            moving = status.moving and state.status.state == "moving"
+            is_moving = status.moving and state.status.state == "moving"
             axes[name] = AxisReading(
                 commanded_counts=counts,
                 actual_counts=float(counts),
-                velocity_counts_s=self._estimate_velocity(name, counts, at_ns) if moving else 0.0,
-                moving=moving,
+                velocity_counts_s=self._estimate_velocity(name, counts, at_ns) if is_moving else 0.0,
+                moving=is_moving,
                 enabled=name in self._enabled and not is_locked,
                 position_lost=self._position_lost,
                 limit=status.limit,
@@ -220,7 +220,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> LineLowered:
         moves, targets = lower_step(self._config, self._dialect, self._scales, profiles, start)
-        ramps_s = [each.velocity / each.acceleration for each in moves if each.distance]
+        ramps_s = [move.velocity / move.acceleration for move in moves if move.distance]
         costs = self._step_costs(max([self._ramp_s, *ramps_s]))
         return make_lowered(moves, targets, profiles, self._options, costs)
 
@@ -250,7 +250,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         if not axes:
             return {}
         unit = self.connection.unit
-        since = unit.stops
+        stop_count = unit.stops
         self._require_free()
         if self._dialect.traits.joint and set(axes) != set(self._config.axes):
             remedy = f"home the whole controller: `tutti axis home {self._setup.controller}`"
@@ -260,20 +260,20 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             await unit.require_ready(axes)
             motors = [self._config.axes[name].motors[0] for name in axes]
             timeout_s = max(self._config.axes[name].homing.timeout_s for name in axes)
-            failure = await self._search(self._dialect.search_reference(motors, timeout_s), since)
+            failure = await self._search(self._dialect.search_reference(motors, timeout_s), stop_count)
             await unit.wait_until_tidy()
         counts = (await unit.read_state()).counts
-        failed: dict[str, Refusal] = {}
+        failures: dict[str, Refusal] = {}
         for name in axes:
             if failure or counts[name] != 0:
-                why = failure or f"it is at {counts[name]} counts; see `reference` in the options"
-                text = f"axis {name} has not found its reference: {why}"
-                failed[name] = Refusal("homing-failed", text, "check its switch")
+                reason = failure or f"it is at {counts[name]} counts; see `reference` in the options"
+                text = f"axis {name} has not found its reference: {reason}"
+                failures[name] = Refusal("homing-failed", text, "check its switch")
             else:
                 found(name)
-        if not failed and set(axes) == set(self._config.axes):
+        if not failures and set(axes) == set(self._config.axes):
             self._position_lost = False
-        return failed
+        return failures
 
     async def _search(self, steps: Sequence[LineStep], since: int) -> str:
         """Run a search; return why it failed, or "". A search that is not waited for any more is stopped."""
@@ -333,7 +333,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
         unit = self.connection.unit
-        since = unit.stops
+        stop_count = unit.stops
         self._require_free()
         async with unit.commanding:
             await unit.wait_until_tidy()
@@ -354,15 +354,15 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             if state.status.state in ("held", "alarm") or await unit.is_restarted(state):
                 raise Refusal("not-ready", f"the controller is {state.status.state}", "see `tutti status`")
             target = self._make_jog_target(axis, move, state.counts[axis])
-            (first, *others) = self._dialect.begin_jog(target)
+            (first, *later_steps) = self._dialect.begin_jog(target)
 
             async def send(check: Callable[[], None]) -> None:
                 await unit.session.run_once(first, check)
-                await unit.session.run_procedure(others)
+                await unit.session.run_procedure(later_steps)
 
             await send_or_brake(
                 send,
-                lambda: unit.require_no_stop(since),
+                lambda: unit.require_no_stop(stop_count),
                 lambda: unit.session.write_at_once(self._dialect.stop_jog(motor)),
             )
             self._jogs[axis] = move
@@ -426,19 +426,19 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         return "\n".join((await session.run_step(step)).lines)
 
     async def close(self) -> None:
-        ended, self._connection = self._connection, None
-        if ended is None:
+        old_connection, self._connection = self._connection, None
+        if old_connection is None:
             return
         self._log.info("link closed")
-        move = ended.mover.move
+        move = old_connection.mover.move
         if move is not None and move.running is not None:
             move.running.cancel()
             if move.order is not None:
                 move.order.cancel_write()
-        ended.unit.cancel()
-        if ended.unit.session.restarted or ended.unit.has_lost_session:
+        old_connection.unit.cancel()
+        if old_connection.unit.session.restarted or old_connection.unit.has_lost_session:
             self._restarted = self._restarted or self._number != 0
-        await ended.unit.session.close()
+        await old_connection.unit.session.close()
 
     def _require_free(self) -> None:
         if self.connection.mover.move is not None:

@@ -89,26 +89,26 @@ def lower_step(
     require_start_class(start, ("host",), "this controller starts by a command of the host")
     if start.drive is not None:
         raise Refusal("start-class", "this adapter drives no trigger line", "use an output of another controller")
-    moves = [_fit_axis(name, config.axes[name], each, dialect) for name, each in profiles.items()]
+    moves = [_fit_axis(name, config.axes[name], profile, dialect) for name, profile in profiles.items()]
     if dialect.traits.joint:
-        moves = _join_axes(config, moves, max((each.duration_s for each in profiles.values()), default=0.0))
-    for each, profile in zip(moves, profiles.values(), strict=True):
-        if each.distance and ends_too_early(each.duration_s, profile.duration_s, start):
+        moves = _join_axes(config, moves, max((profile.duration_s for profile in profiles.values()), default=0.0))
+    for move, profile in zip(moves, profiles.values(), strict=True):
+        if move.distance and ends_too_early(move.duration_s, profile.duration_s, start):
             raise Refusal(
                 "too-slow",
-                f"axis {each.name}: the move takes {each.duration_s:.6g} s, planned are {profile.duration_s:.6g} s",
+                f"axis {move.name}: the move takes {move.duration_s:.6g} s, planned are {profile.duration_s:.6g} s",
                 "plan a faster move",
             )
     targets = [
         LineTarget(
-            config.axes[each.name].motors[0],
-            scales[each.name].to_position(each.end_counts),
-            each.distance / scales[each.name].counts_per_unit,
-            each.velocity / scales[each.name].counts_per_unit,
-            each.acceleration / scales[each.name].counts_per_unit,
+            config.axes[move.name].motors[0],
+            scales[move.name].to_position(move.end_counts),
+            move.distance / scales[move.name].counts_per_unit,
+            move.velocity / scales[move.name].counts_per_unit,
+            move.acceleration / scales[move.name].counts_per_unit,
         )
-        for each in moves
-        if each.distance
+        for move in moves
+        if move.distance
     ]
     return tuple(moves), tuple(targets)
 
@@ -146,23 +146,23 @@ def velocity_of_duration(distance: float, duration_s: float, acceleration: float
 def _join_axes(config: Controller, moves: list[LineAxisMove], wanted_s: float) -> list[LineAxisMove]:
     """Return the same moves along a straight line: all axes have one duration, and the acceleration that the slowest
     of them allows."""
-    running = [each for each in moves if each.distance]
-    if not running:
+    real_moves = [move for move in moves if move.distance]
+    if not real_moves:
         return moves
     # The path from 0 to 1.
-    path_acceleration = min(axis_acceleration(config.axes[each.name]) / abs(each.distance) for each in running)
+    path_acceleration = min(axis_acceleration(config.axes[move.name]) / abs(move.distance) for move in real_moves)
     path_velocity = velocity_of_duration(1.0, wanted_s, path_acceleration)
     return [
         LineAxisMove(
-            each.name,
-            each.start_counts,
-            each.end_counts,
-            path_velocity * abs(each.distance),
-            path_acceleration * abs(each.distance),
+            move.name,
+            move.start_counts,
+            move.end_counts,
+            path_velocity * abs(move.distance),
+            path_acceleration * abs(move.distance),
         )
-        if each.distance
-        else each
-        for each in moves
+        if move.distance
+        else move
+        for move in moves
     ]
 
 
@@ -196,14 +196,14 @@ def make_lowered(
     """Return the whole lowered step."""
     return LineLowered(
         start_class="host",
-        durations_s={each.name: each.duration_s for each in moves},
+        durations_s={move.name: move.duration_s for move in moves},
         path_error_counts={
-            each.name: path_error_counts(profiles[each.name], each.legs) if each.distance else 0.0 for each in moves
+            move.name: path_error_counts(profiles[move.name], move.legs) if move.distance else 0.0 for move in moves
         },
         terms=start_terms(options),
         tick_ns=0.0,
         costs=costs,
-        commands=tuple(f"{each.motor}: to {each.position:.6g} at {each.velocity:.6g}/s" for each in targets),
+        commands=tuple(f"{target.motor}: to {target.position:.6g} at {target.velocity:.6g}/s" for target in targets),
         clock_ppm=options.clock_ppm,
         moves=moves,
         targets=targets,

@@ -52,19 +52,19 @@ class LineMover:
     async def load_move(self, lowered: LineLowered, t0_ns: int) -> Mapping[str, int]:
         """Load a move. Raises `Refusal`; then nothing is loaded."""
         unit, began_ns = self._unit, self._clock.now_ns()
-        since = unit.stops
+        stop_count = unit.stops
         if self.move is not None:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
         async with unit.commanding:
             await unit.wait_until_tidy()
-            await unit.require_ready([each.name for each in lowered.moves])
+            await unit.require_ready([axis_move.name for axis_move in lowered.moves])
             await self._require_start(lowered)
-            unit.require_no_stop(since)
+            unit.require_no_stop(stop_count)
             self.move = LineMove(lowered, t0_ns)
             try:
                 if lowered.targets:
                     await unit.session.run_procedure(self._dialect.load_move(lowered.targets))
-                unit.require_no_stop(since)
+                unit.require_no_stop(stop_count)
             except BaseException:
                 self.move = None
                 if lowered.targets:
@@ -74,11 +74,12 @@ class LineMover:
 
     async def _require_start(self, lowered: LineLowered) -> None:
         counts = (await self._unit.read_state()).counts
-        for each in lowered.moves:
-            if counts[each.name] != each.start_counts:
+        for axis_move in lowered.moves:
+            if counts[axis_move.name] != axis_move.start_counts:
                 raise Refusal(
                     "other-start",
-                    f"axis {each.name} is at {counts[each.name]} counts; the plan starts at {each.start_counts}",
+                    f"axis {axis_move.name} is at {counts[axis_move.name]} counts; "
+                    f"the plan starts at {axis_move.start_counts}",
                     "plan again from the present position",
                 )
 
@@ -115,21 +116,21 @@ class LineMover:
         async with session.turn:
             if session.restarted or self._unit.has_lost_session:
                 raise ControllerFault("not-started", "the controller has restarted before its start", "try again")
-            expected: ExpectedReply | None = None
+            expected_reply: ExpectedReply | None = None
             if step.is_done is not None:
-                expected = session.expect(step.is_done)
+                expected_reply = session.expect(step.is_done)
             latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns)
             order = move.order = self._unit.timed_writer.schedule_write(session.link, step.data, at_ns, latest_ns)
-            fired = await order.wait_until_written()
-            if fired.late or expected is None:
-                if expected is not None:
+            write = await order.wait_until_written()
+            if write.late or expected_reply is None:
+                if expected_reply is not None:
                     session.disturb()
-                return fired, None
+                return write, None
             timeout_ns = self._options.answer_ms * NS_PER_MS + (len(step.data) + 50) * session.link.char_ns
             try:
-                return fired, await session.wait_for_reply(expected, timeout_ns, step)
+                return write, await session.wait_for_reply(expected_reply, timeout_ns, step)
             except ControllerFault:
-                return fired, None  # lost, but it may move
+                return write, None  # lost, but it may move
 
     async def unload_move(self) -> None:
         """Unload the move; nothing starts. Idempotent."""
@@ -183,7 +184,7 @@ class LineMover:
         if move.running is None:
             raise ControllerFault("not-started", "no start was scheduled", "release it first")
         try:
-            fired, reply = await asyncio.shield(move.running)
+            write, reply = await asyncio.shield(move.running)
         except asyncio.CancelledError:
             if not move.running.cancelled():
                 raise
@@ -192,10 +193,10 @@ class LineMover:
         except (Refusal, ControllerFault) as error:
             self._finish_move(move)
             raise ControllerFault("not-started", f"the start failed: {error}", "try again") from None
-        if fired.late:
+        if write.late:
             self._finish_move(move)
-            raise missed_write_fault("the start command", self._unit.session.link, fired)
-        move.started = await self._find_start(move, fired, reply)
+            raise missed_write_fault("the start command", self._unit.session.link, write)
+        move.started = await self._find_start(move, write, reply)
         return moving_intervals(durations_s, move.started, move.t0_ns)
 
     async def _find_start(self, move: LineMove, fired: WriteResult, reply: LineReply | None) -> HostInterval:
@@ -209,8 +210,12 @@ class LineMover:
             return HostInterval(earliest_ns, latest_ns, late_ns=late_ns)
         for _ in range(_LOOKS):
             state = await self._unit.read_state()
-            begun = any(state.counts[each.name] != each.start_counts for each in move.lowered.moves if each.distance)
-            if state.status.state == "moving" or begun or move.stopped:
+            has_begun = any(
+                state.counts[axis_move.name] != axis_move.start_counts
+                for axis_move in move.lowered.moves
+                if axis_move.distance
+            )
+            if state.status.state == "moving" or has_begun or move.stopped:
                 return HostInterval(earliest_ns, max(earliest_ns, state.reply.at_ns), late_ns=late_ns)
             await sleep_ns(self._clock, _POLL_NS)
         self._finish_move(move)
@@ -221,8 +226,8 @@ class LineMover:
     async def wait_for_end(self) -> MoveOutcome:
         """Follow the move to its end, and check where the axes stand."""
         move = self._require_move()
-        lowered = move.lowered
-        resting = resting_intervals(lowered.durations_s, move.t0_ns)
+        lowered_step = move.lowered
+        resting = resting_intervals(lowered_step.durations_s, move.t0_ns)
         if move.started is None:
             self._finish_move(move)
             return MoveOutcome("done", resting)
@@ -232,10 +237,10 @@ class LineMover:
             self._finish_move(move)
 
     async def _follow_move(self, move: LineMove, resting: dict[str, HostInterval]) -> MoveOutcome:
-        started = move.started
-        assert started is not None
+        start_span = move.started
+        assert start_span is not None
         longest_s = max(move.lowered.durations_s.values())
-        overdue_ns = started.latest_ns + ceil(longest_s * NS_PER_S * 1.1) + _OVERDUE_NS
+        overdue_ns = start_span.latest_ns + ceil(longest_s * NS_PER_S * 1.1) + _OVERDUE_NS
         while True:
             state = await self._unit.read_state()
             if state.status.state != "moving":
@@ -247,7 +252,7 @@ class LineMover:
                 state = await self._unit.read_state()
                 reason = "the move does not end: it was stopped"
                 return MoveOutcome("fault", self._rough_ends(move, state.reply.at_ns), reason)
-            end_ns = started.earliest_ns + floor(longest_s * NS_PER_S)
+            end_ns = start_span.earliest_ns + floor(longest_s * NS_PER_S)
             before_ns = end_ns - self._clock.now_ns() - 2 * _POLL_NS
             await sleep_ns(self._clock, min(max(_POLL_NS, before_ns), 5 * _POLL_NS))
         if move.stopped:
@@ -255,9 +260,9 @@ class LineMover:
             state = await self._unit.read_state()
         now_ns = state.reply.at_ns
         reasons = [
-            f"axis {each.name} is at {state.counts[each.name]}, not at its target {each.end_counts}"
-            for each in move.lowered.moves
-            if state.counts[each.name] != each.end_counts
+            f"axis {axis_move.name} is at {state.counts[axis_move.name]}, not at its target {axis_move.end_counts}"
+            for axis_move in move.lowered.moves
+            if state.counts[axis_move.name] != axis_move.end_counts
         ]
         if reasons or move.stopped:
             reasons = reasons or ["at the target already"]
@@ -265,10 +270,12 @@ class LineMover:
                 reasons.append(state.status.alarm or "the controller has restarted")
                 return MoveOutcome("fault", self._rough_ends(move, now_ns), "; ".join(reasons))
             return moved_outcome(self._rough_ends(move, now_ns), reasons, stopped=move.stopped, failed=False)
-        ended = {
-            each.name: self._end_interval(move, each.duration_s, now_ns) for each in move.lowered.moves if each.distance
+        end_spans = {
+            axis_move.name: self._end_interval(move, axis_move.duration_s, now_ns)
+            for axis_move in move.lowered.moves
+            if axis_move.distance
         }
-        return MoveOutcome("done", {**resting, **ended})
+        return MoveOutcome("done", {**resting, **end_spans})
 
     def _rough_ends(self, move: LineMove, now_ns: int) -> dict[str, HostInterval]:
         earliest_ns = move.t0_ns if move.started is None else move.started.earliest_ns
@@ -278,12 +285,12 @@ class LineMover:
     def _end_interval(self, move: LineMove, duration_s: float, idle_ns: int) -> HostInterval:
         """Return the interval of an axis's end: its start and duration within the error of the crystal, and before the
         status that shows it at rest."""
-        started = move.started
-        assert started is not None
+        start_span = move.started
+        assert start_span is not None
         margin = self._options.clock_ppm * 1e-6
         spread_ns = self._options.end_spread_us * NS_PER_US
-        earliest_ns = started.earliest_ns + floor(duration_s * NS_PER_S * (1 - margin)) - spread_ns
-        latest_ns = started.latest_ns + ceil(duration_s * NS_PER_S * (1 + margin)) + spread_ns
+        earliest_ns = start_span.earliest_ns + floor(duration_s * NS_PER_S * (1 - margin)) - spread_ns
+        latest_ns = start_span.latest_ns + ceil(duration_s * NS_PER_S * (1 + margin)) + spread_ns
         latest_ns = min(latest_ns, idle_ns)
         return HostInterval(min(earliest_ns, latest_ns), latest_ns)
 

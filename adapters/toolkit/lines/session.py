@@ -61,7 +61,7 @@ class LineSession:
         self._received_ns = 0
         self._disturbed = False
         self._closed: LinkClosed | None = None
-        self._split = re.compile("|".join(re.escape(each) for each in dialect.traits.terminators))
+        self._split = re.compile("|".join(re.escape(terminator) for terminator in dialect.traits.terminators))
         self._reader = asyncio.get_running_loop().create_task(self._read_lines())
 
     async def run_step(self, step: LineStep) -> LineReply:
@@ -172,15 +172,15 @@ class LineSession:
         if step.is_done is None:
             at_ns = self.link.write(step.data)
             return LineReply((), at_ns, at_ns, 0)
-        expected = self.expect(step.is_done)
+        expected_reply = self.expect(step.is_done)
         try:
-            expected.sent_ns = self.link.write(step.data)
+            expected_reply.sent_ns = self.link.write(step.data)
         except BaseException:
             self._expected = None
             raise
         usual_ns = self._answer_ns + (len(step.data) + 100) * self.link.char_ns
         timeout_ns = usual_ns if step.timeout_s is None else round(step.timeout_s * NS_PER_S)
-        return await self.wait_for_reply(expected, timeout_ns, step)
+        return await self.wait_for_reply(expected_reply, timeout_ns, step)
 
     def _handle_timeout(self, expected: ExpectedReply, step: LineStep) -> None:
         self._disturbed = True
@@ -191,9 +191,9 @@ class LineSession:
         expected.answer.set_failure(fault)
 
     def _garbage_fault(self, step: LineStep, lines: Sequence[str]) -> ControllerFault:
-        shown = "; ".join(lines)[:200] + (f"; expected is {step.expected}" if step.expected else "")
+        reply_text = "; ".join(lines)[:200] + (f"; expected is {step.expected}" if step.expected else "")
         return ControllerFault(
-            "garbage", f"{self.link.endpoint}: the reply to {step.data!r} cannot be read: {shown}", _CHECK
+            "garbage", f"{self.link.endpoint}: the reply to {step.data!r} cannot be read: {reply_text}", _CHECK
         )
 
     def _require_open(self) -> None:
@@ -203,14 +203,14 @@ class LineSession:
     async def _read_lines(self) -> None:
         try:
             while True:
-                received = await self.link.read()
+                chunk = await self.link.read()
                 self._received_ns = self._clock.now_ns()
-                *whole, rest = self._split.split(self._partial + received.data.decode("latin-1"))
-                self._partial = rest if len(rest) <= LONGEST_LINE else ""
-                for line in whole:
+                *whole_lines, remainder = self._split.split(self._partial + chunk.data.decode("latin-1"))
+                self._partial = remainder if len(remainder) <= LONGEST_LINE else ""
+                for line in whole_lines:
                     text = line.strip("\r\n\0 ")
                     if text:
-                        self._handle_line(text, len(line) + 1, received.at_ns)
+                        self._handle_line(text, len(line) + 1, chunk.at_ns)
         except LinkClosed as error:
             self._handle_loss(error)
 
@@ -222,22 +222,22 @@ class LineSession:
             self.on_restart()
         if meaning == "restarted" and self.is_resetting:
             meaning = "reply"  # to the reset
-        expected = self._expected
-        if expected is None or meaning != "reply":
+        expected_reply = self._expected
+        if expected_reply is None or meaning != "reply":
             return
-        expected.lines.append(text)
+        expected_reply.lines.append(text)
         if refusal := self._dialect.find_refusal(text):
             self._expected = None
-            expected.answer.set_failure(
+            expected_reply.answer.set_failure(
                 Refusal("refused", f"{self.link.endpoint} refuses the command: {refusal}", "see its manual")
             )
-        elif expected.is_done(text):
+        elif expected_reply.is_done(text):
             self._expected = None
-            expected.answer.set_reply(LineReply(expected.lines, expected.sent_ns, at_ns, characters))
-        elif len(expected.lines) > MOST_LINES:
+            expected_reply.answer.set_reply(LineReply(expected_reply.lines, expected_reply.sent_ns, at_ns, characters))
+        elif len(expected_reply.lines) > MOST_LINES:
             self._expected = None
             self._disturbed = True
-            expected.answer.set_failure(self._garbage_fault(LineStep(), expected.lines[:3]))
+            expected_reply.answer.set_failure(self._garbage_fault(LineStep(), expected_reply.lines[:3]))
 
     def _handle_loss(self, error: LinkClosed) -> None:
         self._closed = error

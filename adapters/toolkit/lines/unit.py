@@ -70,14 +70,14 @@ class LineUnit:
         """Return the counts of all axes of the fleet file. Raises `ControllerFault` for an axis without a position."""
         counts: dict[str, int] = {}
         for name, axis in self._tools.config.axes.items():
-            found = status.axes.get(axis.motors[0])
-            if found is None or not abs(found.position) < 1e12:
+            axis_status = status.axes.get(axis.motors[0])
+            if axis_status is None or not abs(axis_status.position) < 1e12:
                 raise ControllerFault(
                     "garbage",
                     f"{self.session.link.endpoint} reports no position of {axis.motors[0]}",
                     f"it reports {', '.join(status.axes) or 'none'}; correct `motors` in the fleet file",
                 )
-            counts[name] = self._tools.scales[name].to_counts(found.position)
+            counts[name] = self._tools.scales[name].to_counts(axis_status.position)
         return counts
 
     async def read_number(self) -> int:
@@ -96,9 +96,9 @@ class LineUnit:
 
     async def require_ready(self, axes: Sequence[str]) -> None:
         """Raise `Refusal` unless the controller is at rest and sound, and the axes are enabled."""
-        disabled = [name for name in axes if name not in self.enabled]
-        if disabled:
-            names = ", ".join(disabled)
+        disabled_axes = [name for name in axes if name not in self.enabled]
+        if disabled_axes:
+            names = ", ".join(disabled_axes)
             raise Refusal("not-enabled", f"axis {names} is not enabled", f"enable {names} first")
         state = await self.read_state()
         if state.status.state == "alarm":
@@ -156,11 +156,11 @@ class LineUnit:
     async def _tidy_up(self) -> None:
         """Complete a stop: the controller comes to rest, and forgets what was loaded."""
         self._untidy = None
-        seen = -1
+        stop_count = -1
         error: ControllerFault | None = None
         try:
             for _ in range(_TRIES):
-                seen = self.stops
+                stop_count = self.stops
                 try:
                     await self._complete_stop()
                     error = None
@@ -168,7 +168,7 @@ class LineUnit:
                     error = fault
                 except Refusal as refusal:
                     error = ControllerFault(refusal.code, refusal.text, refusal.remedy)
-                if error is None and seen == self.stops:
+                if error is None and stop_count == self.stops:
                     return
                 await sleep_ns(self.clock, _RETRY_NS)
         except LinkClosed:
@@ -181,7 +181,7 @@ class LineUnit:
         """Run the make's procedure. A controller that loses its session number by it gets it again, if its position is
         still the same: otherwise it has restarted."""
         session, traits = self.session, self.dialect.traits
-        before: dict[str, int] | None = None
+        counts_before: dict[str, int] | None = None
         session.is_resetting = not traits.keeps_session
         try:
             for step in self.dialect.finish_stop():
@@ -189,15 +189,15 @@ class LineUnit:
                     await session.run_step(step)
                 if step.until:
                     counts = self.count_axes(await session.wait_for_state(step))
-                    before = counts if before is None else before
+                    counts_before = counts if counts_before is None else counts_before
         finally:
             session.is_resetting = False
         if traits.keeps_session:
             return
-        after = await self.read_state()
-        if before is not None and after.counts != before:
+        state = await self.read_state()
+        if counts_before is not None and state.counts != counts_before:
             self.has_lost_session = True
-        elif after.status.state == "alarm":
+        elif state.status.state == "alarm":
             self.must_number = True
         elif not session.restarted:
             await session.run_procedure(self.dialect.write_session(self.number))
