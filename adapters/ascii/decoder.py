@@ -21,10 +21,10 @@ class DescribedDecoder(TextDecoder):
                 (description.status.send, "ask status"),
                 (description.session.send, "ask session number"),
                 (description.spoiler, "end a half-typed line"),
-                *((each.send, f"ask {each.item.strip(' ,')}") for each in description.settings),
-                *((each.send, "enable") for each in description.enable),
-                *((each.send, "clear alarm") for each in description.clear_alarm),
-                *((each.send, "finish the stop") for each in description.finish_stop),
+                *((setting.send, f"ask {setting.item.strip(' ,')}") for setting in description.settings),
+                *((step.send, "enable") for step in description.enable),
+                *((step.send, "clear alarm") for step in description.clear_alarm),
+                *((step.send, "finish the stop") for step in description.finish_stop),
                 (description.start.send, "start the loaded move"),
                 (description.stop_search or description.stop, "stop the search"),
                 (description.stop, "stop"),
@@ -32,15 +32,15 @@ class DescribedDecoder(TextDecoder):
             if _bare(text)
         }
         procedures = (
-            *((each.send, "load") for each in description.load),
-            *((each.send, "search the reference") for each in description.home),
-            *((each.send, "jog") for each in description.jog),
+            *((step.send, "load") for step in description.load),
+            *((step.send, "search the reference") for step in description.home),
+            *((step.send, "jog") for step in description.jog),
             (description.jog_stop, "stop the jog"),
             (description.session.write, "set session number"),
         )
         self._templates = [(_make_pattern(text), words) for text, words in procedures if _bare(text)]
         # These act at once, also within a line.
-        self._single = [each for each in self._commands if len(each) < _SINGLE and not each.isalnum()]
+        self._single = [command for command in self._commands if len(command) < _SINGLE and not command.isalnum()]
         self._states = description.status.states
         self._patterns = [
             (LinePattern(text), words)
@@ -49,7 +49,11 @@ class DescribedDecoder(TextDecoder):
                 (description.restarted, "has restarted"),
                 (description.identity.match, "identity"),
                 (description.session.match, "session number"),
-                *((each.match, each.item.strip(" ,")) for each in description.settings if "{" not in each.match),
+                *(
+                    (setting.match, setting.item.strip(" ,"))
+                    for setting in description.settings
+                    if "{" not in setting.match
+                ),
                 (description.identity.last, "accepted"),
                 (description.ignored, "message"),
             )
@@ -64,8 +68,8 @@ class DescribedDecoder(TextDecoder):
         return super().decode_bytes(direction, data)
 
     def describe_sent(self, line: str) -> DecodedFrame:
-        found = (words for pattern, words in self._templates if pattern.fullmatch(line))
-        return DecodedFrame(line, self._commands.get(line) or next(found, ""))
+        descriptions = (words for pattern, words in self._templates if pattern.fullmatch(line))
+        return DecodedFrame(line, self._commands.get(line) or next(descriptions, ""))
 
     def describe_received(self, line: str) -> DecodedFrame:
         status = self._status.match(line)

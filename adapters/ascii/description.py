@@ -33,9 +33,9 @@ class _Part(Model):
 
 
 def _require_groups(pattern: str, *names: str) -> None:
-    missing = [f"(?P<{name}>…)" for name in names if name not in LinePattern(pattern).groups]
-    if missing:
-        raise ValueError(f"the pattern {pattern!r} has no group {', '.join(missing)}")
+    missing_groups = [f"(?P<{name}>…)" for name in names if name not in LinePattern(pattern).groups]
+    if missing_groups:
+        raise ValueError(f"the pattern {pattern!r} has no group {', '.join(missing_groups)}")
 
 
 class StepText(_Part):
@@ -151,7 +151,7 @@ class Description(_Part):
 
     @model_validator(mode="after")
     def _check_texts(self) -> "Description":
-        allowed = {
+        allowed_names = {
             "target": {"motor", "number", "position", "velocity", "acceleration"},
             "load": {"targets", "path_velocity"},
             "home": {"motors", "motor", "number"},
@@ -161,9 +161,9 @@ class Description(_Part):
         }
         texts = {"target": [self.target], "jog_stop": [self.jog_stop], "session.write": [self.session.write]}
         texts |= {name: [step.send for step in getattr(self, name)] for name in ("load", "home", "jog")}
-        for name, each in texts.items():
-            for text in each:
-                _check_names(name, text, allowed[name])
+        for name, lines in texts.items():
+            for text in lines:
+                _check_names(name, text, allowed_names[name])
         return self
 
 
@@ -171,7 +171,7 @@ def _check_names(field: str, text: str, allowed: set[str]) -> None:
     try:
         text.format(**dict.fromkeys(allowed, "1"))
     except (KeyError, IndexError, ValueError) as error:
-        names = ", ".join(f"{{{each}}}" for each in sorted(allowed))
+        names = ", ".join(f"{{{allowed_name}}}" for allowed_name in sorted(allowed))
         raise ValueError(f"{field}: {text!r} has an unknown name {error}; known are {names}") from None
 
 
@@ -181,11 +181,11 @@ def load_description(name: str) -> Description:
 
     A process reads it once, when it checks the fleet file: a stop must not depend on a file that was changed since.
     """
-    packaged = PACKAGED / f"{name}.yaml"
-    path = packaged if "/" not in name and packaged.is_file() else Path(name)
+    packaged_file = PACKAGED / f"{name}.yaml"
+    path = packaged_file if "/" not in name and packaged_file.is_file() else Path(name)
     if not path.is_file():
-        known = ", ".join(packaged_names())
-        raise DescriptionError(f"{name[:200]} is no file; give the path of a description, or one of {known}")
+        known_names = ", ".join(packaged_names())
+        raise DescriptionError(f"{name[:200]} is no file; give the path of a description, or one of {known_names}")
     try:
         return parse_file(read_file(path), Description)
     except FileError as error:
@@ -194,4 +194,4 @@ def load_description(name: str) -> Description:
 
 def packaged_names() -> list[str]:
     """Return the names of the descriptions that come with Tutti."""
-    return sorted(each.stem for each in PACKAGED.glob("*.yaml"))
+    return sorted(path.stem for path in PACKAGED.glob("*.yaml"))

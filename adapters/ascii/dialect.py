@@ -72,8 +72,8 @@ class DescribedDialect:
         return "ignored" if self._ignored is not None and self._ignored.matches(line) else "reply"
 
     def find_refusal(self, line: str) -> str:
-        found = self._refused.match(line)
-        return "" if found is None else f"{line} ({self._text.name})"
+        refusal_match = self._refused.match(line)
+        return "" if refusal_match is None else f"{line} ({self._text.name})"
 
     # Queries
 
@@ -82,24 +82,24 @@ class DescribedDialect:
 
     def read_identity(self, lines: Sequence[str]) -> ControllerIdentity | None:
         for line in lines:
-            found = self._identity.match(line)
-            if found is not None:
-                model = found.get("model", self._text.identity.model)
-                return ControllerIdentity(model, found.get("firmware", ""), found.get("serial", ""))
+            groups = self._identity.match(line)
+            if groups is not None:
+                model = groups.get("model", self._text.identity.model)
+                return ControllerIdentity(model, groups.get("firmware", ""), groups.get("serial", ""))
         return None
 
     def ask_status(self) -> LineStep:
         return _make_query(self._text.status)
 
     def read_status(self, lines: Sequence[str]) -> LineStatus | None:
-        found = self._status.match(lines[-1])
-        if found is None:
+        groups = self._status.match(lines[-1])
+        if groups is None:
             return None
         text = self._text.status
         try:
-            positions = [float(each) for each in found["positions"].split(",")]
-            flags = [int(each) for each in found["flags"].split(",")] if "flags" in found else []
-            free = int(found["free"]) if text.free_when_empty and "free" in found else None
+            positions = [float(number_text) for number_text in groups["positions"].split(",")]
+            flags = [int(number_text) for number_text in groups["flags"].split(",")] if "flags" in groups else []
+            free = int(groups["free"]) if text.free_when_empty and "free" in groups else None
         except (ValueError, KeyError):
             return None
         motors = self._text.motors
@@ -107,33 +107,33 @@ class DescribedDialect:
             return None
         state: LineState
         if text.states:
-            word = found.get("state", "")
+            word = groups.get("state", "")
             if word not in text.states:
                 return None
             state = text.states[word]
         else:
-            state = "moving" if any(each & text.moving_bit for each in flags) else "idle"
+            state = "moving" if any(flag & text.moving_bit for flag in flags) else "idle"
         axes: dict[str, LineAxisStatus] = {}
         for number, motor in enumerate(motors):
             bits = flags[number] if flags else 0
-            moving = bool(bits & text.moving_bit) if flags else state == "moving"
+            is_moving = bool(bits & text.moving_bit) if flags else state == "moving"
             limit = _LIMITS[bool(bits & text.forward_bit), bool(bits & text.reverse_bit)]
-            axes[motor] = LineAxisStatus(positions[number], moving, limit)
-        loaded = None
+            axes[motor] = LineAxisStatus(positions[number], is_moving, limit)
+        is_loaded = None
         if free is not None:
-            loaded = free < text.free_when_empty
+            is_loaded = free < text.free_when_empty
         elif text.armed_bit:
-            loaded = any(each & text.armed_bit for each in flags)
-        return LineStatus(state, axes, loaded, found.get("state", "") if state == "alarm" else "")
+            is_loaded = any(flag & text.armed_bit for flag in flags)
+        return LineStatus(state, axes, is_loaded, groups.get("state", "") if state == "alarm" else "")
 
     def ask_session(self) -> LineStep:
         return _make_query(self._text.session)
 
     def read_session(self, lines: Sequence[str]) -> int | None:
         for line in lines:
-            found = self._session.match(line)
-            if found is not None:
-                return int(found["number"]) if found["number"].isdecimal() else None
+            groups = self._session.match(line)
+            if groups is not None:
+                return int(groups["number"]) if groups["number"].isdecimal() else None
         return None
 
     def write_session(self, number: int) -> Sequence[LineStep]:
@@ -141,55 +141,57 @@ class DescribedDialect:
         return [_make_step(StepText(send=text.write.format(number=number), last=text.written))]
 
     def settings(self) -> Sequence[LineSetting]:
-        found: list[LineSetting] = []
+        settings: list[LineSetting] = []
         for text in self._text.settings:
             if "{index}" not in text.match:
-                found.append(_make_setting(text, "", text.match, float(text.value)))
+                settings.append(_make_setting(text, "", text.match, float(text.value)))
                 continue
             for name, axis in self._config.axes.items():
                 index = self._text.motors.index(axis.motors[0])
                 match = text.match.replace("{index}", str(index))
-                found.append(_make_setting(text, f" of axis {name}", match, _setting_value(text, axis)))
-        return found
+                settings.append(_make_setting(text, f" of axis {name}", match, _setting_value(text, axis)))
+        return settings
 
     # Motion
 
     def load_move(self, targets: Sequence[LineTarget]) -> Sequence[LineStep]:
         text = self._text
-        written = text.separator.join(text.target.format(**self._values(each)) for each in targets)
-        distance = sqrt(sum(each.distance**2 for each in targets))
-        longest = max(targets, key=lambda each: abs(each.distance))
+        targets_text = text.separator.join(text.target.format(**self._values(target)) for target in targets)
+        distance = sqrt(sum(target.distance**2 for target in targets))
+        longest = max(targets, key=lambda target: abs(target.distance))
         path = longest.velocity * distance / abs(longest.distance)
-        values = {"targets": written, "path_velocity": f"{path * text.velocity_factor:.6f}"}
-        return [_make_step(each, **values) for each in text.load]
+        values = {"targets": targets_text, "path_velocity": f"{path * text.velocity_factor:.6f}"}
+        return [_make_step(step_text, **values) for step_text in text.load]
 
     def start_move(self) -> LineStep:
         return _make_step(self._text.start)
 
     def finish_stop(self) -> Sequence[LineStep]:
-        return [_make_step(each) for each in self._text.finish_stop]
+        return [_make_step(step_text) for step_text in self._text.finish_stop]
 
     def search_reference(self, motors: Sequence[str], timeout_s: float) -> Sequence[LineStep]:
         steps: list[LineStep] = []
         for text in self._text.home:
-            timed = text.model_copy(update={"timeout_s": timeout_s})
+            timed_text = text.model_copy(update={"timeout_s": timeout_s})
             if "{motor}" in text.send or "{number}" in text.send:
-                steps += [_make_step(timed, motor=each, number=self._number(each), motors="") for each in motors]
+                steps += [
+                    _make_step(timed_text, motor=motor, number=self._number(motor), motors="") for motor in motors
+                ]
             else:
-                steps.append(_make_step(timed, motors="".join(motors)))
+                steps.append(_make_step(timed_text, motors="".join(motors)))
         return steps
 
     def begin_jog(self, target: LineTarget) -> Sequence[LineStep]:
-        return [_make_step(each, **self._values(target)) for each in self._text.jog]
+        return [_make_step(step_text, **self._values(target)) for step_text in self._text.jog]
 
     def stop_jog(self, motor: str) -> bytes:
         return _encode(self._text.jog_stop.format(motor=motor, number=self._number(motor)))
 
     def switch_motors(self, motors: Sequence[str], *, on: bool) -> Sequence[LineStep]:
-        return [_make_step(each) for each in self._text.enable] if on else ()
+        return [_make_step(step_text) for step_text in self._text.enable] if on else ()
 
     def clear_alarm(self) -> Sequence[LineStep]:
-        return [_make_step(each) for each in self._text.clear_alarm]
+        return [_make_step(step_text) for step_text in self._text.clear_alarm]
 
     def _number(self, motor: str) -> str:
         return str(self._text.motors.index(motor) + 1)
@@ -221,9 +223,9 @@ def _make_setting(text: SettingText, where: str, match: str, expected: float) ->
     pattern = LinePattern(match)
 
     def read(line: str) -> float | None:
-        found = pattern.match(line)
+        groups = pattern.match(line)
         try:
-            return None if found is None else float(found["value"])
+            return None if groups is None else float(groups["value"])
         except (ValueError, KeyError):
             return None
 
@@ -243,10 +245,10 @@ def _make_query(text: QueryText) -> LineStep:
 
 
 def _make_step(text: StepText, **values: str) -> LineStep:
-    sent = text.send.format(**values) if values else text.send
+    command = text.send.format(**values) if values else text.send
     last = None if text.last is None else LinePattern(text.last)
     return LineStep(
-        _encode(sent),
+        _encode(command),
         None if last is None else last.matches,
         tuple(text.until),
         text.timeout_s,

@@ -73,8 +73,8 @@ class AsciiMake:
         problems: list[str] = []
         for name, axis in config.axes.items():
             if axis.motors[0] not in description.motors:
-                known = ", ".join(description.motors)
-                problems.append(f"axes.{name}.motors: {axis.motors[0]!r} is none of {known}")
+                known_motors = ", ".join(description.motors)
+                problems.append(f"axes.{name}.motors: {axis.motors[0]!r} is none of {known_motors}")
             resolution = float(axis.scale) * 10.0**-description.report_decimals
             if description.positions == "units" and resolution >= 1:
                 problems.append(

@@ -39,8 +39,12 @@ class LinePattern:
 
     def match(self, line: str) -> Mapping[str, str] | None:
         """Return the named groups, or None for a line that does not match. A group without a part is left out."""
-        found = self._compiled.fullmatch(line)
-        return None if found is None else {name: text for name, text in found.groupdict().items() if text is not None}
+        line_match = self._compiled.fullmatch(line)
+        return (
+            None
+            if line_match is None
+            else {name: text for name, text in line_match.groupdict().items() if text is not None}
+        )
 
     def matches(self, line: str) -> bool:
         """Return whether the line matches."""
