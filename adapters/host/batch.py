@@ -32,7 +32,7 @@ class BatchAnswers:
         """Pass each request to its controller, and return the replies that arrived before the timeout."""
         verb = self._keys.verb_of(sample.key)
         try:
-            asked = BatchRequest.model_validate_json(sample.payload)
+            batch = BatchRequest.model_validate_json(sample.payload)
         except ValidationError as error:
             raise RequestRefused(f"{verb}: {first_error_text(error)}") from None
         asked_ns = self._clock.now_ns()
@@ -55,14 +55,14 @@ class BatchAnswers:
                 replies[controller] = reply.decode()
             took_ns[controller] = self._clock.now_ns() - asked_ns
 
-        there = ((name, self._handler_of(name), payload) for name, payload in asked.requests.items())
+        calls = ((name, self._handler_of(name), payload) for name, payload in batch.requests.items())
         tasks = [
             self._spawn_task(request_controller(name, answer, payload))
-            for name, answer, payload in there
+            for name, answer, payload in calls
             if answer is not None
         ]
         if tasks:
-            await asyncio.wait(tasks, timeout=asked.answer_within_ns / NS_PER_S)
+            await asyncio.wait(tasks, timeout=batch.answer_within_ns / NS_PER_S)
         return BatchReply(replies=dict(replies), errors=dict(errors), took_ns=dict(took_ns)).to_json()
 
     def _spawn_task(self, coroutine: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":

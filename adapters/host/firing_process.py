@@ -39,7 +39,7 @@ def run_child(control: socket.socket) -> None:
     prepare_live_process()
     spin_ns = SPIN_NS if set_realtime_priority(RealtimePriority.FIRING) else ORDINARY_SPIN_NS
     while True:
-        due = min(pending, key=lambda each: pending[each].order.at_ns, default=None)
+        due = min(pending, key=lambda number: pending[number].order.at_ns, default=None)
         wait_s = None if due is None else max(0.0, (pending[due].order.at_ns - spin_ns - raw_ns()) / 1e9)
         if select.select([control], [], [], wait_s)[0]:
             data, fds, _, _ = socket.recv_fds(control, DATAGRAM, 1)
@@ -55,10 +55,10 @@ def _handle_message(
 ) -> None:
     number = int(message["id"])
     if "cancel" in message:
-        found = pending.pop(number, None)
-        if found is not None:
-            os.close(found.fd)
-        control.send(json.dumps({"id": number, "cancelled": found is not None}).encode())
+        pending_write = pending.pop(number, None)
+        if pending_write is not None:
+            os.close(pending_write.fd)
+        control.send(json.dumps({"id": number, "cancelled": pending_write is not None}).encode())
         return
     data = str(message["data"]).encode("latin-1")
     pending[number] = _PendingWrite(WriteOrder(data, int(message["at_ns"]), int(message["latest_ns"])), fds[0])
@@ -69,8 +69,8 @@ def _write_pending(control: socket.socket, number: int, pending: _PendingWrite) 
         pass
     answer: dict[str, object] = {"id": number}
     try:
-        fired = write_at_instant(pending.order, raw_ns, lambda data: os.write(pending.fd, data))
-        answer |= asdict(fired)
+        result = write_at_instant(pending.order, raw_ns, lambda data: os.write(pending.fd, data))
+        answer |= asdict(result)
     except OSError as error:
         answer |= {"error": f"{error.strerror}"}
     finally:

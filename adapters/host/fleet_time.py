@@ -54,8 +54,8 @@ class FleetTime:
 
     def follow(self, leader: LeaderHeartbeat) -> None:
         """Use the fleet time of this coordinator. A successor on the same computer continues that of the one before."""
-        known, self._leader = self._leader, leader
-        if known is not None and known.scale_id == leader.scale_id:
+        known_leader, self._leader = self._leader, leader
+        if known_leader is not None and known_leader.scale_id == leader.scale_id:
             return
         self._server = ""
         self.scale = exact_scale(leader, self._clock)
@@ -80,8 +80,8 @@ class FleetTime:
                 self._server = ""
                 await sleep_ns(self._clock, RETRY_NS)
                 continue
-            if (estimated := estimator.estimate_scale()) is not None:
-                self.scale = estimated
+            if (scale := estimator.estimate_scale()) is not None:
+                self.scale = scale
             await sleep_ns(self._clock, EXCHANGE_NS if count >= LEAST_EXCHANGES else FIRST_EXCHANGE_NS)
 
     async def _exchange_time(self, leader: LeaderHeartbeat) -> CounterSample:

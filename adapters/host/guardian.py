@@ -75,12 +75,12 @@ class HostChild:
         try:
             beats = os.read(self.heartbeats, 4096)
         except BlockingIOError:
-            received = False
+            is_beating = False
         else:
             if not beats:
                 return f"the adapter host ended{self._exit_code_text()}"
-            received = self.has_beaten = True
-        self._silence.record_check(raw_ns(), heartbeat_seen=received)
+            is_beating = self.has_beaten = True
+        self._silence.record_check(raw_ns(), heartbeat_seen=is_beating)
         if self._silence.lasted_ns > (hung_ns if self.has_beaten else FIRST_HEARTBEAT_NS):
             return f"the adapter host has been silent for {self._silence.lasted_ns // NS_PER_MS} ms"
         return None
@@ -171,7 +171,9 @@ class HostGuardian:
         clock, controller = LiveClock(), ", ".join(names)
         begun_ns = clock.now_ns()
         try:
-            done = await send_last_stop(make_link_opener(self._controllers[names[0]].link_to_open, clock), stop, clock)
+            outcome = await send_last_stop(
+                make_link_opener(self._controllers[names[0]].link_to_open, clock), stop, clock
+            )
         except (LinkRefused, LinkClosed) as error:
             self._log.info(f"NOT stopped: {error}", level="error", controller=controller)
         except Exception as error:
@@ -182,10 +184,10 @@ class HostGuardian:
                 "stopped by the guardian",
                 controller=controller,
                 sent=stop.decode("latin-1"),
-                answer=done.answer.decode("latin-1"),
-                tries=done.tries,
-                written_host_ns=done.written_ns,
-                took_ms=round((done.written_ns - begun_ns) / NS_PER_MS, 3),
+                answer=outcome.answer.decode("latin-1"),
+                tries=outcome.tries,
+                written_host_ns=outcome.written_ns,
+                took_ms=round((outcome.written_ns - begun_ns) / NS_PER_MS, 3),
             )
 
     async def _end_child(self, child: HostChild) -> None:
@@ -213,14 +215,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--hung-ms", type=int, default=HUNG_MS, help="silence after which the host counts as hung")
     parser.add_argument("--feed-watchdog", action="store_true", help="feed the watchdog of the service manager")
     parser.add_argument("--parent", type=int, help="end, with the host, when this parent process ends")
-    chosen = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        fleet, controllers = load_host(chosen.fleet, chosen.host)
-        sink = open_sink(chosen.log)
-        if chosen.parent is not None:
-            die_with_parent(chosen.parent)
+        fleet, controllers = load_host(options.fleet, options.host)
+        sink = open_sink(options.log)
+        if options.parent is not None:
+            die_with_parent(options.parent)
         set_realtime_priority(RealtimePriority.GUARDIAN, children=False)
-        asyncio.run(_run_guardian(chosen, fleet.fleet, controllers, sink))
+        asyncio.run(_run_guardian(options, fleet.fleet, controllers, sink))
     except InvalidInput as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
@@ -237,7 +239,7 @@ async def _run_guardian(
     # It watches its child whether the router is there or not.
     latch = chosen.state / f"guardian-{chosen.host}.estop"
     keeping = asyncio.create_task(keep_latch(chosen.connect, fleet, f"guardian-{chosen.host}", latch))
-    keeping.add_done_callback(lambda ended: _report_end(ended, log))
+    keeping.add_done_callback(lambda task: _report_end(task, log))
     feeding = [keeping]
     if chosen.feed_watchdog:
         feeding.append(asyncio.create_task(ServiceManager().feed_watchdog(lambda: guardian.checks)))

@@ -86,9 +86,9 @@ class AdapterHost:
         self._lines: dict[str, _SharedPort] = {}
         self._lowering_lock = asyncio.Lock()
         self._sessions = SessionSigns(environment.clock)
-        mine = {c: config for c, config in fleet.controllers.items() if config.host == name}
+        own_controllers = {c: config for c, config in fleet.controllers.items() if config.host == name}
         self.supervisors = {
-            controller: self._create_supervisor(controller, config) for controller, config in mine.items()
+            controller: self._create_supervisor(controller, config) for controller, config in own_controllers.items()
         }
         self._batch_answers = BatchAnswers(environment.keys, environment.clock, self._handler_of)
 
@@ -172,8 +172,8 @@ class AdapterHost:
     async def close(self) -> None:
         for unit in self.supervisors.values():
             await unit.close()
-        for declared in self._declared:
-            await declared.undeclare()
+        for declaration in self._declared:
+            await declaration.undeclare()
         self._batch_answers.cancel_all()
         self._owner.cancel_all()
 
@@ -217,12 +217,12 @@ class AdapterHost:
         apply it where it is still missing. Without an answer the next heartbeat begins anew."""
         keys = self._environment.keys
         try:
-            kept = await self._environment.bus.request_all(keys.kept_estop(), b"", timeout_s=1.0)
+            kept_latches = await self._environment.bus.request_all(keys.kept_estop(), b"", timeout_s=1.0)
         finally:
             self._fetching_estop = False
-        for key in sorted(kept):
+        for key in sorted(kept_latches):
             with suppress(ValidationError):
-                latch = KeptEstop.read_message(kept[key]).estop
+                latch = KeptEstop.read_message(kept_latches[key]).estop
                 if latch is not None and latch.event == event:
                     self._apply_estop(latch, [unit for unit in self.supervisors.values() if unit.misses_estop(event)])
                     return
@@ -253,12 +253,14 @@ class AdapterHost:
 
     def _watch_backlog(self) -> None:
         """Log once that the bus does not keep up, and once that it does again."""
-        congested = self._environment.bus.backlog > BACKLOG_LIMIT
-        if congested != self._congested:
-            self._congested = congested
-            waiting = self._environment.bus.backlog
+        is_congested = self._environment.bus.backlog > BACKLOG_LIMIT
+        if is_congested != self._congested:
+            self._congested = is_congested
+            queue_length = self._environment.bus.backlog
             self._log.warning(
-                f"the bus does not keep up: {waiting} samples are queued" if congested else "the bus keeps up again"
+                f"the bus does not keep up: {queue_length} samples are queued"
+                if is_congested
+                else "the bus keeps up again"
             )
 
     def _spawn_task(self, coroutine: Coroutine[Any, Any, None]) -> None:

@@ -78,17 +78,21 @@ def load_host(path: Path, host: str) -> tuple[Fleet, dict[str, Controller]]:
     try:
         source = read_file(path)
         fleet = apply_make_defaults(parse_file(source, Fleet))
-        mine = {name: config for name, config in fleet.controllers.items() if config.host == host}
-        checked = [find_controller_problems(name, config, tolerant=True) for name, config in mine.items()]
-        problems = [source.problem(each.place, each.text) for found in checked for each in found]
+        own_controllers = {name: config for name, config in fleet.controllers.items() if config.host == host}
+        problem_lists = [
+            find_controller_problems(name, config, tolerant=True) for name, config in own_controllers.items()
+        ]
+        problems = [
+            source.problem(problem.place, problem.text) for problem_list in problem_lists for problem in problem_list
+        ]
         if problems:
             raise FileError(problems)
     except FileError as error:
         raise InvalidInput(str(error)) from None
-    if not mine:
+    if not own_controllers:
         hosts = ", ".join(sorted(fleet.hosts))
         raise InvalidInput(f"{path}: no controller has `host: {host}`; existing hosts: {hosts}")
-    return fleet, mine
+    return fleet, own_controllers
 
 
 def open_sink(path: Path | None) -> LogSink:
@@ -149,11 +153,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run until ended. Return 0, or 2 (bad input) or 3 (no router) with one line on stderr."""
     parser = host_parser("python -m adapters.host.host_process", "Drive the controllers of one host.")
     parser.add_argument("--beat-fd", type=int, help="pipe to the guardian, set by it")
-    chosen = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        fleet, _ = load_host(chosen.fleet, chosen.host)
+        fleet, _ = load_host(options.fleet, options.host)
         set_realtime_priority(RealtimePriority.SERVICE)
-        asyncio.run(_run_host(chosen, fleet, open_sink(chosen.log)))
+        asyncio.run(_run_host(options, fleet, open_sink(options.log)))
     except (InvalidInput, BadIdentity) as error:
         sys.stderr.write(f"{error}\n")
         return BAD_INPUT
@@ -164,9 +168,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> None:
-    loop, clock, ended, orphaned = asyncio.get_running_loop(), LiveClock(), asyncio.Event(), asyncio.Event()
+    loop, clock, end, guardian_loss = asyncio.get_running_loop(), LiveClock(), asyncio.Event(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, ended.set)
+        loop.add_signal_handler(number, end.set)
     log = ProcessLog("host", chosen.host, clock, sink)
     loop.set_exception_handler(lambda _, context: _log_defect(log, context))
     logging.getLogger().addHandler(_LogForwarder(log))
@@ -188,14 +192,14 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
         try:
             host = AdapterHost(chosen.host, fleet, around)
             if chosen.beat_fd is not None:
-                _HeartbeatWriter(chosen.beat_fd, orphaned, lambda: host.is_sound)
+                _HeartbeatWriter(chosen.beat_fd, guardian_loss, lambda: host.is_sound)
             await host.start()
             prepare_live_process()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
             _print_ready()
             async with report_own_alarms(bus, around.keys, ("host", chosen.host), chosen.connect):
-                await _wait_for_any(ended, orphaned)
-            reason = "the guardian is gone" if orphaned.is_set() else "the adapter host has ended"
+                await _wait_for_any(end, guardian_loss)
+            reason = "the guardian is gone" if guardian_loss.is_set() else "the adapter host has ended"
             await _shut_down(host, log, reason)
         finally:
             firer.close()

@@ -40,37 +40,41 @@ class LeaderWatch:
         """From now on `controller` follows the coordinator that has adopted it: silence counts from here."""
         adopter = (leader.epoch, leader.coordinator)
         self._adopters[controller] = adopter
-        known = self._leaders.setdefault(adopter, _FollowedLeader(leader.seq, self.clock.now_ns()))
-        known.seen_ns, known.lost = self.clock.now_ns(), False
+        followed_leader = self._leaders.setdefault(adopter, _FollowedLeader(leader.seq, self.clock.now_ns()))
+        followed_leader.seen_ns, followed_leader.lost = self.clock.now_ns(), False
         for former in self._leaders.keys() - set(self._adopters.values()):
             del self._leaders[former]
 
     def receive_heartbeat(self, heartbeat: LeaderHeartbeat) -> bool:
         """Take a heartbeat; return whether it counts: it is an adopter's, and its sequence advances at the pace of
         heartbeats. A repeated one, or one that is far ahead, is not the adopter's sign of life."""
-        known = self._leaders.get((heartbeat.epoch, heartbeat.coordinator))
-        if known is None:
+        followed_leader = self._leaders.get((heartbeat.epoch, heartbeat.coordinator))
+        if followed_leader is None:
             return False
         now_ns = self.clock.now_ns()
-        most = known.seq + SPARE_BEATS + 1 + (now_ns - known.seen_ns) // HEARTBEAT_NS
-        if not known.seq < heartbeat.seq <= most:
+        most = followed_leader.seq + SPARE_BEATS + 1 + (now_ns - followed_leader.seen_ns) // HEARTBEAT_NS
+        if not followed_leader.seq < heartbeat.seq <= most:
             return False
-        known.seq, known.seen_ns, known.lost = heartbeat.seq, now_ns, False
+        followed_leader.seq, followed_leader.seen_ns, followed_leader.lost = heartbeat.seq, now_ns, False
         return True
 
     def restart_pace(self, heartbeat: LeaderHeartbeat) -> None:
         """A clock has jumped: the pace of an adopter counts from this heartbeat, which is its own answer."""
-        known = self._leaders.get((heartbeat.epoch, heartbeat.coordinator))
-        if known is not None:
-            known.seq, known.seen_ns, known.lost = heartbeat.seq, self.clock.now_ns(), False
+        followed_leader = self._leaders.get((heartbeat.epoch, heartbeat.coordinator))
+        if followed_leader is not None:
+            followed_leader.seq, followed_leader.seen_ns, followed_leader.lost = (
+                heartbeat.seq,
+                self.clock.now_ns(),
+                False,
+            )
 
     def find_lost(self) -> dict[str, int]:
         """Controllers whose adopter has become silent since the last call, with the time of its silence, ns."""
         now_ns = self.clock.now_ns()
         silent = {
-            adopter: now_ns - known.seen_ns
-            for adopter, known in self._leaders.items()
-            if not known.lost and now_ns - known.seen_ns > COORDINATOR_LOST_NS
+            adopter: now_ns - followed_leader.seen_ns
+            for adopter, followed_leader in self._leaders.items()
+            if not followed_leader.lost and now_ns - followed_leader.seen_ns > COORDINATOR_LOST_NS
         }
         for adopter in silent:
             self._leaders[adopter].lost = True

@@ -65,15 +65,15 @@ def find_decoder(name: str, options: Mapping[str, Any]) -> FrameDecoder:
 def apply_make_defaults(fleet: Fleet) -> Fleet:
     """Return the fleet with the serial settings that its file leaves to the makes, e.g. odd parity for an SMC30."""
     controllers: dict[str, Controller] = {}
-    known = known_makes()
+    makes = known_makes()
     for name, config in fleet.controllers.items():
         controllers[name] = config
-        if isinstance(config.link, SerialLink) and config.adapter in known:
-            given = config.link.model_fields_set
+        if isinstance(config.link, SerialLink) and config.adapter in makes:
+            given_fields = config.link.model_fields_set
             defaults = find_make_or_substitute(config.adapter).serial_defaults
-            missing = {k: v for k, v in defaults.items() if k not in given}
-            if missing:
-                controllers[name] = config.model_copy(update={"link": config.link.model_copy(update=missing)})
+            missing_values = {k: v for k, v in defaults.items() if k not in given_fields}
+            if missing_values:
+                controllers[name] = config.model_copy(update={"link": config.link.model_copy(update=missing_values)})
     return fleet.model_copy(update={"controllers": controllers})
 
 
@@ -94,8 +94,8 @@ def find_controller_problems(name: str, config: Controller, *, tolerant: bool = 
         texts += error.texts
         wrong = {text.split(":")[0].split(".")[1] for text in error.texts}
         # Without them, so that the rest of the controller is checked too.
-        kept = {name: value for name, value in config.options.items() if name not in wrong}
-        config = config.model_copy(update={"options": kept})
+        right_options = {name: value for name, value in config.options.items() if name not in wrong}
+        config = config.model_copy(update={"options": right_options})
     try:
         make.check_config(config)
     except ConfigError as error:
@@ -110,8 +110,12 @@ _FIELD = re.compile(r"([a-z_][\w.-]*): ")
 
 def _locate_problem(own: tuple[str, ...], text: str) -> Problem:
     """The place of a mistake whose text begins with its field."""
-    found = _FIELD.match(text)
-    return Problem(own, text) if found is None else Problem((*own, *found[1].split(".")), text[found.end() :])
+    field_match = _FIELD.match(text)
+    return (
+        Problem(own, text)
+        if field_match is None
+        else Problem((*own, *field_match[1].split(".")), text[field_match.end() :])
+    )
 
 
 def stops_by_line(controllers: Mapping[str, Controller]) -> list[tuple[list[str], bytes]]:

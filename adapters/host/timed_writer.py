@@ -44,10 +44,10 @@ class _ProcessWrite:
         elif message.get("cancelled"):
             self.fired.cancel()
         elif "written_ns" in message:
-            fired = WriteResult(int(str(message["written_ns"])), int(str(message["after_ns"])), bool(message["late"]))
-            if not fired.late:
-                self._link.record_write(fired.written_ns, self._data)
-            self.fired.set_result(fired)
+            result = WriteResult(int(str(message["written_ns"])), int(str(message["after_ns"])), bool(message["late"]))
+            if not result.late:
+                self._link.record_write(result.written_ns, self._data)
+            self.fired.set_result(result)
 
 
 class ProcessTimedWriter:
