@@ -366,9 +366,9 @@ def require_start_class(start: StartOptions, known: Sequence[StartClass], why: s
 
     The make itself checks which trigger lines it can wait for or drive.
     """
-    wanted = "line" if start.wait is not None else start.start_class
-    if wanted != "auto" and wanted not in known:
-        raise Refusal("start-class", f"no start by {wanted}: {why}", f"request start class {' or '.join(known)}")
+    start_class = "line" if start.wait is not None else start.start_class
+    if start_class != "auto" and start_class not in known:
+        raise Refusal("start-class", f"no start by {start_class}: {why}", f"request start class {' or '.join(known)}")
 
 
 def require_triggers(lowered: Lowered, start: StartOptions) -> None:
@@ -519,12 +519,12 @@ class MoveSlot:
         self._require_move()
         loads = self._loads
         try:
-            started = await self._mover.wait_for_start()
+            start_spans = await self._mover.wait_for_start()
         except (ControllerFault, Refusal):
             self._change(loads, SlotState.ENDED)
             raise
         self._change(loads, SlotState.MOVING)
-        return started
+        return start_spans
 
     async def wait_for_end(self) -> MoveOutcome:
         """Wait for the end: ENDED. Raises `ControllerFault`, `Refusal` (code `not-armed` for an empty slot)."""
@@ -581,8 +581,8 @@ class MoveSlots:
         """The present move has ended: the following one is the present one from now on. Raises `Refusal` (code
         `not-armed`) if there is none."""
         following = self._following
-        waiting = (SlotState.LOADED, SlotState.VERIFIED, SlotState.RELEASED)
-        if following is None or following.state not in waiting:
+        waiting_states = (SlotState.LOADED, SlotState.VERIFIED, SlotState.RELEASED)
+        if following is None or following.state not in waiting_states:
             raise Refusal("not-armed", "no next move is loaded", "arm it first")
         self._take_over()
         self._present.clear()
@@ -725,15 +725,15 @@ def validate_options(model: type[Options], config: Controller) -> Options:
         return model.model_validate(config.options)
     except ValidationError as error:
         raise ConfigError(
-            [f"options.{'.'.join(map(str, each.place))}: {each.text}" for each in list_problems(error, model)]
+            [f"options.{'.'.join(map(str, problem.place))}: {problem.text}" for problem in list_problems(error, model)]
         ) from None
 
 
 def require_no_problems(texts: Iterable[str]) -> None:
     """Raise `ConfigError` if there is any problem."""
-    found = list(texts)
-    if found:
-        raise ConfigError(found)
+    problems = list(texts)
+    if problems:
+        raise ConfigError(problems)
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,8 +163,8 @@ class VersionMeta(ABCMeta):
 
     def __new__(mcs, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any) -> "VersionMeta":
         """Create a driver class, of either version."""
-        adapted = any(issubclass(base, Version1Slots) for base in bases)
-        if "arm_move" in namespace and "slots" not in namespace and not adapted:
+        is_adapted = any(issubclass(base, Version1Slots) for base in bases)
+        if "arm_move" in namespace and "slots" not in namespace and not is_adapted:
             has_mover = any(issubclass(base, connection.MoverDriver) for base in bases)
             bases = (Version1Slots, *bases, Version1MoverDefaults if has_mover else Version1Defaults)
             warnings.warn(

@@ -44,10 +44,10 @@ class GalilDriver(SMC4000Driver):
         identity = await super().connect()
         device = self._device
         if isinstance(device, GalilDevice) and device.family is not self._family:
-            found = device.family.name if device.family else "unknown"
+            family_name = device.family.name if device.family else "unknown"
             raise ControllerFault(
                 "config-mismatch",
-                f"the controller is a {found}; the fleet file says {self._family.name}",
+                f"the controller is a {family_name}; the fleet file says {self._family.name}",
                 "correct `family` in the controller's options, or the address",
             )
         self._log.warning(f"adapter galil: {UNTRIED}; keep the wired e-stop within reach")

@@ -56,12 +56,12 @@ FAMILIES = (DMC21X3, DMC40X0)
 def identify_family(revision: str) -> tuple[GalilFamily, int]:
     """Return the family and the number of axes from the answer to ctrl-R ctrl-V. Raises `ControllerFault`."""
     for family in FAMILIES:
-        found = family.pattern.search(revision)
-        if found:
-            return family, int(found[1])
-    known = " and ".join(each.name for each in FAMILIES)
+        family_match = family.pattern.search(revision)
+        if family_match:
+            return family, int(family_match[1])
+    known_families = " and ".join(family.name for family in FAMILIES)
     raise ControllerFault(
         "other-model",
-        f"the controller calls itself {revision[:60]!r}; this adapter knows {known}",
+        f"the controller calls itself {revision[:60]!r}; this adapter knows {known_families}",
         "correct `adapter` or the address in the fleet file",
     )

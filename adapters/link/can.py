@@ -61,23 +61,23 @@ class _CanProcessLink(DescriptorLink):
 
 async def open_can(link: CanBusLink, clock: Clock) -> Link:
     """Open an interface as a node of its own on the bus. Raises `LinkRefused`."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours.settimeout(0.0)
-    command = (sys.executable, "-m", "adapters.link.can_process", str(theirs.fileno()))
-    with theirs:
+    own_socket, other_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    own_socket.settimeout(0.0)
+    command = (sys.executable, "-m", "adapters.link.can_process", str(other_socket.fileno()))
+    with other_socket:
         process = await asyncio.create_subprocess_exec(
             *command,
             link.interface,
             link.channel,
             str(link.bitrate),
-            pass_fds=[theirs.fileno()],
+            pass_fds=[other_socket.fileno()],
             stdin=asyncio.subprocess.DEVNULL,
         )
     try:
         async with asyncio.timeout(OPEN_TIMEOUT_S):
-            said = await asyncio.get_running_loop().sock_recv(ours, DATAGRAM)
+            message = await asyncio.get_running_loop().sock_recv(own_socket, DATAGRAM)
     except BaseException as error:
-        ours.close()
+        own_socket.close()
         with contextlib.suppress(ProcessLookupError):
             process.kill()
         await process.wait()
@@ -87,10 +87,10 @@ async def open_can(link: CanBusLink, clock: Clock) -> Link:
                 "check the CAN adapter and its driver"
             ) from None
         raise
-    if said != READY:
-        ours.close()
+    if message != READY:
+        own_socket.close()
         await process.wait()
-        raise LinkRefused(f"{link.endpoint}: {said[1:].decode() or 'the process of the CAN interface has died'}")
-    port = _CanProcessLink(link.endpoint, OpenDescriptor(ours.fileno(), ours.close), clock)
+        raise LinkRefused(f"{link.endpoint}: {message[1:].decode() or 'the process of the CAN interface has died'}")
+    port = _CanProcessLink(link.endpoint, OpenDescriptor(own_socket.fileno(), own_socket.close), clock)
     port.process = process
     return port

@@ -63,16 +63,16 @@ class DescriptorLink:
         self._require_open()
         at_ns = self._clock.now_ns()
         try:
-            taken = os.write(self._fd, data)
+            byte_count = os.write(self._fd, data)
         except BlockingIOError:
-            taken = 0
+            byte_count = 0
         except OSError as error:
             self._shut_down(f"{self._place}: {error.strerror}")
             raise self._closed_error() from None
-        if taken < len(data):
+        if byte_count < len(data):
             # Half a command may have been sent: nothing sensible can follow it on this link.
             self._shut_down(
-                f"{self._place}: only {taken} of {len(data)} bytes were accepted, the operating system's "
+                f"{self._place}: only {byte_count} of {len(data)} bytes were accepted, the operating system's "
                 "buffer is full; the controller does not read, or its handshake stops the transfer"
             )
             raise self._closed_error()

@@ -15,7 +15,7 @@ def find_holders(device: Path) -> list[str]:
 
 def _list_processes() -> Iterator[Path]:
     own = str(os.getpid())
-    return (each for each in Path("/proc").iterdir() if each.name.isdecimal() and each.name != own)
+    return (path for path in Path("/proc").iterdir() if path.name.isdecimal() and path.name != own)
 
 
 def _has_open(process: Path, number: int) -> bool:

@@ -42,10 +42,10 @@ async def open_tcp(link: TcpLink, clock: Clock) -> Link:
             await asyncio.get_running_loop().sock_connect(connection, (link.host, link.port))
     except BaseException as error:
         connection.close()
-        why = connection_error_text(link, error)
-        if why is None:
+        reason = connection_error_text(link, error)
+        if reason is None:
             raise
-        raise LinkRefused(f"{link.endpoint}: {why}") from None
+        raise LinkRefused(f"{link.endpoint}: {reason}") from None
 
     def close_socket() -> None:
         # A firing process may have a copy of the descriptor; after a shutdown that copy writes no more either.

@@ -23,10 +23,10 @@ async def open_udp(link: UdpLink, clock: Clock) -> Link:
             await asyncio.get_running_loop().sock_connect(connection, (link.host, link.port))
     except BaseException as error:
         connection.close()
-        why = connection_error_text(link, error)
-        if why is None:
+        reason = connection_error_text(link, error)
+        if reason is None:
             raise
-        raise LinkRefused(f"{link.endpoint}: {why}") from None
+        raise LinkRefused(f"{link.endpoint}: {reason}") from None
     return DescriptorLink(
         link.endpoint, 0, OpenDescriptor(connection.fileno(), connection.close), clock, datagrams=True
     )
