@@ -108,9 +108,9 @@ class PendingStop:
     async def send_stop(self) -> bool:
         """Send the pending stop to the connected controller: the one before was early, but the line may have recovered
         only after it. Return False if none is pending."""
-        stop_order = self._requested
+        request_number = self._requested
         if not self.is_pending:
             return False
         await self._context.driver.stop(abort=False)
-        self._sent = stop_order
+        self._sent = request_number
         return True

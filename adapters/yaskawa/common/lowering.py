@@ -177,8 +177,8 @@ def _sample_alignments(
 
 def _registers_suffice(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
     in_time = abs(shape.off) <= DURATION_TOLERANCE_SAMPLES
-    is_held = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
-    return (in_time or is_held) and _stays_near_plan(shape, profile, tick_ns)
+    is_limited = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
+    return (in_time or is_limited) and _stays_near_plan(shape, profile, tick_ns)
 
 
 def _stays_near_plan(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:

@@ -297,8 +297,8 @@ class SampleStart:
         return {"wire": self._clock.now_ns() - began_ns}
 
     def _gap_ticks(self, move: LoadedMove) -> int:
-        axes, axis_count = len(self._device.program_axes), len(move.lowered.moving_axes)
-        return self._device.gate.gap_ticks(axis_count, axes, move.mapping.tick_ns)
+        axes, moving_count = len(self._device.program_axes), len(move.lowered.moving_axes)
+        return self._device.gate.gap_ticks(moving_count, axes, move.mapping.tick_ns)
 
     async def _wait_until_taken(self, present: LoadedMove) -> None:
         """Wait until the program no longer uses the variables of the following move for the present one."""
