@@ -92,6 +92,7 @@ def _check_names(names: "FleetNames", step: "Step") -> list[str]:
     for output in step.switched_outputs:
         if output not in names.outputs:
             raise unknown_name("output", output, names.outputs)
+    if step.switched_outputs:
         return []
     if not isinstance(step, Move | SetPosition):
         return require_axes(names, step.named_axes or names.controllers)

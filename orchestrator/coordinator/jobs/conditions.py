@@ -53,11 +53,12 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
     enabled_axes, referenced_axes, moved_axes = set[str](), set[str](), dict[str, None]()
     enabled_before, referenced_before = set[str](), set[str]()
     for step in iterate_steps(steps):
-        axes = set(step.find_axes(fleet))
+        in_order = step.find_axes(fleet)
+        axes = set(in_order)
         if step.enables:
             enabled_axes |= axes
         elif step.moves:
-            moved_axes |= dict.fromkeys(step.find_axes(fleet))
+            moved_axes |= dict.fromkeys(in_order)
             manual = {axis for axis in axes if fleet.axis(axis).enable == "manual"}
             enabled_before |= manual - enabled_axes
             if step.searches:

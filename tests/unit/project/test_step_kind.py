@@ -1,6 +1,5 @@
 """A kind of step has one home: a sample kind, kept as a patch, touches few files and is used everywhere."""
 
-import ast
 import os
 import re
 import shutil
@@ -10,6 +9,9 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
+sys.path.insert(0, str(ROOT / "tools"))
+import figures  # noqa: E402
+
 PATCH = HERE / "mark_step.patch"
 PRODUCT = ("orchestrator", "adapters", "sim", "tutti")
 MOST_FILES = 8  # of the product, for a kind that only records an instant
@@ -26,39 +28,8 @@ ASKED_FOR_CLASSES = {
 MOST_TESTS = 15
 
 
-def find_kinds() -> set[str]:
-    """The names of all step classes."""
-    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "orchestrator/model/steps").glob("*.py")]
-    classes = [node for source in sources for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ClassDef)]
-    names = {"Step"}
-    while more := {node.name for node in classes if {ast.unparse(base) for base in node.bases} & names} - names:
-        names |= more
-    return names
-
-
-def list_class_tests(kinds: set[str]) -> list[str]:
-    """The files outside the kinds that test for a step's class, once for each test."""
-    files: list[str] = []
-    for package in PRODUCT:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            if path.parent == ROOT / "orchestrator/model/steps":
-                continue
-            text = path.read_text(encoding="utf-8")
-            if "isinstance(" not in text and "match " not in text:
-                continue
-            for node in ast.walk(ast.parse(text)):
-                tested: ast.AST | None = None
-                if isinstance(node, ast.Call) and ast.unparse(node.func) in ("isinstance", "issubclass"):
-                    tested = node.args[1]
-                elif isinstance(node, ast.MatchClass):
-                    tested = node.cls
-                if tested is not None and {n.id for n in ast.walk(tested) if isinstance(n, ast.Name)} & kinds:
-                    files.append(str(path.relative_to(ROOT)))
-    return files
-
-
 def test_steps_are_asked_not_classified() -> None:
-    files = list_class_tests(find_kinds())
+    files = figures.list_class_tests()
     assert set(files) <= set(ASKED_FOR_CLASSES), "ask the step (orchestrator/model/steps/base.py), or state the reason"
     assert set(ASKED_FOR_CLASSES) <= set(files), "remove what is not true any more"
     assert len(files) <= MOST_TESTS
