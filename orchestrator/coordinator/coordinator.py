@@ -110,7 +110,7 @@ class Coordinator:
             log=self._log,
         )
         self.scheduler = Scheduler(services)
-        self._positions.on_change = self.scheduler.forget_needs
+        self._positions.on_change = self.scheduler.register.forget_needs
         maintenance = (
             FleetReload(access, self._leases, environment.save_fleet),
             WiringCheck(access, self._leases),
@@ -199,7 +199,7 @@ class Coordinator:
                 pass  # its next state brings it here again
             elif reply.refused is None:
                 self._view.adopted[controller] = instance
-                self.scheduler.wake_up()
+                self.scheduler.register.wake_up()
                 self._log.info("adopted", controller=controller, epoch=self.leadership.epoch)
                 await self._enable_at_start(controller)
             elif reply.refused.code == OTHER_VERSION:

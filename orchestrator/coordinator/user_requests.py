@@ -81,7 +81,7 @@ class UserRequests:
         self._answers = AnswerCache()
         self._rehearsal = JobRehearsal(services)
         self._commands = CommandLog(services)
-        approvals = JobApprovals(services, scheduler)
+        approvals = JobApprovals(services, scheduler.register, scheduler.queue_requests)
         self._handlers: Mapping[str, Handler] = {
             "submit": intake.submit_job,
             "dry-run": self._dry_run,
@@ -184,7 +184,7 @@ class UserRequests:
         services = self._services
         values = (request.limit, request.state, request.name, request.since or "")
         records, total = await services.execute(services.journal.find_jobs, *values)
-        return self._scheduler.make_queue_state(total, records)
+        return self._scheduler.publisher.make_queue_state(total, records)
 
     async def _find_job(self, request: FindJob) -> JobsFound:
         services = self._services
@@ -192,7 +192,7 @@ class UserRequests:
             records, _ = await services.execute(services.journal.find_jobs, 1)
         else:
             records = await services.execute(services.journal.find_referenced_jobs, request.reference)
-        return JobsFound(jobs=[self._scheduler.make_entry(record) for record in records])
+        return JobsFound(jobs=[self._scheduler.publisher.make_entry(record) for record in records])
 
     async def _show_job(self, request: JobReference) -> JobShown:
         journal, execute = self._services.journal, self._services.execute
@@ -206,12 +206,12 @@ class UserRequests:
             if report is None:
                 raise
         return JobShown(
-            entry=self._scheduler.make_entry(record),
+            entry=self._scheduler.publisher.make_entry(record),
             job=job,
             report=report,
             transitions=await execute(journal.list_transitions, record.id),
-            progress=self._scheduler.find_progress(record.id),
-            last_motion=self._scheduler.find_last_motion(record.id),
+            progress=self._scheduler.run_requests.find_progress(record.id),
+            last_motion=self._scheduler.run_requests.find_last_motion(record.id),
         )
 
     async def _load_recording(self, request: RecordingReference) -> RecordingReply:
@@ -220,31 +220,31 @@ class UserRequests:
         return RecordingReply(recording=recording)
 
     async def _cancel_job(self, request: JobReference) -> Reply:
-        await self._scheduler.cancel_job(request.job_id, request.actor)
+        await self._scheduler.queue_requests.cancel_job(request.job_id, request.actor)
         return Reply()
 
     async def _hold_jobs(self, request: JobReferences) -> Reply:
-        await self._scheduler.hold_jobs(request.job_ids, request.actor)
+        await self._scheduler.queue_requests.hold_jobs(request.job_ids, request.actor)
         return Reply()
 
     async def _release_jobs(self, request: JobReferences) -> Reply:
-        await self._scheduler.release_jobs(request.job_ids, request.actor)
+        await self._scheduler.queue_requests.release_jobs(request.job_ids, request.actor)
         return Reply()
 
     async def _reorder_job(self, request: ReorderJob) -> Reply:
-        await self._scheduler.reorder_job(request.job_id, request.before, request.actor)
+        await self._scheduler.queue_requests.reorder_job(request.job_id, request.before, request.actor)
         return Reply()
 
     async def _pause_job(self, request: PauseJob) -> Reply:
-        await self._scheduler.pause_job(request.job_id, request.actor, now=request.now)
+        await self._scheduler.run_requests.pause_job(request.job_id, request.actor, now=request.now)
         return Reply()
 
     async def _override_job(self, request: OverrideJob) -> Reply:
-        await self._scheduler.override_job(request.job_id, request.percent)
+        await self._scheduler.run_requests.override_job(request.job_id, request.percent)
         return Reply()
 
     async def _resume_job(self, request: JobReference) -> Reply:
-        await self._scheduler.resume_job(request.job_id, request.actor)
+        await self._scheduler.run_requests.resume_job(request.job_id, request.actor)
         return Reply()
 
     async def _prune_jobs(self, request: PruneJobs) -> JobsPruned:
@@ -281,7 +281,7 @@ class UserRequests:
         except ValidationError as error:
             raise Refusal("bad-file", _first_problem(error), "correct the fleet file") from None
         changed_fleet = await self._reload.load_fleet(fleet, request.actor)
-        self._scheduler.forget_needs()
+        self._scheduler.register.forget_needs()
         self._services.log.info(
             f"reloaded by {request.actor}: {', '.join(changed_fleet) or 'no controller has changed'}"
         )

@@ -404,7 +404,7 @@ def test_an_override_changes_the_speed_along_the_path(percent: int, turns: int) 
         job_id = await begin(fleet, planned, TWO, 2.0)
         await client.override_job(job_id, percent)
         await sleep_ns(fleet.clock, 2 * NS_PER_S)
-        run = fleet.coordinators["first"][1].scheduler._running[job_id]  # pyright: ignore[reportPrivateUsage]
+        run = fleet.coordinators["first"][1].scheduler.register.running[job_id]
         stated, at_ns = run.make_progress().remaining_s, fleet.clock.now_ns()
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason

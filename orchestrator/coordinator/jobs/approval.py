@@ -5,7 +5,8 @@ from collections import OrderedDict
 from orchestrator.coordinator.jobs.job_plan import make_plan, resolve_job
 from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.queue import WaitingJob
-from orchestrator.coordinator.jobs.scheduler import Scheduler
+from orchestrator.coordinator.jobs.queue_requests import QueueRequests
+from orchestrator.coordinator.jobs.register import JobRegister
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply
@@ -24,15 +25,16 @@ MAX_SHOWN = 50  # plans that are kept, to say what has changed since a user has 
 class JobApprovals:
     """Makes plans of waiting jobs, and approves them."""
 
-    def __init__(self, services: JobServices, scheduler: Scheduler) -> None:
+    def __init__(self, services: JobServices, register: JobRegister, requests: QueueRequests) -> None:
         self._services = services
-        self._scheduler = scheduler
+        self._register = register
+        self._requests = requests
         self._shown: OrderedDict[tuple[str, str], JobPlan] = OrderedDict()
 
     async def plan_job(self, request: JobReference) -> JobPlanned:
         """The plan of a waiting job, and what differs from the one that was approved. Raises `Refusal`,
         `UnknownName`, `JournalError`."""
-        waiting_job = await self._scheduler.find_waiting(request.job_id, "only jobs that wait have a plan")
+        waiting_job = await self._register.find_waiting(request.job_id, "only jobs that wait have a plan")
         plan = await self._make_plan(waiting_job)
         self._shown[request.job_id, plan.hash] = plan
         self._shown.move_to_end((request.job_id, plan.hash))
@@ -45,7 +47,7 @@ class JobApprovals:
         """Approve the plan that a user has seen, if it is still that, and release the job. Raises `Refusal`: codes
         `plan-changed`, `not-proposed`, `not-queued`; `UnknownName`, `JournalError`."""
         job_id, services = request.job_id, self._services
-        waiting_job = await self._scheduler.find_waiting(job_id, "only a job that waits can be approved")
+        waiting_job = await self._register.find_waiting(job_id, "only a job that waits can be approved")
         if not waiting_job.row.proposed:
             remedy = f"a held job is released by `tutti job release {job_id}`"
             raise Refusal("not-proposed", f"job {job_id} needs no approval: it was not proposed", remedy)
@@ -54,7 +56,7 @@ class JobApprovals:
             text = f"the plan of job {job_id} has changed: {await self._explain_change(request, plan)}"
             raise Refusal("plan-changed", text, f"look at it again: `tutti job plan {job_id}`")
         approval = JobApproval(job_id=job_id, plan=plan, actor=request.actor, utc=services.clock.utc())
-        await self._scheduler.approve_job(waiting_job, approval)
+        await self._requests.approve_job(waiting_job, approval)
         services.log.info(f"plan {plan.hash} approved by {request.actor}", job=job_id)
         return Reply()
 

@@ -8,8 +8,9 @@ from orchestrator.coordinator.jobs.job_run import JobServices
 from orchestrator.coordinator.jobs.path_intake import split_paths
 from orchestrator.coordinator.jobs.point_intake import PointIntake
 from orchestrator.coordinator.jobs.queue import find_axes, find_needed_controllers
-from orchestrator.coordinator.jobs.scheduler import MISSED_AFTER, Scheduler
+from orchestrator.coordinator.jobs.scheduler import Scheduler
 from orchestrator.coordinator.jobs.start_places import StartPlaces
+from orchestrator.coordinator.jobs.times import MISSED_AFTER
 from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
@@ -108,7 +109,7 @@ class JobIntake:
         if fresh:
             services.log.info(f"accepted {job.name!r} from {job.actor}", job=job_id)
             await self._scheduler.enter_job(row, job)
-        return JobSubmitted(job_id=job_id, entry=self._scheduler.make_entry(row))
+        return JobSubmitted(job_id=job_id, entry=self._scheduler.publisher.make_entry(row))
 
     async def _require_free_way(self, request: SubmitJob) -> None:
         """Raise `Refusal` for a job that must begin at once, and would have to wait."""

@@ -1,12 +1,13 @@
 """Publication of the queue: lists of jobs, and what each one waits for."""
 
 import asyncio
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.jobs.job_run import JobRun, JobServices
-from orchestrator.coordinator.jobs.queue import WaitingJob, sort_waiting
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.queue import WaitingJob
+from orchestrator.coordinator.jobs.register import JobRegister
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState, make_queued_progress
@@ -20,17 +21,9 @@ MIN_INTERVAL_NS = 50 * NS_PER_MS  # minimum time between two publications of the
 class QueuePublisher:
     """Publishes the waiting and the running jobs."""
 
-    def __init__(
-        self,
-        services: JobServices,
-        waiting: Mapping[str, WaitingJob],
-        running: Mapping[str, JobRun],
-        stopped: Callable[[], QueueStop | None],
-    ) -> None:
+    def __init__(self, services: JobServices, register: JobRegister) -> None:
         self._services = services
-        self._stopped = stopped
-        self._waiting = waiting
-        self._running = running
+        self._register = register
         self._places: Mapping[str, int] = {}
         self._reasons: Mapping[str, str] = {}
         self._told: dict[str, str] = {}
@@ -46,8 +39,8 @@ class QueuePublisher:
         return QueueState(
             total=total,
             jobs=self.make_entries(rows),
-            stopped=self._stopped(),
-            waiting=len(self._waiting),
+            stopped=self._register.stopped,
+            waiting=len(self._register.waiting),
             missing_permits=self._services.fleet.permits.list_missing(),
         )
 
@@ -57,7 +50,8 @@ class QueuePublisher:
 
     def make_entry(self, row: JobRecord) -> QueueEntry:
         """The list entry of a job. It has its place as soon as the scheduler has decided that it waits."""
-        run, waiting_job, stop = self._running.get(row.id), self._waiting.get(row.id), self._stopped()
+        register = self._register
+        run, waiting_job, stop = register.running.get(row.id), register.waiting.get(row.id), register.stopped
         usual = row.reason
         if waiting_job is not None:
             row = waiting_job.row
@@ -78,6 +72,11 @@ class QueuePublisher:
             proposed=bool(row.proposed),
         )
 
+    def note_change(self) -> None:
+        """The queue has changed: schedule its jobs again, and publish it."""
+        self._register.wake_up()
+        self.schedule_publication()
+
     def schedule_publication(self) -> None:
         """Publish the queue: soon after a quiet time, else when one has passed."""
         self._changed = True
@@ -88,9 +87,9 @@ class QueuePublisher:
         await sleep_ns(self._services.clock, FIRST_DELAY_NS)
         while self._changed:
             self._changed = False
-            rows = [run.row for run in self._running.values()]
-            rows += [job.row for job in sort_waiting(self._waiting)[:MAX_PUBLISHED_JOBS]]
-            total = len(self._running) + len(self._waiting)
+            rows = [run.row for run in self._register.running.values()]
+            rows += [job.row for job in self._register.list_waiting()[:MAX_PUBLISHED_JOBS]]
+            total = len(self._register.running) + len(self._register.waiting)
             state = self.make_queue_state(total, rows[:MAX_PUBLISHED_JOBS])
             self._services.bus.put(self._services.keys.queue, state.to_json(), Priority.EVENT)
             await sleep_ns(self._services.clock, MIN_INTERVAL_NS)

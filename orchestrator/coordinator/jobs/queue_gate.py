@@ -5,12 +5,12 @@ restarted or unreferenced meanwhile. A break stops the queue if jobs wait; a sto
 `tutti queue start` starts it. Another leader is no break if the controllers did not notice the change.
 """
 
-import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Callable
 
 from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.jobs.journal_tasks import JournalTasks
+from orchestrator.coordinator.jobs.publisher import QueuePublisher
+from orchestrator.coordinator.jobs.register import JobRegister
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.state import ControllerState
 
@@ -18,20 +18,15 @@ COORDINATOR = "coordinator"
 
 
 class QueueGate:
-    """Whether the queue is stopped, in the journal, and the detection of breaks.
+    """Stops and starts the queue, in the journal, and detects breaks."""
 
-    count_waiting: returns the number of jobs that would begin by themselves. on_change: called when the queue has been
-    stopped or started.
-    """
-
-    def __init__(self, services: JobServices, count_waiting: Callable[[], int], on_change: Callable[[], None]) -> None:
-        self.stopped: QueueStop | None = None
+    def __init__(self, services: JobServices, register: JobRegister, publisher: QueuePublisher) -> None:
         self._services = services
-        self._count_waiting = count_waiting
-        self._on_change = on_change
+        self._register = register
+        self._publisher = publisher
         self._instances: dict[str, str] = {}
         self._referenced: dict[str, set[str]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = JournalTasks(services, "the state of the queue is not recorded: ")
         self._remove_listener: Callable[[], None] = lambda: None
 
     async def start(self, *, interrupted: bool) -> None:
@@ -40,7 +35,7 @@ class QueueGate:
         Raises `JournalError`.
         """
         journal, execute = self._services.journal, self._services.execute
-        self.stopped = await execute(journal.load_queue_stop)
+        self._register.stopped = await execute(journal.load_queue_stop)
         self._instances = await execute(journal.load_instances)
         if interrupted:
             self.note_break("a job was interrupted when the coordinator ended")
@@ -53,30 +48,29 @@ class QueueGate:
 
     def close(self) -> None:
         self._remove_listener()
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel_all()
 
     def note_break(self, reason: str) -> None:
         """Stop the queue because of a break, if jobs wait and the fleet file does not let the queue continue."""
-        if self._services.view.fleet.queue.on_restart == "stop" and self._count_waiting():
+        if self._services.view.fleet.queue.on_restart == "stop" and self._register.count_unattended():
             self.stop_queue(reason, COORDINATOR)
 
     def stop_queue(self, reason: str, actor: str) -> None:
         """Stop the queue now, and record it. The first reason stays."""
-        if self.stopped is not None:
+        if self._register.stopped is not None:
             return
-        self.stopped = QueueStop(reason=reason, actor=actor, utc=self._services.clock.utc())
+        self._register.stopped = QueueStop(reason=reason, actor=actor, utc=self._services.clock.utc())
         self._services.log.warning(f"the queue is stopped: {reason}")
-        self._spawn(self._store(self.stopped))
-        self._on_change()
+        self._tasks.spawn(self._store, self._register.stopped)
+        self._publisher.note_change()
 
     async def start_queue(self, actor: str) -> None:
         """Start the queue. Raises `JournalError`; then it stays stopped."""
         await self._services.execute(self._services.journal.store_queue_stop, None)
-        if self.stopped is not None:
-            self.stopped = None
+        if self._register.stopped is not None:
+            self._register.stopped = None
             self._services.log.info(f"the queue is started by {actor}")
-        self._on_change()
+        self._publisher.note_change()
 
     # Breaks
 
@@ -86,7 +80,7 @@ class QueueGate:
         if self._instances.get(name) != state.instance:
             self._instances[name] = state.instance
             self._referenced.pop(name, None)
-            self._spawn(self._store_instances())
+            self._tasks.spawn(self._store_instances)
             self.note_break(f"restart: the adapter of {name} has started again")
         if state.mode == "offline":
             # An adapter that has just started is offline until it has reached its controller.
@@ -107,14 +101,3 @@ class QueueGate:
 
     async def _store_instances(self) -> None:
         await self._services.execute(self._services.journal.store_instances, dict(self._instances))
-
-    def _spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
-        async def record() -> None:
-            try:
-                await coroutine
-            except JournalError as error:
-                self._services.log.warning(f"the state of the queue is not recorded: {error}")
-
-        task = self._services.fleet.tasks.spawn(record(), vital=True)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)

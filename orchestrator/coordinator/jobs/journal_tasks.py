@@ -1,0 +1,37 @@
+"""Background work on the journal: a journal that cannot be written is logged, and ends nothing."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any, ParamSpec
+
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.journal.records import JournalError
+
+P = ParamSpec("P")
+
+
+class JournalTasks:
+    """Tasks of one component. failure: what a `JournalError` means there, before its text in the log."""
+
+    def __init__(self, services: JobServices, failure: str = "") -> None:
+        self._services = services
+        self._failure = failure
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def spawn(self, function: Callable[P, Coroutine[Any, Any, None]], *values: P.args, **names: P.kwargs) -> None:
+        """Start a task. One that ends with another error than `JournalError` is a defect of the coordinator."""
+
+        async def work() -> None:
+            try:
+                await function(*values, **names)
+            except JournalError as error:
+                self._services.log.warning(f"{self._failure}{error}")
+
+        task = self._services.fleet.tasks.spawn(work(), vital=True)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def cancel_all(self) -> None:
+        """Cancel all tasks that run."""
+        for task in self._tasks:
+            task.cancel()

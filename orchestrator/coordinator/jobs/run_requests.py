@@ -1,0 +1,66 @@
+"""Changes of running jobs that users request: pauses, overrides, resumption."""
+
+from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.model.errors import Refusal
+from orchestrator.model.report import JobProgress, StepReport
+
+OVERRIDE_PERCENT = 10, 120
+
+
+class RunRequests:
+    """Changes running jobs, and reports how far they are. The changes raise `Refusal` and `JournalError`."""
+
+    def __init__(self, services: JobServices, register: JobRegister) -> None:
+        self._services = services
+        self._register = register
+
+    async def pause_job(self, job_id: str, actor: str, *, now: bool = False) -> None:
+        """Pause a running job after its current step; with `now`, inside a motion step."""
+        run = self._register.running.get(job_id)
+        if run is None:
+            raise await self._register.make_refusal(job_id, "not-running", "to hold a queued job: `tutti job hold`")
+        if now and run.is_on_path:
+            raise Refusal(
+                "on-path",
+                f"job {job_id} is on a path, and a member that has all of it loaded would leave it",
+                "pause it at the end of the path (without --now), or stop it: `tutti stop`",
+            )
+        if run.paused_by is None:
+            self._services.log.info(f"to be paused by {actor}", job=job_id)
+            run.pause(actor)
+        if now:
+            await run.feed_hold(actor)
+
+    async def override_job(self, job_id: str, percent: float) -> None:
+        """Play the present path of a running job at another speed. Raises `Refusal`."""
+        run = self._register.running.get(job_id)
+        if run is None:
+            raise await self._register.make_refusal(
+                job_id, "not-running", "an override is for the path that a job is moving on"
+            )
+        low, high = OVERRIDE_PERCENT
+        if not low <= percent <= high:
+            text = f"{percent:g} % is not between {low} and {high} %"
+            raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
+        await run.override(percent / 100)
+
+    async def resume_job(self, job_id: str, actor: str) -> None:
+        """Resume a job that is paused, or about to be."""
+        run = self._register.running.get(job_id)
+        if run is None:
+            remedy = "for a held job: `tutti job release`; for a finished one: `tutti job retry --from-step`"
+            raise await self._register.make_refusal(job_id, "not-running", remedy)
+        if run.paused_by is None:
+            raise Refusal("not-paused", f"job {job_id} is not paused; it is {run.state}")
+        run.resume(actor)
+
+    def find_progress(self, job_id: str) -> JobProgress | None:
+        """The progress of a job while it runs."""
+        run = self._register.running.get(job_id)
+        return None if run is None else run.make_progress()
+
+    def find_last_motion(self, job_id: str) -> StepReport | None:
+        """The last motion step of a running job that has ended."""
+        run = self._register.running.get(job_id)
+        return None if run is None else run.last_motion
