@@ -4,7 +4,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from orchestrator.bus.service_verbs import SERVICE_VERBS
-from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.jobs.service import AcquireAxes, FleetReloaded, JobSubmitted, ReleaseAxes, RetryJob

@@ -23,9 +23,9 @@ from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.intake import JobIntake
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.scheduler import Scheduler
+from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
+from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership

@@ -12,12 +12,13 @@ from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
-from orchestrator.coordinator.jobs.approval import JobApprovals
-from orchestrator.coordinator.jobs.intake import JobIntake
-from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
-from orchestrator.coordinator.jobs.path_intake import split_paths
-from orchestrator.coordinator.jobs.rehearsal import JobRehearsal
-from orchestrator.coordinator.jobs.scheduler import Scheduler
+from orchestrator.coordinator.jobs.intake.approval import JobApprovals
+from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
+from orchestrator.coordinator.jobs.intake.path_intake import split_paths
+from orchestrator.coordinator.jobs.intake.rehearsal import JobRehearsal
+from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
+from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload

@@ -15,8 +15,8 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.coordinator.jobs import job_plan
-from orchestrator.coordinator.jobs.approval import JobApprovals
-from orchestrator.coordinator.jobs.job_run import JobRun
+from orchestrator.coordinator.jobs.intake.approval import JobApprovals
+from orchestrator.coordinator.jobs.run.preparation import JobPreparation
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
@@ -216,7 +216,7 @@ def compares_no_plan(patch: Patch) -> None:
     async def find_nothing(*_: object) -> str:
         return ""
 
-    patch.setattr(JobRun, "_find_deviation", find_nothing)
+    patch.setattr(JobPreparation, "_find_deviation", find_nothing)
 
 
 def leaves_places_out(patch: Patch) -> None:
@@ -233,7 +233,7 @@ def leaves_limits_out(patch: Patch) -> None:
         kept = {name: text for name, text in plan.parts.items() if "limit" not in name and "configuration" not in name}
         return plan.of(kept)
 
-    for module in ("job_run", "approval"):
+    for module in ("run.preparation", "intake.approval"):
         patch.setattr(f"orchestrator.coordinator.jobs.{module}.make_plan", make_less)
 
 

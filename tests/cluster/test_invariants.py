@@ -30,9 +30,9 @@ from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.attendance import SessionMonitor
-from orchestrator.coordinator.jobs.conditions import Obstacle
-from orchestrator.coordinator.jobs.queue_gate import QueueGate
+from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
+from orchestrator.coordinator.jobs.queue.conditions import Obstacle
+from orchestrator.coordinator.jobs.queue.queue_gate import QueueGate
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion import report as motion_report

@@ -8,7 +8,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES, WITHOUT_AXES_REASON
+from orchestrator.coordinator.jobs.queue.queue_order import MAX_JOBS_WITHOUT_AXES, WITHOUT_AXES_REASON
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry, QueueState

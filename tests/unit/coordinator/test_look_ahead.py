@@ -4,7 +4,7 @@ import pytest
 from cluster.worlds import demo_fleet, job
 
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.coordinator.jobs.look_ahead import BETWEEN_MOST, ChainBreak, NextMotion, find_next_motion
+from orchestrator.coordinator.jobs.run.look_ahead import BETWEEN_MOST, ChainBreak, NextMotion, find_next_motion
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.steps.base import Step
 

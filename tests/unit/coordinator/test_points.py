@@ -15,8 +15,8 @@ import pytest
 
 from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.coordinator.jobs.report_collector import ReportCollector
-from orchestrator.coordinator.jobs.sequence import StepSequence
+from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
+from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.journal.sqlite.point_store import PointStore

@@ -5,7 +5,8 @@ from random import Random
 import pytest
 from unit.random_rounds import share_with_nightly
 
-from orchestrator.coordinator.jobs.queue import WaitingJob, choose_jobs, find_needed_controllers, sort_waiting
+from orchestrator.coordinator.jobs.needs import find_needed_controllers
+from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob, choose_jobs, sort_waiting
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import parse_document

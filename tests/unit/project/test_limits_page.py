@@ -8,9 +8,9 @@ from adapters.controller.tracing import MAX_TRACE_PART_BYTES
 from orchestrator.bus import answers, limits, log, logfile
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.command_log import MAX_SUBJECT
-from orchestrator.coordinator.jobs.approval import MAX_SHOWN
-from orchestrator.coordinator.jobs.publisher import MAX_PUBLISHED_JOBS
-from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES
+from orchestrator.coordinator.jobs.intake.approval import MAX_SHOWN
+from orchestrator.coordinator.jobs.queue.publisher import MAX_PUBLISHED_JOBS
+from orchestrator.coordinator.jobs.queue.queue_order import MAX_JOBS_WITHOUT_AXES
 from orchestrator.coordinator.journal.sqlite.command_table import MAX_COMMANDS
 from orchestrator.coordinator.journal.sqlite.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
 from orchestrator.coordinator.journal.sqlite.point_store import QUOTA_BYTES

@@ -7,10 +7,10 @@ restarted or unreferenced meanwhile. A break stops the queue if jobs wait; a sto
 
 from collections.abc import Callable
 
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.journal_tasks import JournalTasks
-from orchestrator.coordinator.jobs.publisher import QueuePublisher
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.journal_tasks import JournalTasks
+from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.state import ControllerState
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.jobs.queue import find_needed_controllers
+from orchestrator.coordinator.jobs.needs import find_needed_controllers
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
 from orchestrator.model.names import split_name

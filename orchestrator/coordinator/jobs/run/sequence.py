@@ -39,6 +39,15 @@ class StepSequence:
         self._execute = execute
         self._readers: dict[int, tuple[Scan, PointReader]] = {}
 
+    def replace_order(self, order: StepOrder) -> None:
+        """Other steps, with the named positions of this moment."""
+        self.order = order
+        self._readers = {}
+
+    def list_steps(self, first: int) -> list[Step]:
+        """The written steps from number `first` on."""
+        return [step.step for step in self.order.list_remaining(first)]
+
     def __len__(self) -> int:
         return len(self.order)
 

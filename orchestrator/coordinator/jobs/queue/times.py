@@ -4,12 +4,12 @@ import asyncio
 from datetime import datetime, timedelta
 
 from orchestrator.clock.base import NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.coordinator.jobs.ends import RETRY_NS, JobEnds
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.publisher import QueuePublisher
-from orchestrator.coordinator.jobs.queue import WaitingJob
-from orchestrator.coordinator.jobs.queue_gate import COORDINATOR
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.ends import RETRY_NS, JobEnds
+from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher
+from orchestrator.coordinator.jobs.queue.queue_gate import COORDINATOR
+from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.queue import parse_utc
 

@@ -3,7 +3,7 @@
 import base64
 import binascii
 
-from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.facts import UploadState
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job

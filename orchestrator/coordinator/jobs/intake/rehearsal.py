@@ -7,8 +7,8 @@ from typing import Literal
 
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.jobs.check import forecast_step
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.queue import find_needed_controllers
+from orchestrator.coordinator.jobs.needs import find_needed_controllers
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
 from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove

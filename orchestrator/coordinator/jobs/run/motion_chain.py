@@ -1,8 +1,6 @@
 """The motion steps of one job that follow each other: what is prepared behind the present one, and what breaks it."""
 
-from collections.abc import Callable
-
-from orchestrator.coordinator.jobs.look_ahead import ChainBreak, NumberedSteps, find_next_motion
+from orchestrator.coordinator.jobs.run.look_ahead import ChainBreak, NumberedSteps, find_next_motion
 from orchestrator.coordinator.motion.ahead import StepAhead
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.report import measure_gap_s
@@ -10,22 +8,19 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD
 from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import StepChain, StepReport
 from orchestrator.model.steps.kinds import Motion
 
 
 class MotionChain:
-    """The chain of one job. steps: returns its steps. make_request: returns the request of a motion step."""
+    """The chain of job `job_id`."""
 
-    def __init__(
-        self,
-        services: MotionServices,
-        steps: Callable[[], NumberedSteps],
-        make_request: Callable[[int, Motion], StepRequest],
-    ) -> None:
+    def __init__(self, services: MotionServices, job_id: str, job: Job, steps: NumberedSteps) -> None:
         self._services = services
+        self._job_id = job_id
+        self._job = job
         self._steps = steps
-        self._make_request = make_request
         self._ahead: StepAhead | None = None
         self._after_next: StepAhead | None = None
         """The step behind the one ahead, which is planned already."""
@@ -65,7 +60,7 @@ class MotionChain:
     def _prepare_behind(self, motion: PlannedMotion) -> StepAhead | None:
         """The motion step behind `motion`, being prepared; None where none can follow it."""
         fleet = self._services.fleet.view.fleet
-        found_motion = find_next_motion(fleet, self._steps(), motion.planned.request.index)
+        found_motion = find_next_motion(fleet, self._steps, motion.planned.request.index)
         if isinstance(found_motion, ChainBreak):
             self._breaks[found_motion.index] = found_motion.reason
             return None
@@ -102,6 +97,9 @@ class MotionChain:
             return None
         self._ahead, self._kept = None, step.request.index
         return motion
+
+    def _make_request(self, index: int, move: Motion) -> StepRequest:
+        return StepRequest(self._job_id, self._job, index, move)
 
     def _note_rest(self, index: int) -> None:
         """The motion step `index` begins from rest, for the reason that is known already or was found without its

@@ -12,16 +12,12 @@ A controller is loaded with one step at a time, so jobs need whole controllers, 
 separately.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from orchestrator.coordinator.journal.records import JobRecord
-from orchestrator.model.fleet import Fleet, TriggerWire
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.names import controller_of
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL
-from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.tree import iterate_steps
 
 MAX_JOBS_WITHOUT_AXES = 32  # that run at once; jobs with axes are limited by the controllers of the fleet
 
@@ -122,30 +118,3 @@ def choose_jobs(
         for controller in needs:
             users.setdefault(controller, claim)
     return Schedule(begin, reasons, waits_for_world)
-
-
-def find_axes(fleet: Fleet, steps: Iterable[Step]) -> list[str]:
-    """Axes that steps move, switch or set: those that their job must lease. Raises `UnknownName`."""
-    return list(dict.fromkeys(axis for step in iterate_steps(steps) for axis in step.find_axes(fleet)))
-
-
-def find_needed_controllers(fleet: Fleet, steps: Sequence[Step]) -> frozenset[str]:
-    """Controllers that no other job may use meanwhile: those of its axes, those whose outputs it switches on the way,
-    and those whose outputs start its members by a trigger line. Raises `UnknownName`."""
-    moved_controllers, outputs, triggered_controllers = set[str](), set[str](), set[str]()
-    for step in iterate_steps(steps):
-        if step.moves and not step.searches:
-            moved_controllers |= {controller_of(axis) for axis in step.named_axes}
-        triggered_controllers |= {controller_of(output) for output in step.trigger_outputs}
-        outputs |= set(step.switched_outputs)
-    drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved_controllers, outputs)}
-    return frozenset({controller_of(axis) for axis in find_axes(fleet, steps)} | drivers | triggered_controllers)
-
-
-def find_wires(fleet: Fleet, moved: Collection[str], outputs: Collection[str]) -> list[TriggerWire]:
-    """The wires that matter for a job. moved: controllers that it moves. outputs: those that it switches."""
-
-    def matters(wire: TriggerWire) -> bool:
-        return wire.from_ in outputs or any(controller_of(end) in moved for end in wire.to)
-
-    return [wire for wire in fleet.wiring if matters(wire)]

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.journal_tasks import JournalTasks
-from orchestrator.coordinator.jobs.publisher import QueuePublisher
-from orchestrator.coordinator.jobs.queue import WaitingJob
-from orchestrator.coordinator.jobs.queue_gate import COORDINATOR
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.journal_tasks import JournalTasks
+from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher
+from orchestrator.coordinator.jobs.queue.queue_gate import COORDINATOR
+from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord, JournalError
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, make_queued_progress

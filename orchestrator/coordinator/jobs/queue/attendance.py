@@ -10,11 +10,12 @@ from itertools import chain
 from orchestrator.bus.base import BusDeclaration
 from orchestrator.bus.session_signs import SessionSigns
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.jobs.ends import JobEnds
-from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
-from orchestrator.coordinator.jobs.journal_tasks import JournalTasks
-from orchestrator.coordinator.jobs.queue_gate import COORDINATOR
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.ends import JobEnds
+from orchestrator.coordinator.jobs.queue.journal_tasks import JournalTasks
+from orchestrator.coordinator.jobs.queue.queue_gate import COORDINATOR
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord
 
 SESSION_POLL_NS = 200 * NS_PER_MS  # period of looking for sessions that are over

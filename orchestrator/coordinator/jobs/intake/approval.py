@@ -3,10 +3,10 @@
 from collections import OrderedDict
 
 from orchestrator.coordinator.jobs.job_plan import make_plan, resolve_job
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.queue import WaitingJob
-from orchestrator.coordinator.jobs.queue_requests import QueueRequests
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob
+from orchestrator.coordinator.jobs.queue.queue_requests import QueueRequests
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply

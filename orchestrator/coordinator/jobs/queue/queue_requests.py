@@ -3,11 +3,12 @@
 import asyncio
 from collections.abc import Iterable
 
-from orchestrator.coordinator.jobs.ends import JobEnds
-from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobServices
-from orchestrator.coordinator.jobs.publisher import QueuePublisher
-from orchestrator.coordinator.jobs.queue import WaitingJob
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.ends import JobEnds
+from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher
+from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
 from orchestrator.model.operation.approval import JobApproval
 

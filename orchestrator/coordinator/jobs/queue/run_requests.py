@@ -1,7 +1,7 @@
 """Changes of running jobs that users request: pauses, overrides, resumption."""
 
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
 from orchestrator.model.report import JobProgress, StepReport
 

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.jobs.job_run import JobServices
-from orchestrator.coordinator.jobs.queue import WaitingJob
-from orchestrator.coordinator.jobs.register import JobRegister
+from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState, make_queued_progress

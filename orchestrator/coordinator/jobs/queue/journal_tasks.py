@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any, ParamSpec
 
-from orchestrator.coordinator.jobs.job_run import JobServices
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 
 P = ParamSpec("P")

@@ -3,9 +3,10 @@
 import asyncio
 from collections.abc import Sequence
 
-from orchestrator.coordinator.jobs.conditions import JobNeeds, find_needs
-from orchestrator.coordinator.jobs.job_run import JobRun, JobServices
-from orchestrator.coordinator.jobs.queue import MAX_JOBS_WITHOUT_AXES, WaitingJob, sort_waiting
+from orchestrator.coordinator.jobs.queue.conditions import JobNeeds, find_needs
+from orchestrator.coordinator.jobs.queue.queue_order import MAX_JOBS_WITHOUT_AXES, WaitingJob, sort_waiting
+from orchestrator.coordinator.jobs.run.job_run import JobRun
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller

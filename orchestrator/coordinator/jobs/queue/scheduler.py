@@ -12,18 +12,20 @@ from pydantic import ValidationError
 
 from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
-from orchestrator.coordinator.jobs.attendance import SessionMonitor
-from orchestrator.coordinator.jobs.conditions import Obstacle, WorldConditions
-from orchestrator.coordinator.jobs.ends import RETRY_NS, JobEnd, JobEnds
-from orchestrator.coordinator.jobs.job_run import JobInterrupted, JobOutcome, JobRun, JobServices
-from orchestrator.coordinator.jobs.journal_tasks import JournalTasks
-from orchestrator.coordinator.jobs.publisher import QueuePublisher, describe_stop
-from orchestrator.coordinator.jobs.queue import WITHOUT_AXES_REASON, Schedule, WaitingJob, choose_jobs
-from orchestrator.coordinator.jobs.queue_gate import COORDINATOR, QueueGate
-from orchestrator.coordinator.jobs.queue_requests import QueueRequests
-from orchestrator.coordinator.jobs.register import JobRegister
-from orchestrator.coordinator.jobs.run_requests import RunRequests
-from orchestrator.coordinator.jobs.times import JobTimes
+from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
+from orchestrator.coordinator.jobs.queue.conditions import Obstacle, WorldConditions
+from orchestrator.coordinator.jobs.queue.ends import RETRY_NS, JobEnd, JobEnds
+from orchestrator.coordinator.jobs.queue.journal_tasks import JournalTasks
+from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher, describe_stop
+from orchestrator.coordinator.jobs.queue.queue_gate import COORDINATOR, QueueGate
+from orchestrator.coordinator.jobs.queue.queue_order import WITHOUT_AXES_REASON, Schedule, WaitingJob, choose_jobs
+from orchestrator.coordinator.jobs.queue.queue_requests import QueueRequests
+from orchestrator.coordinator.jobs.queue.register import JobRegister
+from orchestrator.coordinator.jobs.queue.run_requests import RunRequests
+from orchestrator.coordinator.jobs.queue.times import JobTimes
+from orchestrator.coordinator.jobs.run.job_run import JobRun
+from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobHasEnded, JobRecord, JournalError
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import EstopMessage, StopMode
@@ -193,10 +195,9 @@ class Scheduler:
     def _begin_job(self, waiting: WaitingJob) -> None:
         row = waiting.row
         del self.register.waiting[row.id]
-        run = self.register.running[row.id] = JobRun(
-            self._services, row, waiting.job, self._ends.make_report(row, waiting.job)
-        )
-        run.needs = self.register.take_needs(row.id).controllers
+        needs = self.register.take_needs(row.id).controllers
+        run = JobRun(self._services, row, waiting.job, self._ends.make_report(row, waiting.job), needs)
+        self.register.running[row.id] = run
         run.task = asyncio.get_running_loop().create_task(run.run())
         self._tasks.spawn(self._finish_job, run, waiting)
 

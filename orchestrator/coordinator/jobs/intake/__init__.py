@@ -1,0 +1,1 @@
+"""What a job passes before it waits: checks, uploads, its plan and the approval of that."""

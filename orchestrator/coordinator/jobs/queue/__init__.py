@@ -1,0 +1,1 @@
+"""The queue: which jobs wait, which begin, and how they end."""

@@ -1,0 +1,232 @@
+"""Execution of one job: its steps one after the other, its pauses, its end, and its report."""
+
+import asyncio
+from collections.abc import Sequence
+from contextlib import suppress
+
+from orchestrator.coordinator.fleet.leases import AxesInUse
+from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
+from orchestrator.coordinator.jobs.run.motors import JobMotors
+from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
+from orchestrator.coordinator.jobs.run.point_readings import PointReadings
+from orchestrator.coordinator.jobs.run.preparation import JobPreparation, PlanDeviates
+from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
+from orchestrator.coordinator.jobs.run.rest import RestMonitor
+from orchestrator.coordinator.jobs.run.run_state import RunState
+from orchestrator.coordinator.jobs.run.sequence import StepSequence
+from orchestrator.coordinator.jobs.run.step_run import StepRun
+from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.journal.records import JobRecord, JournalError
+from orchestrator.coordinator.steps.context import StepContext
+from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.messages import StopMode
+from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
+from orchestrator.model.steps.order import StepOrder
+
+
+class JobRun:
+    """The execution of job `row`. needs: controllers that no other job may use meanwhile."""
+
+    def __init__(
+        self, services: JobServices, row: JobRecord, job: Job, report: JobReport, needs: frozenset[str]
+    ) -> None:
+        self.row = row
+        self.job = job
+        self.task: asyncio.Task[JobOutcome] | None = None
+        self._services = services
+        self._steps = StepSequence(
+            StepOrder(job.steps, row.repeat), services.view.fleet, services.journal.points, services.execute
+        )
+        self._state = RunState(services, row, self._steps, needs)
+        self._rest = RestMonitor(services, self._steps, row.from_step)
+        self._motors = JobMotors(services, row, self._steps)
+        self._preparation = JobPreparation(services, row, job, self._steps, self._rest)
+        self._chain = MotionChain(services.motion, row.id, job, self._steps)
+        self._context = StepContext(services.fleet, services.motion.targets, row.id, row.actor, self._state.note_part)
+        self._step_run = StepRun(services, self._context, self._state, self._chain, self._rest)
+        self._interrupt: JobInterrupted | None = None
+        self._over = False
+        self._report = report
+        self._readings = PointReadings(services.view)
+        self._reports = ReportCollector(services.clock, self._store_points, self._readings)
+
+    @property
+    def state(self) -> JobState:
+        """Its state."""
+        return self._state.state
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Controllers that no other job may use meanwhile."""
+        return self._state.needs
+
+    @property
+    def description(self) -> str:
+        """A description of the job for those that wait for it."""
+        return f"job {self.row.name!r} {self.row.id} of {self.row.actor}"
+
+    @property
+    def last_motion(self) -> StepReport | None:
+        """The report of the last motion step that has ended."""
+        return self._reports.last_motion
+
+    def make_progress(self) -> JobProgress:
+        """The progress of the job: steps done, and the fraction of the current one."""
+        return self._state.make_progress()
+
+    async def interrupt_job(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
+        """Stop its axes and end it. Does nothing to a job that is ending already."""
+        if self._over or self._interrupt is not None or self.task is None:
+            return
+        self._interrupt = interrupt
+        await self._services.fleet.stop_members(self._rest.members, mode, interrupt.actor, interrupt.reason)
+        if not self._over:
+            self.task.cancel()
+
+    # Pause
+
+    @property
+    def paused_by(self) -> str | None:
+        """The originator of the pause, or of a requested pause."""
+        return self._state.pause.paused_by
+
+    def pause(self, actor: str) -> None:
+        """Pause the job after its current step. It keeps its axes."""
+        self._state.pause.request_pause(actor)
+        self._chain.prevent_release("the job was paused")
+        self._state.publish_progress()
+
+    async def feed_hold(self, actor: str) -> None:
+        """Pause inside a motion step by a feed hold: its axes brake together, and the step continues from where they
+        stand. Any other step is paused at its end."""
+        self._state.pause.braked = True
+        if self._state.motion_step is not None:
+            await self._state.motion_step.feed_hold(actor)
+        await self._chain.feed_hold(actor)
+
+    @property
+    def is_on_path(self) -> bool:
+        """Whether its present step is a path that a feed hold would leave: a member brakes by itself."""
+        step = self._state.motion_step
+        motion = step.motion if step is not None else None
+        return motion is not None and motion.leaves_path
+
+    async def override(self, rate: float) -> None:
+        """Play the path that it moves on at another rate. Raises `Refusal`."""
+        if self._state.motion_step is None:
+            text = f"job {self.row.id} is not on a path now"
+            raise Refusal("not-on-path", text, "an override is for paths; see `tutti job ls`")
+        await self._state.motion_step.override(rate)
+        self._state.publish_progress()
+
+    def resume(self, actor: str) -> None:
+        """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
+        self._state.pause.resume(actor)
+        self._state.publish_progress()
+
+    def abandon(self, interrupt: JobInterrupted) -> None:
+        """Begin no further step. Motion is left to the originator of the stop."""
+        self._state.pause.give_up(interrupt)
+
+    # Execution
+
+    async def run(self) -> JobOutcome:
+        """Run all steps; raises nothing."""
+        beat = asyncio.get_running_loop().create_task(self._state.keep_publishing())
+        try:
+            outcome = await self._run_job()
+        finally:
+            self._over = True
+            beat.cancel()
+            await self._readings.wait_for_last(self._services.clock)
+            self._readings.close()
+            with suppress(JournalError):
+                await self._reports.finish()
+        if outcome.state != "done" and self._holds_axes():
+            # A stop takes time to arrive, and so does its ramp: no other job gets the axes meanwhile.
+            await self._rest.wait_for_rest()
+        if self._holds_axes():
+            await self._motors.disable_by_policy(self._context)
+        await self._services.leases.release(self.row.id)
+        return outcome
+
+    def make_broken_outcome(self, error: BaseException | None) -> JobOutcome:
+        """The outcome of a run that could not report it itself: it ended with an error, or was cancelled."""
+        ended_interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
+        if error is not None:
+            ended_interrupt = JobInterrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
+        return JobOutcome(ended_interrupt.state, ended_interrupt.reason, ended_interrupt.actor, self._make_report())
+
+    def _make_report(self) -> JobReport:
+        return self._report.model_copy(update={"steps": self._reports.reports})
+
+    async def _run_job(self) -> JobOutcome:
+        services = self._services
+        self._report = self._report.model_copy(update={"started_utc": services.clock.utc()})
+        state: JobState = "done"
+        reason, actor = "", self.row.actor
+        try:
+            await self._prepare()
+            for index in range(self.row.from_step, len(self._steps)):
+                self._state.begin_step(index)
+                await self._step_run.wait_while_paused()
+                report = await self._run_numbered_step(index)
+                if report.state != "done":
+                    state = "aborted" if report.state == "stopped" else "failed"
+                    reason = f"{self._steps.locate(index).describe()}: {report.reason}"
+                    if self._interrupt is not None:
+                        # Its stop has reached the step before the step was cancelled.
+                        state, reason, actor = self._interrupt.state, self._interrupt.reason, self._interrupt.actor
+                    break
+        except asyncio.CancelledError:
+            interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
+            state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
+        except JobInterrupted as given_up:
+            state, reason, actor = given_up.state, given_up.reason, given_up.actor
+        except (AxesInUse, PlanDeviates) as error:
+            deviates = isinstance(error, PlanDeviates)
+            return JobOutcome("queued", error.text, actor, self._report, begun=False, deviates=deviates)
+        except Refusal as error:
+            state, reason = "failed", f"not begun: {error.text}; {error.remedy}".rstrip("; ")
+        except JournalError as error:
+            if not self._state.is_recorded:
+                return JobOutcome("queued", str(error), actor, self._report, begun=False, trouble=True)
+            state, reason = "failed", str(error)
+            await services.fleet.stop_members(self._rest.members, "decelerate", "coordinator", reason)
+        except Exception as error:
+            state, reason = "failed", f"a defect of the coordinator: {error!r}"
+            await services.fleet.stop_members(self._rest.members, "decelerate", "coordinator", reason)
+        finally:
+            await self._chain.drop("its job has ended", self.row.actor)
+        return JobOutcome(state, reason, actor, self._make_report())
+
+    async def _prepare(self) -> None:
+        """Do all that comes before the first step. Raises `Refusal`, `AxesInUse`, `PlanDeviates`, `JournalError`."""
+        preparation = self._preparation
+        try:
+            prepare = preparation.prepare_approved if self.row.proposed else preparation.prepare
+            since_ns = await prepare(self.needs)
+        finally:
+            self._report = self._report.model_copy(update={"positions_used": preparation.positions_used})
+        preparation.publish_beginning()
+        await self._rest.wait_for_rest(since_ns)
+        if await self._motors.enable_by_policy(self._context):
+            self._rest.seen_ns = None
+
+    async def _run_numbered_step(self, index: int) -> StepReport:
+        """Run step number `index`, and record its report. Raises `JournalError`, `JobInterrupted`."""
+        location, step = self._steps.locate(index), await self._steps.read_step(index)
+        self._reports.begin_step(location)
+        report = await self._step_run.run_step(index, step)
+        self._rest.seen_ns = None
+        report = self._chain.complete_report(report, self._reports.last_motion)
+        await self._reports.add_report(location, report, self._steps.find_target(location))
+        return report
+
+    async def _store_points(self, points: Sequence[PointRecord]) -> None:
+        journal = self._services.journal
+        await self._services.execute(journal.point_rows.store_points, self.row.id, points)
+
+    def _holds_axes(self) -> bool:
+        return any(held_lease.holder == self.row.id for held_lease in self._services.leases.all_leases)

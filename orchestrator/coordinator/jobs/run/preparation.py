@@ -1,0 +1,106 @@
+"""What a job does before its first step: it is checked once more, gets its axes, and is published."""
+
+from orchestrator.bus.base import Priority
+from orchestrator.coordinator.fleet.lease_states import LeaseUser
+from orchestrator.coordinator.fleet.leases import AxesInUse
+from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.job_plan import PlannedJob, list_written, make_plan
+from orchestrator.coordinator.jobs.needs import find_axes
+from orchestrator.coordinator.jobs.run.rest import RestMonitor
+from orchestrator.coordinator.jobs.run.sequence import StepSequence
+from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
+from orchestrator.model.base import UnknownName
+from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.operation.approval import join_changes, list_changes
+from orchestrator.model.operation.recording import JobBegun
+
+
+class PlanDeviates(Refusal):
+    """A proposed job would not begin with the plan that was approved."""
+
+    def __init__(self, changes: str) -> None:
+        super().__init__("plan-changed", f"held again: {changes}", "look at the plan again: `tutti job approve`")
+
+
+class JobPreparation:
+    """Prepares job `row`. positions_used: the named positions of its targets, as they were when it was prepared."""
+
+    def __init__(self, services: JobServices, row: JobRecord, job: Job, steps: StepSequence, rest: RestMonitor) -> None:
+        self.positions_used: dict[str, dict[str, str]] = {}
+        self._services = services
+        self._row = row
+        self._job = job
+        self._steps = steps
+        self._rest = rest
+
+    async def prepare(self, needs: frozenset[str]) -> int:
+        """Take positions and axes, and check the job; return when the axes were asked for. needs: its controllers.
+        Raises `Refusal`, `AxesInUse`."""
+        services = self._services
+        self._take_positions()
+        # Again, because the fleet may have changed since the job was accepted.
+        remaining = self._steps.order.list_remaining(self._row.from_step)
+        least_s = await check_job(services.view.fleet, remaining, services.motion.plan)
+        services.fleet.certificates.require_until(needs, least_s)
+        axes = find_axes(services.view.fleet, self._steps.list_steps(self._row.from_step))
+        since_ns = services.clock.now_ns()
+        user = LeaseUser(self._row.id, self._row.actor, f"job {self._row.name!r}", self._row.session or "")
+        await services.leases.acquire(user, axes)
+        return since_ns
+
+    async def prepare_approved(self, needs: frozenset[str]) -> int:
+        """`prepare`, for a job that may only begin with its approved plan. Its axes are taken before the plan is made:
+        nothing else can move them from then on. Raises `PlanDeviates`, `AxesInUse`, `JournalError`."""
+        try:
+            since_ns = await self.prepare(needs)
+            await self._rest.wait_for_rest(since_ns)
+            changes = await self._find_deviation(since_ns)
+            if changes:
+                raise PlanDeviates(changes)
+        except AxesInUse:
+            raise
+        except (Refusal, UnknownName) as error:
+            await self._services.leases.release(self._row.id)
+            # A part of the plan may be one that cannot even be determined any more.
+            raise error if isinstance(error, PlanDeviates) else PlanDeviates(str(error)) from None
+        return since_ns
+
+    async def _find_deviation(self, since_ns: int) -> str:
+        """What differs from the approved plan, in words; empty: nothing. Raises `Refusal`, `UnknownName`,
+        `JournalError`."""
+        services, row = self._services, self._row
+        try:
+            approval = await services.execute(services.journal.approvals.load_approval, row.id)
+        except DamagedRecord:
+            return "its approval in the journal is damaged"
+        if approval is None or approval.void:
+            return "no plan of it is approved"
+        steps = list_written(self._steps.order, row.from_step)
+        planned_job = PlannedJob(self._job, row.repeat, row.from_step, steps, self.positions_used)
+        plan = await make_plan(services.view, planned_job, since_ns)
+        return "" if plan.hash == approval.plan.hash else join_changes(list_changes(approval.plan, plan))
+
+    def publish_beginning(self) -> None:
+        """Publish the job itself, for what records it."""
+        services, row = self._services, self._row
+        begun_job = JobBegun(
+            job_id=row.id,
+            name=row.name,
+            actor=row.actor,
+            utc=services.clock.utc(),
+            epoch=services.leadership.epoch,
+            repeat=row.repeat,
+            from_step=row.from_step,
+            positions_used=self.positions_used,
+            job=self._job,
+        )
+        services.bus.put(services.keys.job_begun(row.id), begun_job.to_json(), Priority.EVENT)
+
+    def _take_positions(self) -> None:
+        """Take the values of the named positions of its targets, for the whole run. Raises `Refusal`."""
+        resolver = self._services.positions.make_resolver()
+        order = resolver.resolve_remaining(self._job.steps, self._row.repeat, self._row.from_step)
+        self._steps.replace_order(order)
+        self.positions_used = resolver.used

@@ -1,0 +1,161 @@
+"""The state of a running job: its step, how far that is, and a requested pause; recorded and published."""
+
+import asyncio
+
+from orchestrator.bus.base import Priority
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
+from orchestrator.coordinator.jobs.run.sequence import StepSequence
+from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.journal.records import JobRecord
+from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.model.report import JobProgress, JobState
+
+PROGRESS_NS = NS_PER_S // 5
+
+
+class JobPause:
+    """Whether a job is to pause. paused_by: the originator of the pause, or of a requested one. braked: by a feed hold,
+    inside a motion step. given_up: why the job begins no further step."""
+
+    def __init__(self) -> None:
+        self.paused_by: str | None = None
+        self.resumed_by = ""
+        self.braked = False
+        self.resumed = asyncio.Event()
+        self.given_up: JobInterrupted | None = None
+
+    def request_pause(self, actor: str) -> None:
+        """Pause after the present step."""
+        self.paused_by = actor
+        self.resumed.clear()
+
+    def give_up(self, interrupt: JobInterrupted) -> None:
+        """Begin no further step."""
+        self.given_up = interrupt
+        self.resumed.set()
+
+    def resume(self, actor: str) -> None:
+        """Continue, or cancel a requested pause."""
+        self.paused_by, self.resumed_by, self.braked = None, actor, False
+        self.resumed.set()
+
+
+class RunState:
+    """The state of job `row`.
+
+    needs: controllers that no other job may use meanwhile. is_recorded: its beginning is in the journal. motion_step:
+    the present step, if it is a motion.
+    """
+
+    def __init__(self, services: JobServices, row: JobRecord, steps: StepSequence, needs: frozenset[str]) -> None:
+        self.pause = JobPause()
+        self.needs = needs
+        self.state: JobState = "queued"
+        self.is_recorded = False
+        self.step = row.from_step
+        self.motion_step: MotionStep | None = None
+        self._services = services
+        self._row = row
+        self._steps = steps
+        self._reason = ""
+        self._step_t0_ns = 0
+        self._step_s = 0.0
+        self._part = 0.0
+        self._doing = ""
+
+    def describe_place(self) -> str:
+        """Where a pause is: in a step, before the first one or after one."""
+        is_first = self.step == self._row.from_step
+        location = self._steps.locate(self.step if is_first or self._part else self.step - 1)
+        return f"{'in' if self._part else 'before' if is_first else 'after'} {location.describe(kinds=False)}"
+
+    def begin_step(self, index: int) -> None:
+        """Step number `index` begins."""
+        self.step, self._step_t0_ns, self._step_s = index, 0, 0.0
+        self._part, self._doing = 0.0, ""
+
+    def note_start(self, t0_fleet_ns: int, duration_s: float) -> None:
+        """The present motion starts at T0, and is to take `duration_s`."""
+        self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
+
+    def note_part(self, part: float, doing: str) -> None:
+        """A part of the present step is done, from 0 to 1."""
+        self._part, self._doing = part, doing
+        self.publish_progress()
+
+    def note_hold(self, *, is_moved: bool) -> None:
+        """The present motion is interrupted; is_moved: after a part of it."""
+        if is_moved:
+            self._part = self._step_fraction()
+        self._step_t0_ns = 0
+
+    async def change_state(self, state: JobState, reason: str, actor: str | None = None) -> None:
+        """Record and publish a change. Raises `JournalError`."""
+        if state == self.state and state != "planning":
+            return
+        services = self._services
+        # Of a scan, the first point stands for all: its points have rows of their own in the journal.
+        point_later = self.is_recorded and self._steps.locate(self.step).is_later_point
+        if not point_later or "paused" in (state, self.state):
+            transition = services.make_transition(state, reason, actor or self._row.actor)
+            await services.execute(services.journal.record_transition, self._row.id, transition)
+        self.state, self._reason, self.is_recorded = state, reason, True
+        services.log.info(f"job is {state}", job=self._row.id, step=self.step, epoch=services.leadership.epoch)
+        self.publish_progress()
+
+    async def keep_publishing(self) -> None:
+        """Publish the progress again and again."""
+        while True:
+            self.publish_progress()
+            await sleep_ns(self._services.clock, PROGRESS_NS)
+
+    def publish_progress(self) -> None:
+        """Publish its progress."""
+        key = self._services.keys.job_state(self._row.id)
+        self._services.bus.put(key, self.make_progress().to_json(), Priority.STATE)
+
+    def make_progress(self) -> JobProgress:
+        """The progress of the job: steps done, and the fraction of the current one."""
+        step_share, remaining_s = self._step_fraction(), None
+        if self._step_t0_ns and self._step_s > 0:
+            remaining_s = self._find_times()[1]
+        location, reason = self._steps.locate(self.step), self._reason
+        within_scan = location.point is not None
+        rate = None if self.motion_step is None else self.motion_step.rate
+        if rate is not None and rate != 1.0:
+            reason = f"{reason}; " * bool(reason) + f"on its path at {rate:.0%} of the planned speed"
+        if self.pause.paused_by is not None and self.state != "paused":
+            reason = f"pauses after this step: {self.pause.paused_by}"
+        return JobProgress(
+            job_id=self._row.id,
+            name=self._row.name,
+            actor=self._row.actor,
+            state=self.state,
+            step=self.step,
+            steps=len(self._steps),
+            step_name=self._doing or location.step.name or location.step.kind,
+            scan_step=location.first if within_scan else None,
+            point=location.point + 1 if location.point is not None else None,
+            points=None if location.scan is None else location.scan.point_count,
+            fraction=min(1.0, (self.step + step_share) / len(self._steps)),
+            remaining_s=remaining_s,
+            override_percent=None if rate is None else round(100 * rate, 3),
+            reason=reason,
+            utc=self._services.clock.utc(),
+        )
+
+    def _find_times(self) -> tuple[float, float]:
+        """How long the current step has moved, and how long it will, s; on a path, at its present speed."""
+        times_s = None if self.motion_step is None else self.motion_step.path_times_s
+        if times_s is not None:
+            return times_s
+        elapsed_s = (self._services.leadership.fleet_now_ns() - self._step_t0_ns) / NS_PER_S
+        return elapsed_s, max(0.0, self._step_s - elapsed_s)
+
+    def _step_fraction(self) -> float:
+        """The fraction of the current step that is done: of the rest after `_part`, by time."""
+        if not self._step_t0_ns or self._step_s <= 0:
+            return self._part
+        elapsed_s, remaining_s = self._find_times()
+        return self._part + (1 - self._part) * min(1.0, max(0.0, elapsed_s) / max(elapsed_s + remaining_s, 1e-9))

@@ -1,0 +1,125 @@
+"""The present step of a job: run once, or in parts with pauses between them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.jobs.check import predict_s
+from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
+from orchestrator.coordinator.jobs.run.rest import RestMonitor
+from orchestrator.coordinator.jobs.run.run_state import RunState
+from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
+from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.coordinator.steps.context import StepContext
+from orchestrator.coordinator.steps.kinds import run_step
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import RefusalDetails
+from orchestrator.model.report import FeedHold, JobState, StepReport
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.tree import as_motion
+
+
+@dataclass(frozen=True, slots=True)
+class _StepCallbacks:
+    """What a motion step reports to its job."""
+
+    on_state: StateCallback
+    on_started: Callable[[int, float], None]
+
+
+class StepRun:
+    """Runs the steps of a job one after the other. context: what the steps that do not move use."""
+
+    def __init__(
+        self, services: JobServices, context: StepContext, state: RunState, chain: MotionChain, rest: RestMonitor
+    ) -> None:
+        self._services = services
+        self._context = context
+        self._state = state
+        self._pause = state.pause
+        self._chain = chain
+        self._rest = rest
+
+    async def wait_while_paused(self) -> None:
+        """Wait until the job is resumed, if it is paused. Raises `JobInterrupted` when it is ended."""
+        pause, state = self._pause, self._state
+        if pause.paused_by is not None and self._chain.is_prepared:
+            if self._chain.is_decided and not pause.braked:
+                return  # it was too late to pause before that step
+            await self._chain.drop("the job is paused", self._context.actor)
+        while pause.paused_by is not None:
+            self._rest.seen_ns = None
+            await state.change_state("paused", f"paused by {pause.paused_by} {state.describe_place()}", pause.paused_by)
+            await pause.resumed.wait()
+            if self._pause.given_up is not None:
+                break
+            await state.change_state("running", f"resumed by {pause.resumed_by}", pause.resumed_by)
+        if self._pause.given_up is not None:
+            raise self._pause.given_up
+
+    async def run_step(self, index: int, step: Step) -> StepReport:
+        """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
+        holds: list[FeedHold] = []
+        motion = as_motion(step)
+        if motion is not None:
+            self._state.motion_step = self._chain.begin_step(index, motion)
+        try:
+            while True:
+                report = await self._run_once(index, step)
+                if report.refused is None or report.refused.code != FEED_HOLD:
+                    return report.model_copy(update={"feed_holds": holds})
+                await self._chain.drop("the job is paused", self._context.actor)
+                if report.state == "stopped":
+                    services, by = self._services, self._pause.paused_by or self._pause.resumed_by
+                    holds.append(FeedHold(by=by, utc=services.clock.utc(), rest_skew=report.end_skew))
+                self._state.note_hold(is_moved=report.state == "stopped")
+                await self.wait_while_paused()
+                await self._rest.wait_for_rest()
+        finally:
+            self._state.motion_step = None
+
+    async def _run_once(self, index: int, step: Step) -> StepReport:
+        services = self._services
+        began_ns = services.clock.now_ns()
+        try:
+            if self._state.motion_step is not None:
+                return await self._run_motion(self._state.motion_step)
+            services.fleet.certificates.require_until(self._state.needs, predict_s(services.view.fleet, step))
+            await self._on_state("running", "")
+            added_fields = await run_step(self._context, step)
+        except Refusal as error:
+            services.log.warning(error.text, job=self._context.holder, step=index, code=error.code)
+            reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
+            return StepReport(
+                index=index,
+                do=step.kind,
+                name=step.name or "",
+                state="failed",
+                reason=reason,
+                refused=RefusalDetails.of(error),
+            )
+        took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
+        name = step.name or ""
+        report = StepReport(index=index, do=step.kind, name=name, state="done", actual_s=took_s)
+        return report.model_copy(update=added_fields)
+
+    async def _run_motion(self, step: MotionStep) -> StepReport:
+        """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""
+        callbacks = _StepCallbacks(self._on_state, self._on_started)
+        motion = await self._chain.wait_until_released(step)
+        if motion is not None:
+            return await step.run_released(motion, callbacks)
+        return await step.run(callbacks, self._rest.seen_ns)
+
+    async def _on_state(self, state: JobState, reason: str) -> None:
+        await self._state.change_state(state, reason)
+        if self._pause.braked and state != "planning" and self._state.motion_step is not None:
+            # The pause was requested while nothing could be braked yet.
+            await self._state.motion_step.feed_hold(self._pause.paused_by or "")
+
+    def _on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
+        self._state.note_start(t0_fleet_ns, duration_s)
+        step = self._state.motion_step
+        if step is not None and step.motion is not None:
+            self._chain.look_ahead(step.motion)
