@@ -10,8 +10,8 @@ from typing import NamedTuple
 from orchestrator.bus.base import BusError
 from orchestrator.coordinator.fleet.positions import format_position
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.jobs.intake.start_places import StartPlaces
 from orchestrator.coordinator.jobs.needs import find_wires
+from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet, Permit

@@ -6,11 +6,11 @@ from datetime import timedelta
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.intake.path_intake import split_paths
 from orchestrator.coordinator.jobs.intake.point_intake import PointIntake
-from orchestrator.coordinator.jobs.intake.start_places import StartPlaces
 from orchestrator.coordinator.jobs.needs import find_axes, find_needed_controllers
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.queue.times import MISSED_AFTER
 from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
