@@ -2,31 +2,20 @@
 
 from collections.abc import Awaitable, Callable, Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from pydantic import ValidationError
 
 from adapters.abilities import LearningDriver, set_output
-from adapters.controller.armed_step import StepPhase
-from adapters.controller.context import ControllerContext
-from adapters.controller.fencing import EpochFence
-from adapters.controller.jogging import JogControl
-from adapters.controller.leases import MotionLeases
-from adapters.controller.motors import MotorControl
-from adapters.controller.participant import StepParticipant
-from adapters.controller.path_chunks import PathChunks
-from adapters.controller.publisher import StatePublisher, first_error_text
-from adapters.controller.referencing import AxisReferencing
-from adapters.controller.sampling import SampleCollection
-from adapters.controller.status import ControllerStatus
-from adapters.controller.store import PersistentMemory
-from adapters.controller.surveillance import Surveillance
-from adapters.controller.triggers import LatchControl, TriggerCollection
+from adapters.controller.components import Components
+from adapters.controller.publishing.publisher import first_error_text
+from adapters.controller.slots.triggers import LatchControl
+from adapters.controller.state.armed_step import StepPhase
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.stops import ControllerStops
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS
-from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
@@ -74,68 +63,23 @@ from orchestrator.model.messages import (
     TakeTriggers,
     TriggersTaken,
 )
-from orchestrator.model.state import FaultReport
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.model.version import PartVersion, require_version
 
 NEAR_START_NS = 300 * NS_PER_MS
 
 
-class SupervisorActions(Protocol):
-    """What the commands need of the supervisor to which they belong."""
-
-    async def poll_and_publish(self) -> None:
-        """Read the controller and publish at once, after a change."""
-        ...
-
-    async def stop(self, reason: str, *, abort: bool, follow: bool = False) -> None:
-        """Stop the controller, bypassing everything else. follow: keep following a moving step until it is at rest."""
-        ...
-
-    def wake_poll(self) -> None:
-        """Schedule the next poll soon."""
-        ...
-
-    def handle_defect(self, error: Exception) -> FaultReport:
-        """Begin anew after an error that nothing expected; return the fault."""
-        ...
-
-    def replace_configuration(self, config: Controller) -> None:
-        """Restart with another configuration as soon as the reply is sent."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Components:
-    """The components of a supervisor that execute commands."""
-
-    fence: EpochFence
-    remembered: PersistentMemory
-    leases: MotionLeases
-    participant: StepParticipant
-    chunks: PathChunks
-    jogging: JogControl
-    motors: MotorControl
-    referencing: AxisReferencing
-    surveillance: Surveillance
-    samples: SampleCollection
-    triggers: TriggerCollection
-    scale: Callable[[], FleetScale]
-    status: ControllerStatus
-    publisher: StatePublisher
-
-
 class ControllerCommands:
     """Answer `ctl/{id}/cmd/*` for one controller."""
 
-    def __init__(self, context: ControllerContext, components: Components, supervisor: SupervisorActions) -> None:
+    def __init__(self, context: ControllerContext, components: Components, stops: ControllerStops) -> None:
         self._context = context
         self._config, self._driver = context.config, context.driver
         self._components = components
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
-        self._supervisor = supervisor
+        self._stops = stops
         self._answers = AnswerCache()
-        latches = LatchControl(context.driver, context.config, self._require_idle, components.scale)
+        latches = LatchControl(context, self._require_idle)
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (AdoptRequest, AdoptedReply, self._handle_adopt),
@@ -146,7 +90,7 @@ class ControllerCommands:
             "go": (GoRequest, Reply, self._handle_go),
             "load-chunk": (LoadChunkRequest, ChunkReply, components.chunks.load),
             "release-chunk": (ReleaseChunkRequest, Reply, components.chunks.release),
-            "disarm": (DisarmRequest, DisarmedReply, components.participant.disarm_step),
+            "disarm": (DisarmRequest, DisarmedReply, components.withdrawal.disarm_step),
             "stop": (StopRequest, Reply, self._handle_stop),
             "enable": (EnableRequest, Reply, self._handle_enable),
             "home": (HomeRequest, HomeReply, self._handle_home),
@@ -195,7 +139,7 @@ class ControllerCommands:
             text = f"the memory of {self._context.controller} cannot be saved: {error}"
             refusal = RefusalDetails(code="disk", text=text, remedy="check the disk of its adapter host, and try again")
         except Exception as error:
-            fault = self._supervisor.handle_defect(error)
+            fault = self._components.tasks.handle_defect(error)
             refusal = RefusalDetails(code=fault.code, text=fault.text, remedy=fault.remedy)
         self._publisher.emit_event("refusal", f"{verb} by {request.actor}: {refusal.text}")
         return reply(refused=refusal.model_copy(update={"member": self._context.controller})).to_json()
@@ -210,7 +154,7 @@ class ControllerCommands:
         self._context.follow_leader(self._context.controller, leader)
         if fresh:
             self._components.leases.end_all(f"new leader, epoch {request.epoch}")
-            await self._components.participant.abandon_step(f"new leader, epoch {request.epoch}")
+            await self._components.withdrawal.abandon_step(f"new leader, epoch {request.epoch}")
         self._publisher.publish_state()
         return AdoptedReply(epoch=self._fence.epoch, mode=self._publisher.current_mode())
 
@@ -237,19 +181,19 @@ class ControllerCommands:
     async def _handle_go(self, request: GoRequest) -> Reply:
         self._fence.require_no_estop()
         reply = await self._components.participant.start_step(request)
-        armed_step = self._components.participant.armed_step
+        armed_step = self._components.steps.present
         if armed_step is not None:
             # From here on it is polled at the rate of a moving controller, so that its start is not noticed a slow poll
             # later. If T0 is near, that begins at T0: before, the coordinator still sends `go` to other participants,
             # and a poll would delay this host.
             clock = self._context.clock
             starts_later = armed_step.t0_host_ns - clock.now_ns() > NEAR_START_NS
-            clock.call_at_ns(clock.now_ns() if starts_later else armed_step.t0_host_ns, self._supervisor.wake_poll)
+            clock.call_at_ns(clock.now_ns() if starts_later else armed_step.t0_host_ns, self._components.timer.wake_up)
         return reply
 
     async def _handle_stop(self, request: StopRequest) -> Reply:
         reason = request.reason or f"stopped by {request.actor}"
-        await self._supervisor.stop(abort=request.mode == "abort", reason=reason, follow=request.mode == "feed-hold")
+        await self._stops.stop(abort=request.mode == "abort", reason=reason, follow=request.mode == "feed-hold")
         return Reply()
 
     async def _handle_lease(self, request: LeaseRequest) -> LeaseReply:
@@ -277,7 +221,7 @@ class ControllerCommands:
             except (LinkClosed, LinkRefused, ControllerFault) as error:
                 # The controller continues its search by itself. If the stop cannot be sent now, it stays pending.
                 with suppress(LinkClosed, LinkRefused, ControllerFault):
-                    await self._supervisor.stop(abort=False, reason=f"homing has failed: {error}")
+                    await self._stops.stop(abort=False, reason=f"homing has failed: {error}")
                 raise
 
     async def _handle_jog(self, request: JogRequest) -> Reply:
@@ -314,7 +258,7 @@ class ControllerCommands:
             raise Refusal("unknown-output", f"no output {request.output}; outputs: {output_names}")
         self._status.require_online()
         await set_output(self._driver, point.number, on=request.value == (point.active == "high"))
-        await self._supervisor.poll_and_publish()
+        await self._components.polling.poll_and_publish()
         return Reply()
 
     async def _handle_reset(self, request: ResetRequest) -> Reply:
@@ -332,7 +276,7 @@ class ControllerCommands:
         """Clear what can be cleared, and verify that nothing prevents motion. Raises `Refusal`."""
         status = self._status
         status.require_online()
-        armed_step = self._components.participant.armed_step
+        armed_step = self._components.steps.present
         if armed_step is not None and armed_step.phase is not StepPhase.MOVING:
             # The commands that clear faults would run before the start command, and delay it.
             raise Refusal(
@@ -343,7 +287,7 @@ class ControllerCommands:
         status.ordered_ns = self._context.clock.now_ns()
         await self._driver.clear_faults()
         await self._components.surveillance.recheck_settings()
-        await self._supervisor.poll_and_publish()
+        await self._components.polling.poll_and_publish()
         status.require_no_fault()
         moving_axes = [name for name, axis in status.require_online().axes.items() if axis.moving]
         if moving_axes:
@@ -363,7 +307,7 @@ class ControllerCommands:
         except ValueError as error:
             raise Refusal("bad-configuration", str(error), "correct the fleet file") from None
         if not request.check:
-            self._supervisor.replace_configuration(config)
+            self._context.replace_supervisor(self._context.controller, config)
         return Reply()
 
     async def _handle_raw(self, request: RawRequest) -> RawReply:
@@ -400,7 +344,7 @@ class ControllerCommands:
             raise Refusal("busy", f"axis {min(self._status.jogging)} is jogging", "end the jog first")
 
     def _require_no_step(self) -> None:
-        if self._components.participant.armed_step is not None or self._status.homing:
+        if self._components.steps.present is not None or self._status.homing:
             raise Refusal(
                 "busy",
                 f"the controller is {self._publisher.current_mode()}",

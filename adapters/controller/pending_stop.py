@@ -1,11 +1,12 @@
 """The stop of a controller that cannot be reached: it is tried until it is sent, before anything else is sent."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator, Awaitable
 from contextlib import asynccontextmanager, suppress
 
 from adapters.abilities import SharedLineDriver
-from adapters.controller.context import ControllerContext
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.link.last_stop import send_stop_once
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.link.base import LinkClosed
@@ -15,11 +16,11 @@ LOOK_NS = 20 * NS_PER_MS  # between two looks whether a line has recovered
 
 
 class PendingStop:
-    """The pending stop of one controller. wait_until_loaded: waits until no step is being loaded."""
+    """The pending stop of one controller."""
 
-    def __init__(self, context: ControllerContext, wait_until_loaded: Callable[[], Awaitable[None]]) -> None:
+    def __init__(self, context: ControllerContext, steps: LoadedSteps) -> None:
         self._context = context
-        self._wait_until_loaded = wait_until_loaded
+        self._steps = steps
         self._wake = asyncio.Event()
         self._attempt: asyncio.Timeout | None = None
         self._requested = 0
@@ -74,7 +75,7 @@ class PendingStop:
         if not self.is_pending:
             yield
             return
-        await self._wait_until_loaded()
+        await self._steps.wait_until_loaded()
         driver = self._context.driver
         if isinstance(driver, SharedLineDriver) and await driver.stop_before_connect():
             yield

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from adapters.controller.publisher import first_error_text
+from adapters.controller.publishing.publisher import first_error_text
 from orchestrator.bus.base import BusSample, RequestHandler, RequestRefused
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock

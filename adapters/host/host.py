@@ -9,9 +9,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from adapters.contract import DriverSetup, TimedWriter
-from adapters.controller.context import ControllerContext
-from adapters.controller.log import ControllerLog
-from adapters.controller.store import AdapterStore, PersistentMemory
+from adapters.controller.publishing.log import ControllerLog
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
 from adapters.host.fleet_time import FleetTime
@@ -197,7 +197,7 @@ class AdapterHost:
     def _apply_estop(self, latch: EstopLatch, units: Iterable[ControllerSupervisor]) -> None:
         # Moving controllers first: a controller at rest can wait the millisecond that the stops of 16 others take.
         for unit in sorted(units, key=lambda unit: not unit.is_moving):
-            self._spawn_task(unit.apply_estop(latch))
+            self._spawn_task(unit.stops.apply_estop(latch))
 
     # Leadership
 
@@ -208,7 +208,11 @@ class AdapterHost:
             self._log.warning(f"unreadable leader message: {error.errors()[0]['msg']}")
             return
         event = heartbeat.estop if self._leaders.receive_heartbeat(heartbeat) else ""
-        if event and not self._fetching_estop and any(unit.misses_estop(event) for unit in self.supervisors.values()):
+        if (
+            event
+            and not self._fetching_estop
+            and any(unit.stops.misses_estop(event) for unit in self.supervisors.values())
+        ):
             self._fetching_estop = True
             self._spawn_task(self._fetch_estop(event))
 
@@ -224,7 +228,9 @@ class AdapterHost:
             with suppress(ValidationError):
                 latch = KeptEstop.read_message(kept_latches[key]).estop
                 if latch is not None and latch.event == event:
-                    self._apply_estop(latch, [unit for unit in self.supervisors.values() if unit.misses_estop(event)])
+                    self._apply_estop(
+                        latch, [unit for unit in self.supervisors.values() if unit.stops.misses_estop(event)]
+                    )
                     return
 
     def _follow_leader(self, controller: str, leader: LeaderHeartbeat) -> None:
@@ -240,7 +246,7 @@ class AdapterHost:
         reason = "the clock of this computer or of the coordinator's has jumped"
         self._log.warning(f"{reason}; moving axes are stopped")
         for unit in self.supervisors.values():
-            self._spawn_task(unit.handle_coordinator_loss(reason))
+            self._spawn_task(unit.stops.handle_coordinator_loss(reason))
 
     async def _watch_coordinator(self) -> None:
         clock = self._environment.clock
@@ -249,7 +255,7 @@ class AdapterHost:
             self._watch_backlog()
             for controller, silent_ns in self._leaders.find_lost().items():
                 reason = f"the coordinator has been silent for {silent_ns // NS_PER_MS} ms"
-                self._spawn_task(self.supervisors[controller].handle_coordinator_loss(reason))
+                self._spawn_task(self.supervisors[controller].stops.handle_coordinator_loss(reason))
 
     def _watch_backlog(self) -> None:
         """Log once that the bus does not keep up, and once that it does again."""

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 from uuid import uuid4
 
-from adapters.controller.store import FileStore
+from adapters.controller.state.store import FileStore
 from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import apply_make_defaults, find_controller_problems
 from adapters.host.timed_writer import ProcessTimedWriter
@@ -226,7 +226,10 @@ async def _shut_down(host: AdapterHost, log: ProcessLog, reason: str) -> None:
     """Stop everything, because this process no longer supervises it, and close links and bus."""
     log.info(reason)
     stops = await asyncio.gather(
-        *(asyncio.wait_for(unit.stop(abort=False, reason=reason), STOP_SEND_S) for unit in host.supervisors.values()),
+        *(
+            asyncio.wait_for(unit.stops.stop(abort=False, reason=reason), STOP_SEND_S)
+            for unit in host.supervisors.values()
+        ),
         return_exceptions=True,
     )
     for unit, outcome in zip(host.supervisors.values(), stops, strict=True):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from random import Random
 
 from adapters.abilities import find_differences
-from adapters.controller.readings import require_sound_reading
+from adapters.controller.state.readings import require_sound_reading
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.conformance.findings import require
 from orchestrator.conformance.worlds import Case, World, run_case

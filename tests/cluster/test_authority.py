@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from adapters.controller.participant import StepParticipant
-from adapters.controller.store import FileStore
+from adapters.controller.slots.participant import StepParticipant
+from adapters.controller.state.store import FileStore
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from orchestrator.bus.base import BusSample, Priority
 from orchestrator.bus.estop import put_estop

@@ -8,7 +8,7 @@ from statistics import median
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from adapters.controller.participant import StepParticipant
+from adapters.controller.slots.participant import StepParticipant
 from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet

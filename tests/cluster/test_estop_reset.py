@@ -47,7 +47,7 @@ def test_an_e_stop_that_is_fetched_late_is_applied_only_where_it_is_missing() ->
         await asyncio.sleep(1)
         assert await list_latched(fleet) == []
         # One that really is missing it stops, and alone.
-        host.supervisors["stage"]._fence._reset_event = ""
+        host.supervisors["stage"]._parts.fence._reset_event = ""
         await host._fetch_estop(event)
         await asyncio.sleep(1)
         assert await list_latched(fleet) == ["stage"]

@@ -24,7 +24,7 @@ from cluster.worlds import (
 )
 
 from adapters.contract import ControllerReading
-from adapters.controller.participant import StepParticipant
+from adapters.controller.slots.withdrawal import StepWithdrawal
 from adapters.smc30.driver import Smc30Driver
 from orchestrator.bench import sync_fleets
 from orchestrator.client.api import Tutti
@@ -335,7 +335,7 @@ def test_a_member_that_does_not_answer_delays_no_stop_of_another(monkeypatch: py
     async def begun(*_: object) -> Reply:
         raise Refusal("moving", "the step moves already")
 
-    monkeypatch.setattr(StepParticipant, "disarm_step", begun)
+    monkeypatch.setattr(StepWithdrawal, "disarm_step", begun)
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"

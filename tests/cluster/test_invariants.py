@@ -12,13 +12,15 @@ from cluster.test_busy_host import delayed_starts
 from cluster.worlds import PREPARE, demo_fleet, outcome, run_fleet
 
 from adapters.contract import HostInterval, SwitchedOutput
-from adapters.controller import step_end
-from adapters.controller.jogging import JogControl
-from adapters.controller.leases import MotionLeases
-from adapters.controller.next_step import PreparedMove
-from adapters.controller.participant import StepParticipant
-from adapters.controller.referencing import AxisReferencing
-from adapters.controller.supervisor import ControllerSupervisor
+from adapters.controller.manual.jogging import JogControl
+from adapters.controller.manual.referencing import AxisReferencing
+from adapters.controller.slots import step_end
+from adapters.controller.slots.participant import StepParticipant
+from adapters.controller.slots.step_checks import StepChecks
+from adapters.controller.slots.withdrawal import StepWithdrawal
+from adapters.controller.state.leases import MotionLeases
+from adapters.controller.state.next_step import PreparedMove
+from adapters.controller.stops import ControllerStops
 from adapters.shrc203.moves import ShrcMover
 from adapters.yaskawa.common import device
 from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker
@@ -64,21 +66,21 @@ def opens_its_gate_when_armed(patch: Patch) -> None:
 
     async def eager(self: StepParticipant, request: ArmRequest) -> Any:
         armed = await honest(self, request)
-        await self._driver.slots.present.release()
+        await self._context.driver.slots.present.release()
         return armed
 
     patch.setattr(StepParticipant, "arm_step", eager)
     patch.setattr(StartSequence, "disarm", nothing_async)
-    patch.setattr(ControllerSupervisor, "_handle_lease_end", nothing)
+    patch.setattr(ControllerStops, "_handle_lease_end", nothing)
 
 
 def stops_no_member(patch: Patch) -> None:
     patch.setattr(FleetAccess, "stop_members", nothing_async)
-    patch.setattr(ControllerSupervisor, "_handle_lease_end", nothing)  # which would stop what the job has left moving
+    patch.setattr(ControllerStops, "_handle_lease_end", nothing)  # which would stop what the job has left moving
 
 
 def ignores_the_estop(patch: Patch) -> None:
-    patch.setattr(ControllerSupervisor, "apply_estop", nothing_async)
+    patch.setattr(ControllerStops, "apply_estop", nothing_async)
 
 
 def plans_beyond_the_limits(patch: Patch) -> None:
@@ -89,7 +91,7 @@ def plans_beyond_the_limits(patch: Patch) -> None:
         return plan_step([replace(each, velocity=each.velocity * 8) for each in moves], sync, speed, ramps)
 
     patch.setattr("orchestrator.coordinator.motion.planning.plan_step", fast)
-    patch.setattr("adapters.controller.supervisor.check_profiles", nothing)
+    patch.setattr("adapters.controller.slots.step_checks.check_profiles", nothing)
 
 
 def keeps_old_references(patch: Patch) -> None:
@@ -99,13 +101,13 @@ def keeps_old_references(patch: Patch) -> None:
 
 def searches_on(patch: Patch) -> None:
     """A controller that is homing receives no stop."""
-    honest = ControllerSupervisor.stop
+    honest = ControllerStops.stop
 
-    async def deaf(self: ControllerSupervisor, reason: str, *, abort: bool, follow: bool = False) -> None:
-        if not self._status.homing:
+    async def deaf(self: ControllerStops, reason: str, *, abort: bool, follow: bool = False) -> None:
+        if not self._parts.status.homing:
             await honest(self, reason, abort=abort, follow=follow)
 
-    patch.setattr(ControllerSupervisor, "stop", deaf)
+    patch.setattr(ControllerStops, "stop", deaf)
 
 
 def jogs_on(patch: Patch) -> None:
@@ -145,7 +147,7 @@ def ignores_other_coordinators(patch: Patch) -> None:
 
 def takes_any_configuration(patch: Patch) -> None:
     """Neither the adapter nor the coordinator polls."""
-    honest, honest_info = ControllerSupervisor._check_step, FleetView.query_info
+    honest, honest_info = StepChecks.check_step, FleetView.query_info
 
     async def flattered(self: FleetView, controller: str) -> Any:
         digest = self.fleet.controllers[controller].digest
@@ -153,10 +155,10 @@ def takes_any_configuration(patch: Patch) -> None:
 
     patch.setattr(FleetView, "query_info", flattered)
 
-    def blind(self: ControllerSupervisor, request: ProposeRequest | ArmRequest) -> None:
+    def blind(self: StepChecks, request: ProposeRequest | ArmRequest) -> None:
         honest(self, request.model_copy(update={"digest": self._config.digest}))
 
-    patch.setattr(ControllerSupervisor, "_check_step", blind)
+    patch.setattr(StepChecks, "check_step", blind)
 
 
 def begins_after_a_break(patch: Patch) -> None:
@@ -209,11 +211,11 @@ def opens_its_gate_behind_a_step(patch: Patch) -> None:
     async def eager(self: StepParticipant, move: PreparedMove) -> Any:
         armed = await honest(self, move)
         if not armed.waits:
-            await self._slots.following.release()
+            await self._steps.slots.following.release()
         return armed
 
     patch.setattr(StepParticipant, "_load_behind", eager)
-    patch.setattr(StepParticipant, "_unload_at_t0", nothing_async)
+    patch.setattr(StepWithdrawal, "unload_at_t0", nothing_async)
 
 
 def continues_elsewhere(patch: Patch) -> None:

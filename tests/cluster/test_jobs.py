@@ -6,7 +6,7 @@ import re
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, refusal, run_fleet
 
-from adapters.controller.supervisor import ControllerSupervisor
+from adapters.controller.stops import ControllerStops
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.model.errors import Refusal
@@ -212,10 +212,10 @@ def test_moving_controllers_receive_an_estop_before_those_at_rest(
     monkeypatch: pytest.MonkeyPatch, axis: str, other: str
 ) -> None:
     told: list[str] = []
-    estop = ControllerSupervisor.apply_estop
+    estop = ControllerStops.apply_estop
 
-    async def noted(unit: ControllerSupervisor, latch: EstopLatch) -> None:
-        told.append(unit.controller)
+    async def noted(unit: ControllerStops, latch: EstopLatch) -> None:
+        told.append(unit._context.controller)  # pyright: ignore[reportPrivateUsage]
         await estop(unit, latch)
 
     async def main(fleet: VirtualFleet) -> None:
@@ -224,7 +224,7 @@ def test_moving_controllers_receive_an_estop_before_those_at_rest(
         client = fleet.make_client()
         await client.submit(job(f"[{{do: move, to: {{{axis}: 40}}, speed: 0.1}}]"))
         await fleet.wait_until(lambda states: states[mover].mode == "moving")
-        monkeypatch.setattr(ControllerSupervisor, "apply_estop", noted)
+        monkeypatch.setattr(ControllerStops, "apply_estop", noted)
         await client.estop("a test")
         assert told == [mover, other]
 

@@ -6,7 +6,7 @@ from fractions import Fraction
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, outcome, refusal, run_fleet
 
-from adapters.controller.store import AdapterMemory, FileStore
+from adapters.controller.state.store import AdapterMemory, FileStore
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.link.memory import MemoryLink

@@ -9,7 +9,7 @@ import pytest
 from cluster.test_contour import two_gantries
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
-from adapters.controller.path_chunks import PathChunks
+from adapters.controller.slots.path_chunks import PathChunks
 from adapters.yaskawa.common.course_refill import ContourRefill
 from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns

@@ -9,7 +9,8 @@ from typing import Any, cast
 import pytest
 from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
 
-from adapters.controller.participant import STOP_LEAD_NS, StepParticipant
+from adapters.controller.slots.participant import StepParticipant
+from adapters.controller.slots.withdrawal import STOP_LEAD_NS
 from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000, make_sync_fleet
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -133,12 +134,12 @@ def test_a_member_that_gets_go_too_late_is_rearmed_if_no_member_has_started(
 
     async def slowly(member: StepParticipant, request: GoRequest) -> Reply:
         reply = await go(member, request)
-        ticket = member.armed_step
-        if member._controller in slow and ticket is not None:
+        ticket = member._steps.present
+        if member._context.controller in slow and ticket is not None:
             slow.clear()
             # It has been released, and only its answer is late.
-            await sleep_ns(member._clock, ticket.t0_host_ns - STOP_LEAD_NS - member._clock.now_ns())
-            await sleep_ns(member._clock, max(0, late_by_ms * NS_PER_MS + STOP_LEAD_NS))
+            await sleep_ns(member._context.clock, ticket.t0_host_ns - STOP_LEAD_NS - member._context.clock.now_ns())
+            await sleep_ns(member._context.clock, max(0, late_by_ms * NS_PER_MS + STOP_LEAD_NS))
         return reply
 
     async def main(fleet: VirtualFleet) -> None:

@@ -11,7 +11,7 @@ from cluster.test_queue_hostile import COMMANDS, HEAD, RAW, SHORT, ask, mutated
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from adapters.controller.commands import ControllerCommands
-from adapters.controller.participant import StepParticipant
+from adapters.controller.slots.participant import StepParticipant
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.coordinator import Coordinator
@@ -159,7 +159,7 @@ def test_an_answer_missing_from_a_host_is_a_refusal_that_names_the_member(monkey
     commit = StepParticipant.commit_step
 
     async def silent(member: StepParticipant, request: CommitRequest) -> Reply:
-        if member._controller == "stage":  # pyright: ignore[reportPrivateUsage]
+        if member._context.controller == "stage":  # pyright: ignore[reportPrivateUsage]
             await sleep_ns(member._clock, 500 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
         return await commit(member, request)
 

@@ -6,8 +6,8 @@ import json
 import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
-from adapters.controller import publisher
-from adapters.controller.store import AdapterMemory
+from adapters.controller.publishing import publisher
+from adapters.controller.state.store import AdapterMemory
 from orchestrator.coordinator.leadership import leadership
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
-from adapters.controller.store import FileStore
+from adapters.controller.state.store import FileStore
 from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
 from orchestrator.bus.identity import VARIABLE
 from orchestrator.bus.logfile import rotate_if_large, rotate_open_file

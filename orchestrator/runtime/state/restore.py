@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO, NamedTuple
 
-from adapters.controller.store import FileStore
+from adapters.controller.state.store import FileStore
 from orchestrator.coordinator.journal.records import BadBackup, JournalError
 from orchestrator.coordinator.journal.sqlite.inspection import JournalDamage, check_journal
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal

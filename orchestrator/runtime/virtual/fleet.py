@@ -11,7 +11,7 @@ from pathlib import Path
 from random import Random
 from typing import Any, TypeVar
 
-from adapters.controller.store import FileStore
+from adapters.controller.state.store import FileStore
 from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter

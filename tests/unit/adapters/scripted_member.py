@@ -1,7 +1,8 @@
 """A controller's part in steps, over a driver that is scripted by the test."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from types import SimpleNamespace
 from typing import Any, Literal, cast
 
 from adapters.contract import (
@@ -15,9 +16,13 @@ from adapters.contract import (
     MoveSlots,
     SettingDifference,
 )
-from adapters.controller.armed_step import ArmedStep
-from adapters.controller.participant import StepParticipant, StepServices
-from adapters.controller.settling import SettlingResult
+from adapters.controller.monitoring.settling import SettlingResult
+from adapters.controller.slots.participant import StepParticipant
+from adapters.controller.slots.parts import StepParts
+from adapters.controller.slots.withdrawal import StepWithdrawal
+from adapters.controller.state.armed_step import ArmedStep
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.loaded_steps import LoadedSteps
 from orchestrator.clock.base import NS_PER_S, sleep_ns, sleep_until_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -31,6 +36,20 @@ MOVE_S = 1.0  # duration of each move
 MOVE_NS = round(MOVE_S * NS_PER_S)
 FOLLOWING_T0_NS = T0_NS + MOVE_NS + NS_PER_S // 20  # of a step behind the first one
 COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
+
+
+class ScriptedSettling:
+    """Axes that are at rest at once, and must be inside a window if the test says so."""
+
+    def __init__(self, desk: "Desk") -> None:
+        self._desk = desk
+
+    def must_settle(self, _: object) -> bool:
+        return self._desk.must_settle
+
+    async def wait_until_settled(self, _: object) -> SettlingResult:
+        self._desk.settled += 1
+        return SettlingResult()
 
 
 class ScriptedMover:
@@ -177,34 +196,52 @@ class Desk:
         self.defects: list[Exception] = []
         self.claimed: dict[str, set[str]] = {}
         self._tasks: list[asyncio.Task[None]] = []
-        self.member = StepParticipant(
-            "c",
-            cast(Driver, self.driver),
-            clock,
-            StepServices(
-                check=lambda _: self.checks.append("at rest"),
-                check_following=lambda _: self.checks.append("following"),
-                scale=lambda: FleetScale("s", 0),
-                emit=self._emit,
-                settle=self._settle,
-                must_settle=lambda _: self.must_settle,
-                doubt_positions=lambda _: None,
-                note_differences=self.noted.extend,
-                spawn=lambda coroutine: self._tasks.append(asyncio.ensure_future(self._survive(coroutine))),
+        context = cast(
+            ControllerContext,
+            SimpleNamespace(
+                controller="c",
+                driver=self.driver,
+                clock=clock,
+                lowering_lock=asyncio.Lock(),
+                require_scale=lambda: FleetScale("s", 0),
             ),
-            lowering_lock=asyncio.Lock(),
         )
+        scripted: Any = self
+        self.steps = LoadedSteps(cast(Driver, self.driver))
+        self.withdrawal = StepWithdrawal(context, self.steps, cast(Any, ScriptedSettling(self)), scripted)
+        parts: Any = StepParts(
+            steps=self.steps,
+            withdrawal=self.withdrawal,
+            settling=cast(Any, ScriptedSettling(self)),
+            surveillance=scripted,
+            events=scripted,
+            tasks=scripted,
+        )
+        self.member = StepParticipant(context, parts, scripted)
 
-    def _emit(
+    # What the participant needs of its supervisor
+
+    def check_step(self, _: object) -> None:
+        self.checks.append("at rest")
+
+    def check_following_step(self, _: object) -> None:
+        self.checks.append("following")
+
+    def doubt_positions(self, _: object) -> None:
+        return
+
+    def note_differences(self, differences: Sequence[SettingDifference]) -> None:
+        self.noted.extend(differences)
+
+    def spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
+        self._tasks.append(asyncio.ensure_future(self._survive(coroutine)))
+
+    def emit_step(
         self, kind: EventKind, text: str, armed_step: ArmedStep, evidence: Mapping[str, object] | None = None
     ) -> None:
         self.said.append(kind)
         self.events.append((kind, armed_step.step))
         self.claimed[kind] = set(evidence or ())
-
-    async def _settle(self, _: object) -> SettlingResult:
-        self.settled += 1
-        return SettlingResult()
 
     async def arm(self, step: int, t0_ns: int) -> None:
         await self.member.arm_step(ArmRequest(**self.ref(step), digest="d", t0_fleet_ns=t0_ns, profiles={}))

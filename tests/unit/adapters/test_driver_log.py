@@ -9,7 +9,7 @@ import pytest
 from unit.adapters.test_shrc203_driver import TIMING, controller
 
 from adapters.contract import NULL_LOG, DriverLog, DriverSetup
-from adapters.controller.log import ControllerLog
+from adapters.controller.publishing.log import ControllerLog
 from adapters.shrc203 import MAKE
 from adapters.toolkit.firing import LoopTimedWriter
 from adapters.toolkit.refusals import log_refusals

@@ -7,8 +7,8 @@ import pytest
 from unit.adapters.scripted_member import NEXT_T0_NS, T0_NS, Desk, run
 
 from adapters.contract import HostInterval, MoveOutcome
-from adapters.controller.armed_step import StepPhase
-from adapters.controller.participant import STOP_LEAD_NS
+from adapters.controller.slots.withdrawal import STOP_LEAD_NS
+from adapters.controller.state.armed_step import StepPhase
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -22,7 +22,7 @@ def test_go_may_advance_the_promised_t0() -> None:
     async def body(desk: Desk) -> None:
         await desk.go(sooner_ns=SOONER_NS)
         assert desk.driver.told == ["arm", "verify", f"go {SOONER_NS} ns sooner"]
-        ticket = desk.member.armed_step
+        ticket = desk.steps.present
         assert ticket is not None and ticket.phase is StepPhase.RELEASED
         assert ticket.t0_fleet_ns == ticket.t0_host_ns == T0_NS - SOONER_NS
 
@@ -54,7 +54,7 @@ def test_a_member_disarmed_during_go_is_stopped_at_once_and_reports_if_it_may_ha
         desk.driver.may_go.clear()
         going = asyncio.ensure_future(desk.go())
         await sleep_ns(desk.clock, T0_NS - before_ns)
-        unloading = asyncio.ensure_future(desk.member.disarm_step(DisarmRequest(**desk.ref(0))))
+        unloading = asyncio.ensure_future(desk.withdrawal.disarm_step(DisarmRequest(**desk.ref(0))))
         await desk.later(0.001)
         assert desk.driver.told[2:] == ["go", "stop"] and not unloading.done()
         desk.driver.may_go.set()
@@ -62,7 +62,7 @@ def test_a_member_disarmed_during_go_is_stopped_at_once_and_reports_if_it_may_ha
             await going
         assert caught.value.code == "stopped"
         assert (await unloading).may_have_started is begun
-        assert desk.driver.told[-1] == "disarm" and desk.member.armed_step is None and desk.said == ["disarmed"]
+        assert desk.driver.told[-1] == "disarm" and desk.steps.present is None and desk.said == ["disarmed"]
 
     run(body)
 
@@ -73,10 +73,10 @@ def test_a_move_that_another_job_armed_is_not_disarmed() -> None:
         told = list(desk.driver.told)
         others: tuple[dict[str, Any], ...] = ({"job": "k"}, {"step": 1})
         for other in others:
-            assert (await desk.member.disarm_step(DisarmRequest(**(desk.ref(0) | other)))).may_have_started is False
-        assert desk.driver.told == told and desk.member.armed_step is not None and not desk.said
-        await desk.member.disarm_step(DisarmRequest(**desk.ref(0)))
-        assert desk.member.armed_step is None and desk.driver.told[-1] == "disarm"
+            assert (await desk.withdrawal.disarm_step(DisarmRequest(**(desk.ref(0) | other)))).may_have_started is False
+        assert desk.driver.told == told and desk.steps.present is not None and not desk.said
+        await desk.withdrawal.disarm_step(DisarmRequest(**desk.ref(0)))
+        assert desk.steps.present is None and desk.driver.told[-1] == "disarm"
 
     run(body)
 
@@ -84,13 +84,13 @@ def test_a_move_that_another_job_armed_is_not_disarmed() -> None:
 def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_a_poll_shows_it_at_rest() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
-        await desk.member.stop(abort=False, reason="stop")
+        await desk.withdrawal.stop(abort=False, reason="stop")
         desk.driver.begins()
         await desk.later()
-        assert desk.member.is_following
+        assert desk.steps.is_followed
         desk.driver.rested.set_result(MoveOutcome("stopped", {}))
         await desk.later()
-        assert not desk.member.is_following and desk.said == ["stopped"]
+        assert not desk.steps.is_followed and desk.said == ["stopped"]
 
     run(body)
 
@@ -98,12 +98,12 @@ def test_a_step_that_is_stopped_as_it_starts_is_not_over_before_a_poll_shows_it_
 def test_the_end_of_a_step_that_was_stopped_at_its_start_is_not_taken_for_that_of_the_next() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
-        await desk.member.stop(abort=False, reason="stop")
+        await desk.withdrawal.stop(abort=False, reason="stop")
         await desk.arm(1, NEXT_T0_NS)
         desk.driver.begins()
         await desk.later()
-        assert "outcome" not in desk.driver.told and not desk.member.is_following
-        ticket = desk.member.armed_step
+        assert "outcome" not in desk.driver.told and not desk.steps.is_followed
+        ticket = desk.steps.present
         assert ticket is not None and (ticket.step, ticket.phase) == (1, StepPhase.ARMED)
 
     run(body)
@@ -119,9 +119,9 @@ def test_a_member_that_received_go_is_stopped_or_has_a_pending_stop_when_its_lin
         desk.driver.begun.set_exception(LinkClosed("the port is closed"))
         await desk.later()
         assert desk.said == ["failed"]
-        assert desk.member.stop_pending is closed and ("stop" in desk.driver.told) is not closed
-        desk.member.drop_step("the link is lost")
-        assert not desk.member.stop_pending
+        assert desk.steps.stop_pending is closed and ("stop" in desk.driver.told) is not closed
+        desk.withdrawal.drop_step("the link is lost")
+        assert not desk.steps.stop_pending
 
     run(body)
 
@@ -133,11 +133,11 @@ def test_a_move_that_did_not_start_is_disarmed(stopped: bool) -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
         if stopped:
-            await desk.member.stop(abort=False, reason="stop")
+            await desk.withdrawal.stop(abort=False, reason="stop")
         desk.driver.begun.set_exception(ControllerFault("not-started", "axis x has not left its place", ""))
         await desk.later()
         assert desk.driver.told[-2:] == ["stop", "disarm"]
-        assert desk.member.armed_step is None and desk.said == ["stopped" if stopped else "failed"]
+        assert desk.steps.present is None and desk.said == ["stopped" if stopped else "failed"]
 
     run(body)
 
@@ -151,7 +151,7 @@ def test_a_member_that_refuses_go_is_stopped_before_it_is_disarmed(error: Except
         with pytest.raises(type(error)):
             await desk.go()
         assert desk.driver.told == ["arm", "verify", "go", "stop", "disarm"]
-        assert desk.member.armed_step is None
+        assert desk.steps.present is None
 
     run(body)
 
@@ -166,11 +166,11 @@ def test_a_member_that_cannot_be_disarmed_has_a_pending_stop(promised: bool) -> 
             await desk.member.commit_step(CommitRequest(**desk.ref(0), t0_fleet_ns=T0_NS))
         desk.driver.closed = True
         with pytest.raises(LinkClosed):
-            await desk.member.disarm_step(DisarmRequest(**desk.ref(0)))
-        assert desk.member.stop_pending
+            await desk.withdrawal.disarm_step(DisarmRequest(**desk.ref(0)))
+        assert desk.steps.stop_pending
         desk.driver.closed = False
-        await desk.member.disarm_step(DisarmRequest(**desk.ref(0)))
-        assert not desk.member.stop_pending and desk.driver.told[-1] == "disarm"
+        await desk.withdrawal.disarm_step(DisarmRequest(**desk.ref(0)))
+        assert not desk.steps.stop_pending and desk.driver.told[-1] == "disarm"
 
     run(body)
 
@@ -178,7 +178,7 @@ def test_a_member_that_cannot_be_disarmed_has_a_pending_stop(promised: bool) -> 
 def test_a_move_that_did_not_start_is_not_disarmed_while_the_next_step_is_armed() -> None:
     async def body(desk: Desk) -> None:
         await desk.go()
-        await desk.member.stop(abort=False, reason="stop")
+        await desk.withdrawal.stop(abort=False, reason="stop")
         loaded: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
         async def arm(*_: object) -> dict[str, int]:

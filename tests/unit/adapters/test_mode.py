@@ -11,11 +11,15 @@ from typing import Any, cast
 import pytest
 
 from adapters.contract import AxisReading, ControllerReading, Driver
-from adapters.controller.context import ControllerContext
-from adapters.controller.jogging import JogControl
+from adapters.controller.manual.jogging import JogControl
+from adapters.controller.monitoring.polling import StatePolling
 from adapters.controller.pending_stop import PendingStop
-from adapters.controller.publisher import StatePublisher, StepActivity
-from adapters.controller.status import STARTING, ControllerStatus
+from adapters.controller.publishing.publisher import StatePublisher, StateSources
+from adapters.controller.state.background import BackgroundTasks
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.loaded_steps import LoadedSteps
+from adapters.controller.state.poll_timer import PollTimer
+from adapters.controller.state.status import STARTING, ControllerStatus
 from adapters.controller.supervisor import ControllerSupervisor
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -32,6 +36,14 @@ CONFIG = Controller.model_validate(
     }
 )
 STOPPED_NS, UNTIL_NS = 1000, 2000
+
+
+def loaded_steps(*, following: bool = False) -> LoadedSteps:
+    """No step; following: the driver has not come to the end of one."""
+    driver: Any = SimpleNamespace(slots=None)
+    steps = LoadedSteps(driver)
+    steps.followed_steps = int(following)
+    return steps
 
 
 def nothing(*_: object, **__: object) -> None:
@@ -64,10 +76,7 @@ def test_a_stopped_controller_is_at_rest_only_after_a_poll_confirms_it(
     )
     presenter = StatePublisher(
         cast(ControllerContext, seat),
-        absent,
-        absent,
-        condition,
-        StepActivity(lambda: None, lambda: following, tuple, dict),
+        StateSources(absent, absent, condition, loaded_steps(following=following), absent),
     )
     assert presenter.current_mode() == mode
 
@@ -92,16 +101,19 @@ def test_a_jogged_controller_is_at_rest_only_after_a_poll_confirms_it() -> None:
         )
         presenter = StatePublisher(
             cast(ControllerContext, seat),
-            absent,
-            absent,
-            condition,
-            StepActivity(lambda: None, lambda: False, tuple, dict),
+            StateSources(absent, absent, condition, loaded_steps(), absent),
         )
         condition.referenced["x"] = True
         condition.reading = ControllerReading(
             clock.now_ns(), {"x": AxisReading(0, 0.0, 0.0, moving=False, enabled=True)}
         )
-        jogging = JogControl(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        jogging = JogControl(
+            cast(Driver, driver),
+            clock,
+            condition,
+            cast(BackgroundTasks, SimpleNamespace(spawn=asyncio.ensure_future)),
+            PollTimer(clock),
+        )
         velocities = {"x": 0.2}
         request = JogRequest(request_id="r", actor="a", holder="manual-a", seq=1, velocities=velocities, valid_ms=50)
         await jogging.apply_request(request)
@@ -153,7 +165,13 @@ def test_slow_jog_commands_of_several_axes_are_renewed_before_their_answers(
         )
         condition.referenced = {"x": True, "y": True}
         driver = Slow(clock, refuses)
-        jogging = JogControl(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        jogging = JogControl(
+            cast(Driver, driver),
+            clock,
+            condition,
+            cast(BackgroundTasks, SimpleNamespace(spawn=asyncio.ensure_future)),
+            PollTimer(clock),
+        )
 
         def request(seq: int, renew: bool) -> JogRequest:
             velocities = {"x": 0.2, "y": 0.2}
@@ -183,7 +201,13 @@ def test_a_controller_reported_at_rest_or_off_by_itself_is_stopped_nevertheless(
         condition = ControllerStatus(CONFIG, faults=[], reading=ControllerReading(clock.now_ns(), {"x": at_rest}))
         condition.referenced["x"] = True
         driver = Slow(clock)
-        jogging = JogControl(cast(Driver, driver), clock, condition, asyncio.ensure_future, nothing)
+        jogging = JogControl(
+            cast(Driver, driver),
+            clock,
+            condition,
+            cast(BackgroundTasks, SimpleNamespace(spawn=asyncio.ensure_future)),
+            PollTimer(clock),
+        )
         velocities = {"x": 0.2}
         await jogging.apply_request(
             JogRequest(request_id="r", actor="a", holder="h", seq=1, velocities=velocities, valid_ms=200)
@@ -211,10 +235,11 @@ def test_heartbeats_continue_until_t0_and_not_beyond_it_without_a_poll() -> None
 
         presenter = SimpleNamespace(published_ns=0, current_mode=lambda: "moving", publish_state=publish)
         unit = SimpleNamespace(
-            _config=CONFIG,
             _clock=clock,
-            _publisher=presenter,
-            _participant=SimpleNamespace(armed_step=SimpleNamespace(t0_host_ns=clock.now_ns() + t0_ns)),
+            _parts=SimpleNamespace(
+                publisher=presenter,
+                steps=SimpleNamespace(present=SimpleNamespace(t0_host_ns=clock.now_ns() + t0_ns)),
+            ),
         )
         began_ns = presenter.published_ns = clock.now_ns()
         beating = asyncio.ensure_future(ControllerSupervisor._publish_heartbeats(cast(ControllerSupervisor, unit)))
@@ -232,8 +257,8 @@ def test_heartbeats_continue_until_t0_and_not_beyond_it_without_a_poll() -> None
     [
         (900, False, "", True),
         (1001, True, "", True),
-        (1001, False, "is_following", True),
-        (1001, False, "is_loading", True),
+        (1001, False, "followed_steps", True),
+        (1001, False, "loading_lock", True),
         (1001, False, "stop_pending", True),
         (1001, False, "", False),
     ],
@@ -244,15 +269,23 @@ def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
     """Its command may have been lost with the link; it may be moving until a poll observes it."""
     reading = ControllerReading(read_ns, {"x": AxisReading(0, 0.0, 0.0, moving, enabled=True)})
     condition = ControllerStatus(CONFIG, reading=reading, stopped_ns=STOPPED_NS, may_move=False)
-    parts = ("is_following", "is_loading", "stop_pending")
+    steps = loaded_steps()
+    if member == "loading_lock":
+        steps.loading_lock = cast(asyncio.Lock, SimpleNamespace(locked=lambda: True))
+    elif member:
+        setattr(steps, member, True)
     unit = SimpleNamespace(
         controller="c",
-        _status=condition,
-        _participant=SimpleNamespace(armed_step=None, drop_step=nothing, **{each: each == member for each in parts}),
-        _jogging=SimpleNamespace(drop_all=nothing),
-        _publisher=SimpleNamespace(emit_event=nothing, publish_state=lambda: None),
         _log=SimpleNamespace(warning=nothing),
-        _pending_stop=SimpleNamespace(request_stop=lambda: requested.append(True)),
+        _parts=SimpleNamespace(
+            status=condition,
+            steps=steps,
+            withdrawal=SimpleNamespace(drop_step=nothing),
+            jogging=SimpleNamespace(drop_all=nothing),
+            polling=SimpleNamespace(is_connected=True),
+            publisher=SimpleNamespace(emit_event=nothing, publish_state=lambda: None),
+            pending_stop=SimpleNamespace(request_stop=lambda: requested.append(True)),
+        ),
     )
     requested: list[bool] = []
     ControllerSupervisor._handle_offline(cast(ControllerSupervisor, unit), STARTING)
@@ -281,24 +314,22 @@ def test_a_pending_stop_is_repeated_until_the_controller_answers() -> None:
         async def configure(self) -> None:
             return None
 
-    async def nothing_loaded() -> None:
-        return None
-
     async def load_soft_limits(_: object) -> None:
         return None
 
     async def main(clock: VirtualClock) -> None:
         driver: Any = Broken()
-        pending = PendingStop(cast(ControllerContext, SimpleNamespace(driver=driver)), nothing_loaded)
+        pending = PendingStop(cast(ControllerContext, SimpleNamespace(driver=driver)), loaded_steps())
         pending.request_stop()
         unit: Any = SimpleNamespace(
-            _pending_stop=pending,
-            _driver=driver,
-            _defects=SimpleNamespace(),
-            _config=CONFIG,
-            _status=ControllerStatus(CONFIG),
-            _referencing=SimpleNamespace(load_soft_limits=load_soft_limits),
-            _publisher=SimpleNamespace(emit_event=lambda kind, _: told.append(kind)),
+            _context=SimpleNamespace(driver=driver, config=CONFIG),
+            _parts=SimpleNamespace(
+                pending_stop=pending,
+                defects=SimpleNamespace(),
+                status=ControllerStatus(CONFIG),
+                referencing=SimpleNamespace(load_soft_limits=load_soft_limits),
+                publisher=SimpleNamespace(emit_event=lambda kind, _: told.append(kind)),
+            ),
         )
         for _attempt in range(2):
             with pytest.raises(ControllerFault):
@@ -324,18 +355,18 @@ def test_a_controller_that_answers_while_it_is_being_connected_is_not_online_yet
             return ControllerReading(clock.now_ns(), {})
 
         unit = SimpleNamespace(
-            _driver=SimpleNamespace(poll=poll),
-            _is_connected=lost_ms > 0,
-            _handle_reading=lambda reading: taken.append(reading.at_ns),
+            _context=SimpleNamespace(driver=SimpleNamespace(poll=poll)),
+            is_connected=lost_ms > 0,
+            listener=SimpleNamespace(handle_reading=lambda reading: taken.append(reading.at_ns)),
             _publisher=SimpleNamespace(publish_state=nothing),
         )
-        refreshing = asyncio.ensure_future(ControllerSupervisor.poll_and_publish(cast(ControllerSupervisor, unit)))
+        refreshing = asyncio.ensure_future(StatePolling.poll_and_publish(cast(StatePolling, unit)))
         await sleep_ns(clock, lost_ms * NS_PER_MS)
-        unit._is_connected = False
+        unit.is_connected = False
         with pytest.raises(LinkClosed, match="not connected yet"):
             await refreshing
-        unit._is_connected = True
-        await ControllerSupervisor.poll_and_publish(cast(ControllerSupervisor, unit))
+        unit.is_connected = True
+        await StatePolling.poll_and_publish(cast(StatePolling, unit))
 
     run_virtual(main)
     assert len(taken) == 1
@@ -346,5 +377,9 @@ def test_a_jogged_controller_is_polled_whatever_else_is_requested_of_it(by_hand:
     condition = ControllerStatus(CONFIG, faults=[])
     if by_hand:
         getattr(condition, by_hand).add("x")
-    unit = SimpleNamespace(_status=condition, _participant=SimpleNamespace(quiet_until_ns=lambda: 7))
-    assert ControllerSupervisor._quiet_until_ns(cast(ControllerSupervisor, unit)) == until_ns
+    unit = SimpleNamespace(
+        _status=condition,
+        _steps=SimpleNamespace(quiet_until_ns=lambda _: 7),
+        _context=SimpleNamespace(clock=SimpleNamespace(now_ns=lambda: 0)),
+    )
+    assert StatePolling._quiet_until_ns(cast(StatePolling, unit)) == until_ns

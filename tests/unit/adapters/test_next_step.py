@@ -12,8 +12,10 @@ import pytest
 from unit.adapters.scripted_member import FOLLOWING_T0_NS, MOVE_NS, T0_NS, Desk, run
 
 from adapters.contract import SettingDifference
-from adapters.controller.armed_step import StepPhase
-from adapters.controller.participant import QUIET_TURN_NS, READING_ROOM_NS, STOP_LEAD_NS
+from adapters.controller.slots.follower import READING_ROOM_NS
+from adapters.controller.slots.withdrawal import STOP_LEAD_NS
+from adapters.controller.state.armed_step import StepPhase
+from adapters.controller.state.loaded_steps import QUIET_TURN_NS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -42,19 +44,19 @@ async def reach(desk: Desk, phase: Phase) -> None:
 
 def behind(desk: Desk) -> StepPhase | None:
     """The phase of the step behind the present one; None if there is none."""
-    following = desk.member._next.armed_step
+    following = desk.steps.following.armed_step
     return None if following is None else following.phase
 
 
 def present(desk: Desk) -> tuple[int, StepPhase] | None:
     """Number and phase of the present step."""
-    armed_step = desk.member.armed_step
+    armed_step = desk.steps.present
     return None if armed_step is None else (armed_step.step, armed_step.phase)
 
 
 async def disarm_next(desk: Desk) -> bool:
     """Disarm the following step; return whether it may have started."""
-    return (await desk.member.disarm_step(DisarmRequest(**desk.ref(1)))).may_have_started
+    return (await desk.withdrawal.disarm_step(DisarmRequest(**desk.ref(1)))).may_have_started
 
 
 # As planned
@@ -72,7 +74,7 @@ def test_a_step_that_the_controller_holds_is_released_before_the_end_and_followe
         assert desk.driver.told[4:] == ["load next", "verify next", "release next"]
         await desk.end_present()
         assert present(desk) == (1, StepPhase.RELEASED) and behind(desk) is None
-        assert desk.driver.told[7:] == ["take next"] and desk.member.is_following
+        assert desk.driver.told[7:] == ["take next"] and desk.steps.is_followed
         desk.driver.begins(at_ns=FOLLOWING_T0_NS)
         await desk.later(0.001)
         assert present(desk) == (1, StepPhase.MOVING)
@@ -101,7 +103,7 @@ def test_a_held_step_may_be_released_for_an_earlier_t0() -> None:
         await desk.release_next(sooner_ns=10 * NS_PER_MS)
         assert desk.driver.told == [f"release next {10 * NS_PER_MS} ns sooner"]
         await desk.end_present()
-        armed_step = desk.member.armed_step
+        armed_step = desk.steps.present
         assert armed_step is not None and armed_step.t0_host_ns == FOLLOWING_T0_NS - 10 * NS_PER_MS
 
     run(body)
@@ -201,9 +203,9 @@ def test_the_controller_is_not_polled_near_the_turn_and_is_polled_before() -> No
     async def body(desk: Desk) -> None:
         await reach(desk, "armed")
         await desk.wait_until(ENDED_NS - QUIET_TURN_NS - NS_PER_MS)
-        assert desk.member.quiet_until_ns() is None
+        assert desk.steps.quiet_until_ns(desk.clock.now_ns()) is None
         await desk.wait_until(ENDED_NS - QUIET_TURN_NS)
-        assert desk.member.quiet_until_ns() == ENDED_NS + QUIET_TURN_NS < FOLLOWING_T0_NS
+        assert desk.steps.quiet_until_ns(desk.clock.now_ns()) == ENDED_NS + QUIET_TURN_NS < FOLLOWING_T0_NS
 
     run(body)
 
@@ -212,7 +214,7 @@ def test_a_moving_controller_without_a_step_behind_is_polled_to_its_end() -> Non
     async def body(desk: Desk) -> None:
         await desk.move()
         await desk.wait_until(ENDED_NS - NS_PER_MS)
-        assert desk.member.quiet_until_ns() is None
+        assert desk.steps.quiet_until_ns(desk.clock.now_ns()) is None
 
     run(body)
 
@@ -222,13 +224,13 @@ def test_the_axes_of_a_step_behind_may_move_once_it_is_released() -> None:
         desk.driver.gap_ns = HELD_GAP_NS
         await desk.move()
         await desk.arm_next(profiles={})
-        following = desk.member._next._following
+        following = desk.steps.following._following
         assert following is not None
         object.__setattr__(following.armed_step, "axes", ("y",))
-        assert desk.member.ordered_axes == ()
+        assert desk.steps.ordered_axes == ()
         await desk.promise_next()
         await desk.release_next()
-        assert desk.member.ordered_axes == ("y",)
+        assert desk.steps.ordered_axes == ("y",)
 
     run(body)
 
@@ -268,7 +270,7 @@ def test_there_is_room_for_one_following_step(phase: Phase) -> None:
         with pytest.raises(Refusal) as caught:
             await desk.arm_next(step=2, t0_ns=FOLLOWING_T0_NS + NS_PER_S)
         assert caught.value.code == "busy" and desk.driver.told == []
-        following = desk.member._next.armed_step
+        following = desk.steps.following.armed_step
         assert following is not None and following.step == 1
 
     run(body)
@@ -339,7 +341,7 @@ def test_a_lost_link_drops_both_steps() -> None:
         desk.driver.rested.set_exception(LinkClosed("the port is closed"))
         await desk.later()
         assert present(desk) is None and behind(desk) is None
-        assert desk.events[-2:] == [("failed", 0), ("failed", 1)] and desk.member.stop_pending
+        assert desk.events[-2:] == [("failed", 0), ("failed", 1)] and desk.steps.stop_pending
 
     run(body)
 
@@ -348,23 +350,23 @@ def test_a_lost_link_drops_both_steps() -> None:
 
 
 async def by_stop(desk: Desk) -> None:
-    await desk.member.stop("stop", abort=False)
+    await desk.withdrawal.stop("stop", abort=False)
 
 
 async def by_abort(desk: Desk) -> None:
-    await desk.member.stop("e-stop", abort=True)
+    await desk.withdrawal.stop("e-stop", abort=True)
 
 
 async def by_failure(desk: Desk) -> None:
-    await desk.member.fail_step("a limit switch")
+    await desk.withdrawal.fail_step("a limit switch")
 
 
 async def by_new_leader(desk: Desk) -> None:
-    await desk.member.abandon_step("the coordinator is lost")
+    await desk.withdrawal.abandon_step("the coordinator is lost")
 
 
 async def by_drop(desk: Desk) -> None:
-    desk.member.drop_step("the controller was restarted")
+    desk.withdrawal.drop_step("the controller was restarted")
 
 
 def test_a_promise_after_t0_is_late_and_not_unknown() -> None:
@@ -416,7 +418,7 @@ def test_whatever_ends_the_present_step_ends_what_follows_it(
 def test_a_feed_hold_brakes_the_present_step_to_its_report_and_withdraws_what_follows(phase: Phase) -> None:
     async def body(desk: Desk) -> None:
         await reach(desk, phase)
-        await desk.member.stop("paused", abort=False, follow=True)
+        await desk.withdrawal.stop("paused", abort=False, follow=True)
         assert desk.driver.told == ["stop"] and behind(desk) is None and present(desk) == (0, StepPhase.MOVING)
         desk.driver.ends("stopped", at_ns=desk.clock.now_ns())
         await desk.later()
@@ -459,7 +461,7 @@ def test_a_promise_that_waits_for_loading_ends_with_a_stop(phase: Phase) -> None
         await reach(desk, "waiting")
         promise = asyncio.ensure_future(desk.promise_next())
         await desk.later(0.001)
-        await desk.member.stop("stop", abort=False)
+        await desk.withdrawal.stop("stop", abort=False)
         with pytest.raises(Refusal) as caught:
             await promise
         assert caught.value.code == "stopped"
@@ -480,7 +482,7 @@ def test_a_stop_while_the_step_is_being_loaded_unloads_it(gap_ns: int | None) ->
         else:
             loading = asyncio.ensure_future(desk.arm_next())  # type: ignore[assignment]
             await desk.later(0.001)
-        await desk.member.stop("stop", abort=False)
+        await desk.withdrawal.stop("stop", abort=False)
         desk.driver.may_load.set()
         with pytest.raises(Refusal) as caught:
             await loading
@@ -623,7 +625,7 @@ def test_a_stop_during_the_release_refuses_it() -> None:
         desk.driver.may_go.clear()
         going = asyncio.ensure_future(desk.release_next())
         await desk.later(0.001)
-        await desk.member.stop("stop", abort=False)
+        await desk.withdrawal.stop("stop", abort=False)
         desk.driver.may_go.set()
         with pytest.raises(Refusal) as caught:
             await going
@@ -707,10 +709,10 @@ def test_what_was_loaded_behind_the_end_says_nothing_about_the_step_armed_anew(l
 def test_a_step_that_was_disarmed_before_its_loading_began_can_be_armed_and_promised_again() -> None:
     async def body(desk: Desk) -> None:
         await reach(desk, "waiting")
-        async with desk.member._transition_lock:  # another request is under way
+        async with desk.steps.transition_lock:  # another request is under way
             await desk.end_present()
             assert present(desk) == (1, StepPhase.LOADING)
-            await desk.member.abandon_step("the coordinator is lost")
+            await desk.withdrawal.abandon_step("the coordinator is lost")
         await desk.later(0.001)
         await promise_anew(desk)
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from adapters.controller.fencing import EpochFence
-from adapters.controller.store import AdapterMemory, FileStore, PersistentMemory
+from adapters.controller.state.fencing import EpochFence
+from adapters.controller.state.store import AdapterMemory, FileStore, PersistentMemory
 from orchestrator.clock.executor import ThreadExecutor, run_inline
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import AdoptRequest, LeaderHeartbeat

@@ -5,7 +5,7 @@ from fractions import Fraction
 import pytest
 
 from adapters.contract import AxisReading, ControllerReading
-from adapters.controller.readings import require_sound_reading
+from adapters.controller.state.readings import require_sound_reading
 from adapters.ppsmc.replies import ASK_INPUTS, ASK_POSITIONS, ASK_STATUS, leading_number, parse_setting
 from adapters.shrc203.wire.replies import STATUS, parse_entries, parse_status, pulse_list, speed_list
 from adapters.smc30.unitstate import POSITION

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from adapters.controller.tracing import MAX_TRACE_PART_BYTES
+from adapters.controller.publishing.tracing import MAX_TRACE_PART_BYTES
 from orchestrator.bus import answers, limits, log, logfile
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.command_log import MAX_SUBJECT

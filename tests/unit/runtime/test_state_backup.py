@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from adapters.controller.store import AdapterMemory, FileStore
+from adapters.controller.state.store import AdapterMemory, FileStore
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.cli.main import main
 from orchestrator.coordinator.journal.facts import AlarmChange, QueueEntryOptions, StepDecision

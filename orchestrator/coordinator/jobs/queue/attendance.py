@@ -1,7 +1,8 @@
 """Sessions of commands that a person waits for: what such a command has begun ends with it.
 
 A client publishes a sign of life for its session. When it is missing, because the command was killed, stopped, or its
-terminal or connection is gone, the adapters end its leases (`adapters.controller.leases`), and the leader its jobs.
+terminal or connection is gone, the adapters end its leases (`adapters.controller.state.leases`), and the leader its
+jobs.
 """
 
 from collections.abc import Iterable

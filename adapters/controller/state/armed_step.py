@@ -55,3 +55,13 @@ class ArmedStep:
         """Whether it is the same step for the same T0, in any phase."""
         own_key = (self.job, self.step, self.t0_fleet_ns)
         return other is not None and own_key == (other.job, other.step, other.t0_fleet_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class PastStep:
+    """A step that was moved, from T0 to its end, host time."""
+
+    job: str
+    step: int
+    t0_ns: int
+    ended_ns: int

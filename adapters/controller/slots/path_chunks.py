@@ -3,14 +3,15 @@
 import asyncio
 
 from adapters.abilities import PathDriver
-from adapters.contract import Driver, PathChunk
-from adapters.controller.armed_step import ArmedStep, StepPhase
-from adapters.controller.fencing import EpochFence
-from adapters.controller.fleet_durations import to_host_profiles
-from adapters.controller.leases import MotionLeases
-from adapters.controller.limits import check_path_limits
-from adapters.controller.participant import StepParticipant
-from adapters.controller.status import ControllerStatus
+from adapters.contract import PathChunk
+from adapters.controller.slots.fleet_durations import to_host_profiles
+from adapters.controller.state.armed_step import ArmedStep, StepPhase
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.fencing import EpochFence
+from adapters.controller.state.leases import MotionLeases
+from adapters.controller.state.limits import check_path_limits
+from adapters.controller.state.loaded_steps import LoadedSteps
+from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
@@ -22,15 +23,15 @@ class PathChunks:
 
     def __init__(
         self,
-        participant: StepParticipant,
-        driver: Driver,
+        context: ControllerContext,
+        steps: LoadedSteps,
         fence: EpochFence,
         leases: MotionLeases,
         status: ControllerStatus,
     ) -> None:
-        self._participant = participant
-        self._driver = driver
-        self._loader = driver if isinstance(driver, PathDriver) else None
+        self._context = context
+        self._steps = steps
+        self._loader = context.driver if isinstance(context.driver, PathDriver) else None
         self._fence = fence
         self._leases = leases
         self._status = status
@@ -46,7 +47,7 @@ class PathChunks:
             raise Refusal("other-axes", "a chunk moves the axes of its path", "")
         self._leases.require_lease(request.job, request.profiles)
         check_path_limits(self._status, request.profiles)
-        options, scale = request.chunk, self._participant.require_scale()
+        options, scale = request.chunk, self._context.require_scale()
         chunk = PathChunk(
             request.number,
             _to_host_s(request.begin_s, step, scale),
@@ -56,7 +57,7 @@ class PathChunks:
         )
         if self._loader is None:
             raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
-        fit = await self._loader.load_chunk(chunk, self._driver.clock_mapping())
+        fit = await self._loader.load_chunk(chunk, self._context.driver.clock_mapping())
         self._require_step(request)
         self._loaded = chunk, fit.stop_s
         return ChunkReply(
@@ -82,7 +83,7 @@ class PathChunks:
 
     def _require_step(self, request: LoadChunkRequest | ReleaseChunkRequest) -> ArmedStep:
         self._fence.require_no_estop()
-        step = self._participant.armed_step
+        step = self._steps.present
         if step is None or not step.is_for(request, request.t0_fleet_ns):
             raise Refusal("not-moving", f"job {request.job} step {request.step} is not being executed", "")
         if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):

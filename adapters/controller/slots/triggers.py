@@ -3,12 +3,13 @@
 from collections.abc import Callable, Mapping
 
 from adapters.abilities import LatchDriver, TriggerDriver
-from adapters.contract import Driver, SwitchedOutput
-from adapters.controller.status import ControllerStatus
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from adapters.contract import SwitchedOutput
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.loaded_steps import LoadedSteps
+from adapters.controller.state.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import (
     LatchReply,
     LatchRequest,
@@ -23,21 +24,14 @@ LOOK_NS = 20 * NS_PER_MS
 
 
 class TriggerCollection:
-    """The triggers of one controller. has_step: whether a step is loaded or moving. scale: fleet time."""
+    """The triggers of one controller."""
 
-    def __init__(
-        self,
-        driver: Driver,
-        clock: Clock,
-        status: ControllerStatus,
-        has_step: Callable[[], bool],
-        scale: Callable[[], FleetScale],
-    ) -> None:
-        self._driver = driver if isinstance(driver, TriggerDriver) else None
-        self._clock = clock
+    def __init__(self, context: ControllerContext, status: ControllerStatus, steps: LoadedSteps) -> None:
+        self._context = context
+        self._driver = context.driver if isinstance(context.driver, TriggerDriver) else None
+        self._clock = context.clock
         self._status = status
-        self._has_step = has_step
-        self._scale = scale
+        self._steps = steps
 
     async def take(self, request: TakeTriggers) -> TriggersTaken:
         """Fetch what happened in the last step. Raises `Refusal`."""
@@ -47,12 +41,12 @@ class TriggerCollection:
             if self._clock.now_ns() > until_ns:
                 raise Refusal("moving", "an axis is still moving", "wait for the end of the motion")
             await sleep_ns(self._clock, LOOK_NS)
-        if self._has_step():
+        if self._steps.has_step:
             raise Refusal("busy", "a step is loaded", "wait for its end")
         switched_outputs: Mapping[str, SwitchedOutput] = {}
         if self._driver is not None:
             switched_outputs = await self._driver.take_triggers()
-        scale = self._scale()
+        scale = self._context.require_scale()
         return TriggersTaken(
             outputs={output: _to_fleet(switched_output, scale) for output, switched_output in switched_outputs.items()}
         )
@@ -62,17 +56,11 @@ class LatchControl:
     """The position latches of one controller. require_idle: raises `Refusal` unless the requester may use its axes, and
     no step is loaded."""
 
-    def __init__(
-        self,
-        driver: Driver,
-        config: Controller,
-        require_idle: Callable[[LeasedRequest], None],
-        scale: Callable[[], FleetScale],
-    ) -> None:
-        self._driver = driver if isinstance(driver, LatchDriver) else None
-        self._config = config
+    def __init__(self, context: ControllerContext, require_idle: Callable[[LeasedRequest], None]) -> None:
+        self._context = context
+        self._driver = context.driver if isinstance(context.driver, LatchDriver) else None
+        self._config = context.config
         self._require_idle = require_idle
-        self._scale = scale
 
     async def latch(self, request: LatchRequest) -> LatchReply:
         """Arm a latch, and answer when it has captured a position. Raises `Refusal`."""
@@ -85,7 +73,7 @@ class LatchControl:
         if self._driver is None:
             text = f"axis {axis}: this make has no position latch"
             raise Refusal("no-latch", text, "use an axis of an SMC-4000, or of a CiA 402 drive")
-        latch, scale = await self._driver.latch_position(axis, point, request.within_ns), self._scale()
+        latch, scale = await self._driver.latch_position(axis, point, request.within_ns), self._context.require_scale()
         earliest_ns, latest_ns = scale.to_fleet_span(latch.span.earliest_ns, latch.span.latest_ns)
         return LatchReply(counts=latch.counts, earliest_ns=earliest_ns, latest_ns=latest_ns)
 

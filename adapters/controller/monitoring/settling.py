@@ -1,10 +1,11 @@
 """Following error, settling and rest: the deviation of axes from their command, and when they have reached it."""
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from adapters.contract import ControllerReading
-from adapters.controller.status import ControllerStatus
+from adapters.controller.monitoring.polling import StatePolling
+from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.model.state import FaultReport
 
@@ -25,13 +26,13 @@ class SettlingResult:
 
 
 class SettlingMonitor:
-    """Deviations of one controller's axes, checked against the limits of the fleet file. refresh: reads the controller
+    """Deviations of one controller's axes, checked against the limits of the fleet file. polling: reads the controller
     and publishes at once."""
 
-    def __init__(self, clock: Clock, status: ControllerStatus, refresh: Callable[[], Awaitable[None]]) -> None:
+    def __init__(self, clock: Clock, status: ControllerStatus, polling: StatePolling) -> None:
         self._clock = clock
         self._status = status
-        self._refresh = refresh
+        self._polling = polling
 
     def find_following_errors(self, reading: ControllerReading) -> list[FaultReport]:
         """Return a fault for each axis whose following error is too large; axes with the motor off are exempt."""
@@ -52,7 +53,7 @@ class SettlingMonitor:
         readable."""
         until_ns = self._clock.now_ns() + within_ns
         while self._clock.now_ns() < until_ns:
-            await self._refresh()
+            await self._polling.poll_and_publish()
             reading = self._status.reading
             if reading is None:
                 return False
@@ -72,7 +73,7 @@ class SettlingMonitor:
         waiting_axes = [name for name in axes if configs[name].done == "in_position"]
         began_ns, settled_s = self._clock.now_ns(), dict[str, float]()
         while True:
-            await self._refresh()
+            await self._polling.poll_and_publish()
             reading = self._status.require_online()
             gone_s = (self._clock.now_ns() - began_ns) / NS_PER_S
             for name in list(waiting_axes):

@@ -1,22 +1,23 @@
 """Referenced state of axes: gained by homing, dropped when the controller or the axis loses its position."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 
 from adapters.abilities import LimitDriver
 from adapters.contract import ControllerReading, Driver
-from adapters.controller.settling import SettlingMonitor
-from adapters.controller.status import ControllerStatus
+from adapters.controller.monitoring.polling import StatePolling
+from adapters.controller.monitoring.settling import SettlingMonitor
+from adapters.controller.publishing.publisher import StatePublisher
+from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import HomeReply, RefusalDetails
-from orchestrator.model.state import EventKind
 
 
 class AxisReferencing:
     """The references of one controller.
 
-    emit: publishes an event. refresh: reads the controller and publishes at once.
+    polling: reads the controller and publishes at once.
     """
 
     def __init__(
@@ -24,14 +25,14 @@ class AxisReferencing:
         driver: Driver,
         settling: SettlingMonitor,
         status: ControllerStatus,
-        emit: Callable[[EventKind, str], None],
-        refresh: Callable[[], Awaitable[None]],
+        publisher: StatePublisher,
+        polling: StatePolling,
     ) -> None:
         self._driver = driver
         self._settling = settling
         self._status = status
-        self._emit = emit
-        self._refresh = refresh
+        self._publisher = publisher
+        self._polling = polling
 
     async def home_axes(self, axes: Sequence[str]) -> HomeReply:
         """Find the reference of `axes`, all simultaneously. Raises `Refusal` when no axis began, `ControllerFault`."""
@@ -44,18 +45,18 @@ class AxisReferencing:
         def report_found(name: str) -> None:
             homed_axes.append(name)
             status.homing.discard(name)
-            self._emit("homed", f"axis {name} has found its reference")
+            self._publisher.emit_event("homed", f"axis {name} has found its reference")
 
         try:
             # Soft limits are meaningless for an axis whose position is unknown, and must not restrict it.
             await self.load_soft_limits(axes)
-            await self._refresh()
+            await self._polling.poll_and_publish()
             if status.stopped_ns != stopped_ns:
                 raise Refusal("stopped", "the controller was stopped before homing began", "home again")
             failures = await self._search_references(axes, report_found)
         finally:
             status.homing.difference_update(axes)
-        await self._refresh()
+        await self._polling.poll_and_publish()
         if status.reading is None or status.restarts != restarts:
             raise Refusal("restarted", "the connection to the controller was lost while homing", "home again")
         for name in [name for name in homed_axes if status.reading.axes[name].position_lost]:
@@ -64,7 +65,7 @@ class AxisReferencing:
         status.referenced.update(dict.fromkeys(homed_axes, True))
         await self.load_soft_limits(homed_axes)
         for error in failures.values():
-            self._emit("refusal", f"home: {error}")
+            self._publisher.emit_event("refusal", f"home: {error}")
         return HomeReply(homed=homed_axes, failed={name: RefusalDetails.of(error) for name, error in failures.items()})
 
     async def _search_references(self, axes: Sequence[str], found: Callable[[str], None]) -> dict[str, Refusal]:
@@ -99,7 +100,7 @@ class AxisReferencing:
         ]
         status.referenced.update(dict.fromkeys(lost_axes, False))
         for name in lost_axes:
-            self._emit("unreferenced", f"axis {name} has lost its position and must be homed again")
+            self._publisher.emit_event("unreferenced", f"axis {name} has lost its position and must be homed again")
         return lost_axes
 
     async def load_soft_limits(self, axes: Sequence[str]) -> None:

@@ -2,32 +2,32 @@
 torque."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 
 from adapters.abilities import set_output
-from adapters.contract import Driver
-from adapters.controller.settling import SettlingMonitor
-from adapters.controller.status import ControllerStatus
-from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
+from adapters.controller.monitoring.polling import StatePolling
+from adapters.controller.monitoring.settling import SettlingMonitor
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Axis, HoldingBrake
 
 
 class MotorControl:
-    """The motors of one controller. refresh: reads the controller and publishes at once."""
+    """The motors of one controller. polling: reads the controller and publishes at once."""
 
     def __init__(
         self,
-        driver: Driver,
-        clock: Clock,
+        context: ControllerContext,
         status: ControllerStatus,
         settling: SettlingMonitor,
-        refresh: Callable[[], Awaitable[None]],
+        polling: StatePolling,
     ) -> None:
-        self._driver = driver
-        self._clock = clock
+        self._driver = context.driver
+        self._clock = context.clock
         self._status = status
         self._settling = settling
-        self._refresh = refresh
+        self._polling = polling
         self._switch_lock = asyncio.Lock()
 
     async def switch_motors(self, axes: Sequence[str], *, on: bool) -> None:
@@ -38,7 +38,7 @@ class MotorControl:
                 await self._switch_on(axes)
             else:
                 await self._switch_off(axes)
-            await self._refresh()
+            await self._polling.poll_and_publish()
 
     async def _switch_on(self, axes: Sequence[str]) -> None:
         brakes = self._configured_brakes(axes)

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from adapters.controller.store import PersistentMemory
+from adapters.controller.state.store import PersistentMemory
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import (
     COMPARING,

@@ -13,6 +13,7 @@ from orchestrator.clock.base import Clock
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TraceRing
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.state import CertificateEnd
@@ -49,3 +50,10 @@ class ControllerContext:
     sessions: SessionSigns
     lowering_lock: asyncio.Lock
     certificate: CertificateEnd | None
+
+    def require_scale(self) -> FleetScale:
+        """Fleet time. Raises `Refusal` while it is unknown."""
+        scale = self.scale()
+        if scale is None:
+            raise Refusal("no-fleet-time", "no fleet time: no coordinator has been seen", "start a coordinator")
+        return scale

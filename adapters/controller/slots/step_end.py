@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from adapters.contract import HostInterval, MoveOutcome
-from adapters.controller.armed_step import ArmedStep
-from adapters.controller.settling import SettlingResult
+from adapters.controller.monitoring.settling import SettlingResult
+from adapters.controller.state.armed_step import ArmedStep
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.interval import find_other_duration
 from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval

@@ -80,3 +80,8 @@ def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: M
 def _make_term(scale: FleetScale, host_ns: int) -> BudgetTerm:
     bound_ns = scale.bound_at_ns(host_ns)
     return BudgetTerm(name="fleet-time", earliest_ns=-bound_ns, latest_ns=bound_ns)
+
+
+def find_last_instants(start: StartOptions) -> dict[str, int]:
+    """By output with triggers, the last of its instants, ns after T0."""
+    return {trigger.output: trigger.instants_ns[-1] for trigger in start.triggers}

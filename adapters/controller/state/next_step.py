@@ -9,7 +9,7 @@ import asyncio
 from dataclasses import dataclass, field
 
 from adapters.contract import Lowered, MoveSlot, MoveSlots
-from adapters.controller.armed_step import ArmedStep
+from adapters.controller.state.armed_step import ArmedStep
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

@@ -1,8 +1,8 @@
 """A controller's clock mapping as it is published on the bus and recorded in a job's report."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from adapters.controller.state.armed_step import PastStep
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
@@ -38,16 +38,6 @@ def learned_crystal(rate: CrystalRate, now_ns: int) -> LearnedCrystal:
         moves=rate.moves,
         consistent=rate.consistent,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class PastStep:
-    """A step that was moved, from T0 to its end, host time."""
-
-    job: str
-    step: int
-    t0_ns: int
-    ended_ns: int
 
 
 def learned_starts(latency: StartLatency, past_steps: Iterable[PastStep], now_ns: int) -> list[LearnedStart]:

@@ -3,7 +3,7 @@ the allowed ranges."""
 
 from collections.abc import Mapping
 
-from adapters.controller.status import ControllerStatus
+from adapters.controller.state.status import ControllerStatus
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis
 from orchestrator.model.profile import Profile

@@ -1,29 +1,21 @@
 """Positions that a controller records by itself during a step: begun before the step is armed, fetched at rest."""
 
-from collections.abc import Callable
-
 from adapters.abilities import SamplingDriver
-from adapters.contract import Driver
-from adapters.controller.status import ControllerStatus
-from orchestrator.clock.fleet import FleetScale
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.loaded_steps import LoadedSteps
+from adapters.controller.state.status import ControllerStatus
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import BeginSampling, SamplesTaken, SamplingBegun, TakeSamples
 
 
 class SampleCollection:
-    """The samples of one controller. has_step: whether a step is loaded or moving. scale: fleet time."""
+    """The samples of one controller."""
 
-    def __init__(
-        self,
-        driver: Driver,
-        status: ControllerStatus,
-        has_step: Callable[[], bool],
-        scale: Callable[[], FleetScale],
-    ) -> None:
-        self._driver = driver if isinstance(driver, SamplingDriver) else None
+    def __init__(self, context: ControllerContext, status: ControllerStatus, steps: LoadedSteps) -> None:
+        self._context = context
+        self._driver = context.driver if isinstance(context.driver, SamplingDriver) else None
         self._status = status
-        self._has_step = has_step
-        self._scale = scale
+        self._steps = steps
         self._recorded_for: tuple[str, int] | None = None
 
     async def begin(self, request: BeginSampling) -> SamplingBegun:
@@ -42,7 +34,7 @@ class SampleCollection:
             raise Refusal("no-samples", f"nothing was recorded for job {request.job} step {request.step}", "")
         self._require_rest()
         self._recorded_for = None
-        samples, scale = await self._driver.take_samples(), self._scale()
+        samples, scale = await self._driver.take_samples(), self._context.require_scale()
         return SamplesTaken(
             fleet_ns=[scale.to_fleet_ns(at_ns) for at_ns in samples.at_ns],
             bound_ns=samples.bound_ns
@@ -52,6 +44,6 @@ class SampleCollection:
 
     def _require_rest(self) -> None:
         moving_axes = [name for name, axis in self._status.require_online().axes.items() if axis.moving]
-        if moving_axes or self._has_step():
+        if moving_axes or self._steps.has_step:
             activity = f"axis {moving_axes[0]} is moving" if moving_axes else "a step is loaded"
             raise Refusal("moving", activity, "wait for the end of the motion")

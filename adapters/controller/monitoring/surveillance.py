@@ -4,15 +4,17 @@ A second master, or a person at the controller, may change anything. A move that
 somewhere else.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 from adapters.abilities import find_differences
-from adapters.contract import AxisReading, ControllerReading, Driver, SettingDifference
-from adapters.controller.status import ControllerStatus
-from orchestrator.clock.base import NS_PER_S, Clock
+from adapters.contract import AxisReading, ControllerReading, SettingDifference
+from adapters.controller.publishing.publisher import StatePublisher
+from adapters.controller.state.armed_step import StepPhase
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.loaded_steps import LoadedSteps
+from adapters.controller.state.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.fleet import Axis
-from orchestrator.model.state import EventKind
 
 CHECK_PERIOD_NS = NS_PER_S
 JUMP_COUNTS = 2  # a larger change of the commanded position is not rounding
@@ -20,42 +22,37 @@ RESTING_NS = NS_PER_S // 2  # an axis of the step before may settle for this lon
 DEADBAND_COUNTS = 10  # an axis at rest whose encoder moves by less does not move
 
 
-@dataclass(frozen=True, slots=True)
-class StepActivityChecks:
-    """moves: whether anything that was ordered may change positions now. loads: whether a step is loaded or being
-    loaded."""
-
-    moves: Callable[[], bool]
-    loads: Callable[[], bool]
-
-
 class Surveillance:
-    """Compares one controller with what this adapter has ordered. emit: publishes an event."""
+    """Compares one controller with what this adapter has ordered."""
 
     def __init__(
-        self,
-        driver: Driver,
-        clock: Clock,
-        status: ControllerStatus,
-        emit: Callable[[EventKind, str], None],
-        activity: StepActivityChecks,
+        self, context: ControllerContext, status: ControllerStatus, steps: LoadedSteps, publisher: StatePublisher
     ) -> None:
-        self._driver = driver
-        self._clock = clock
+        self._driver = context.driver
+        self._clock = context.clock
         self._status = status
-        self._emit = emit
-        self._activity = activity
+        self._steps = steps
+        self._publisher = publisher
         self._was_busy = True
         self._checked_ns = 0
         self._outside: dict[str, AxisReading] = {}
         """Axes outside the step under way, as they were when it began to move."""
         self._resting_until_ns: dict[str, int] = {}
 
+    def _has_ordered_motion(self) -> bool:
+        """Whether anything that this adapter has ordered may change positions now. A step that is only loaded moves
+        nothing."""
+        status = self._status
+        armed_step = self._steps.present
+        is_released = armed_step is not None and armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING)
+        busy = is_released or self._steps.is_followed or bool(status.homing | status.jogging)
+        return busy or status.stop_unseen or self._publisher.is_moving
+
     # Positions
 
     def find_jumps(self, before: ControllerReading | None, reading: ControllerReading) -> list[str]:
         """Drop the reference of axes whose count has changed at rest without an order; return these axes."""
-        busy, was_busy = self._activity.moves(), self._was_busy
+        busy, was_busy = self._has_ordered_motion(), self._was_busy
         self._was_busy = busy
         if before is None or busy or was_busy or self._status.ordered_ns >= before.at_ns:
             return []
@@ -110,14 +107,14 @@ class Surveillance:
 
     def _drop_reference(self, name: str, text: str) -> None:
         self._status.referenced[name] = False
-        self._emit("unreferenced", text)
+        self._publisher.emit_event("unreferenced", text)
 
     # Settings
 
     async def check_next_settings(self) -> None:
         """Compare the next part of the settings, from time to time, while the controller is at rest."""
         now_ns = self._clock.now_ns()
-        if self._activity.moves() or self._activity.loads() or now_ns - self._checked_ns < CHECK_PERIOD_NS:
+        if self._has_ordered_motion() or self._steps.has_step or now_ns - self._checked_ns < CHECK_PERIOD_NS:
             return
         self._checked_ns = now_ns
         self.note_differences(await find_differences(self._driver, everything=False))
@@ -128,11 +125,13 @@ class Surveillance:
             if difference.item in self._status.differences:
                 continue
             self._status.differences[difference.item] = difference
-            self._emit("setting", difference.to_fault().text)
+            self._publisher.emit_event("setting", difference.to_fault().text)
             if difference.moves_reference:
                 lost_axes = [name for name in self._status.config.axes if difference.axis in (None, name)]
                 self._status.referenced.update(dict.fromkeys(lost_axes, False))
-                self._emit("unreferenced", f"{', '.join(lost_axes)}: {difference.item} has changed; home again")
+                self._publisher.emit_event(
+                    "unreferenced", f"{', '.join(lost_axes)}: {difference.item} has changed; home again"
+                )
 
     async def recheck_settings(self) -> None:
         """Compare all settings after a reset, and forget the differences that are gone."""

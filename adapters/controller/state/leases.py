@@ -5,9 +5,9 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_MS, Clock, ClockTimer
+from adapters.controller.state.context import ControllerContext
+from orchestrator.clock.base import NS_PER_MS, ClockTimer
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import LeaseRequest
 
 HOLDERS_REMEMBERED = 64  # holders
@@ -37,27 +37,20 @@ class _LeaseEnd:
 
 
 class MotionLeases:
-    """The leases of one controller. `on_ended(holder, axes, reason)` is called when axes are no longer leased.
+    """The leases of one controller. `on_ended(holder, axes, reason)` is called when axes are no longer leased; it is
+    set before the first request.
 
-    session_until_ns: returns until when a session counts as present, see `SessionSigns.present_until_ns`; its leases
-    end then.
-
-    If the axes cannot be moved independently of each other, only all of them together can be leased.
+    The leases of a session end when it no longer counts as present, see `SessionSigns.present_until_ns`. If the axes
+    cannot be moved independently of each other, only all of them together can be leased.
     """
 
-    def __init__(
-        self,
-        config: Controller,
-        clock: Clock,
-        independent_axes: Callable[[], bool],
-        on_ended: Callable[[str, list[str], str], None],
-        session_until_ns: Callable[[str, int], int],
-    ) -> None:
-        self._config = config
-        self._clock = clock
-        self._independent_axes = independent_axes
-        self._on_ended = on_ended
-        self._session_until_ns = session_until_ns
+    on_ended: Callable[[str, list[str], str], None]
+
+    def __init__(self, context: ControllerContext) -> None:
+        self._config = context.config
+        self._clock = context.clock
+        self._driver = context.driver
+        self._sessions = context.sessions
         self._leases: dict[str, _AxisLease] = {}
         self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
         self._timer: ClockTimer | None = None
@@ -69,7 +62,7 @@ class MotionLeases:
 
     def apply_request(self, request: LeaseRequest) -> None:
         """Grant, renew or (`ttl_ms` 0) release a lease. Raises `Refusal`; then nothing has changed."""
-        if not self._independent_axes() and set(request.axes) != set(self._config.axes):
+        if not self._driver.capabilities.independent_axes and set(request.axes) != set(self._config.axes):
             raise Refusal(
                 "whole-controller",
                 "the axes of this controller cannot be moved independently of each other",
@@ -141,7 +134,7 @@ class MotionLeases:
 
     def _present_until_ns(self, lease: _AxisLease) -> int:
         """Until when the lease is valid without another sign of life of its session."""
-        return self._session_until_ns(lease.session, lease.since_ns) if lease.session else lease.until_ns
+        return self._sessions.present_until_ns(lease.session, lease.since_ns) if lease.session else lease.until_ns
 
     def _end_leases(self, axes: list[str], reason: str, *, final: bool = False) -> None:
         """End the leases of `axes`. final: no renewal under way may revive them."""
@@ -150,7 +143,7 @@ class MotionLeases:
             by_holder.setdefault(self._leases.pop(axis).holder, []).append(axis)
         for holder, lost_axes in by_holder.items():
             self._record_end(holder, reason, _EVER if final else None)
-            self._on_ended(holder, lost_axes, reason)
+            self.on_ended(holder, lost_axes, reason)
 
     def _record_end(self, holder: str, reason: str, taking: int | None) -> None:
         self._lease_ends[holder] = _LeaseEnd(reason, taking)

@@ -3,7 +3,7 @@
 from base64 import b64encode
 from collections.abc import Sequence
 
-from adapters.controller.context import ControllerContext
+from adapters.controller.state.context import ControllerContext
 from orchestrator.link.trace import TraceEntry
 from orchestrator.model.messages import TracedBytes, TracePart, TraceRequest
 

@@ -1,6 +1,6 @@
 """A controller as it is published on the bus: its state, its events, its information, its clock."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -10,14 +10,16 @@ from pydantic import BaseModel, ValidationError
 
 from adapters.abilities import LearningDriver
 from adapters.contract import ControllerReading
-from adapters.controller.armed_step import ArmedStep
-from adapters.controller.clock import PastStep, clock_mapping, learned_crystal, learned_starts
-from adapters.controller.context import ControllerContext
-from adapters.controller.events import EventRing
-from adapters.controller.fencing import EpochFence
-from adapters.controller.status import ControllerStatus
-from adapters.controller.store import PersistentMemory
-from adapters.controller.tracing import read_trace_part
+from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
+from adapters.controller.publishing.events import EventRing
+from adapters.controller.publishing.tracing import read_trace_part
+from adapters.controller.state.armed_step import ArmedStep
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.fencing import EpochFence
+from adapters.controller.state.leases import MotionLeases
+from adapters.controller.state.loaded_steps import LoadedSteps
+from adapters.controller.state.status import ControllerStatus
+from adapters.controller.state.store import PersistentMemory
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
@@ -43,43 +45,29 @@ _NONE = Fraction(0)
 
 
 @dataclass(frozen=True, slots=True)
-class StepActivity:
-    """What else is published about a controller.
+class StateSources:
+    """What is published about a controller."""
 
-    armed_step: returns the step that is loaded.
-    following: returns whether a step is not over yet.
-    past_steps: returns the last steps that were moved.
-    holders: returns the lease holders by axis.
-    """
-
-    armed_step: Callable[[], ArmedStep | None]
-    following: Callable[[], bool]
-    past_steps: Callable[[], Sequence[PastStep]]
-    holders: Callable[[], dict[str, str]]
+    fence: EpochFence
+    remembered: PersistentMemory
+    status: ControllerStatus
+    steps: LoadedSteps
+    leases: MotionLeases
 
 
 class StatePublisher:
     """Build and publish everything about one controller."""
 
-    def __init__(
-        self,
-        context: ControllerContext,
-        fence: EpochFence,
-        remembered: PersistentMemory,
-        status: ControllerStatus,
-        activity: StepActivity,
-    ) -> None:
+    def __init__(self, context: ControllerContext, sources: StateSources) -> None:
         self._context = context
         self._controller, self._config, self._driver = context.controller, context.config, context.driver
         self._learning = context.driver if isinstance(context.driver, LearningDriver) else None
         self._bus, self._keys, self._clock = context.bus, context.keys, context.clock
-        self._fence = fence
-        self._remembered = remembered
-        self._status = status
-        self._armed_step = activity.armed_step
-        self._following = activity.following
-        self._past_steps = activity.past_steps
-        self._holders = activity.holders
+        self._fence = sources.fence
+        self._remembered = sources.remembered
+        self._status = sources.status
+        self._steps = sources.steps
+        self._leases = sources.leases
         self._events = EventRing(context.instance)
         self._state_seq = 0
         self.published_ns = 0
@@ -104,7 +92,9 @@ class StatePublisher:
             start_classes=list(self._driver.capabilities.start_classes),
             mapping=None if mapping is None else clock_mapping(self._controller, mapping, self._clock.now_ns()),
             crystal=None if crystal is None else learned_crystal(crystal, self._clock.now_ns()),
-            unusual_starts=[] if latency is None else learned_starts(latency, self._past_steps(), self._clock.now_ns()),
+            unusual_starts=[]
+            if latency is None
+            else learned_starts(latency, self._steps.past_steps, self._clock.now_ns()),
             widened_ns=0 if latency is None else latency.learned_early_ns + latency.learned_late_ns,
         ).to_json()
 
@@ -115,7 +105,7 @@ class StatePublisher:
         status = self._status
         if status.reading is None:
             return "offline"
-        armed_step = self._armed_step()
+        armed_step = self._steps.present
         if armed_step is not None:
             return armed_step.mode
         if status.homing:
@@ -125,13 +115,18 @@ class StatePublisher:
         if any(axis.moving for axis in status.reading.axes.values()):
             return "stopping" if self._clock.now_ns() < status.stopping_until_ns else "moving"
         unseen = status.reading.at_ns < status.stopped_ns and self._clock.now_ns() < status.stopping_until_ns
-        if unseen or self._following():
+        if unseen or self._steps.is_followed:
             return "stopping"  # rest has not been observed yet
         return "fault" if status.faults else "idle"
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether any axis moves, as far as is known."""
+        return self.current_mode() in ("moving", "jogging", "homing", "stopping")
+
     def current_state(self) -> ControllerState:
         """Return the full state as known now."""
-        reading, armed_step = self._status.reading, self._armed_step()
+        reading, armed_step = self._status.reading, self._steps.present
         return ControllerState(
             controller=self._controller,
             instance=self._context.instance,
@@ -150,7 +145,7 @@ class StatePublisher:
             digest=self._config.digest,
             job=armed_step.job if armed_step else None,
             step=armed_step.step if armed_step else None,
-            leases=self._holders(),
+            leases=self._leases.holders,
             event_seq=self._events.last_seq,
         )
 

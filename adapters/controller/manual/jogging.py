@@ -3,14 +3,15 @@ renewal the axis stops."""
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from adapters.abilities import ManualDriver
 from adapters.contract import ControllerReading, Driver, JogMove
-from adapters.controller.status import ControllerStatus
+from adapters.controller.state.background import BackgroundTasks
+from adapters.controller.state.poll_timer import PollTimer
+from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -39,22 +40,22 @@ class _AxisJog:
 
 
 class JogControl:
-    """The jogs of one controller. on_change: called after each command."""
+    """The jogs of one controller."""
 
     def __init__(
         self,
         driver: Driver,
         clock: Clock,
         status: ControllerStatus,
-        spawn: Callable[[Coroutine[Any, Any, None]], object],
-        on_change: Callable[[], None],
+        tasks: BackgroundTasks,
+        timer: PollTimer,
     ) -> None:
         self._driver = driver
         self._manual = driver if isinstance(driver, ManualDriver) else None
         self._clock = clock
         self._status = status
-        self._spawn = spawn
-        self._on_change = on_change
+        self._tasks = tasks
+        self._timer = timer
         self._command_lock = asyncio.Lock()
         self._jogs: dict[str, _AxisJog] = {}
         self._end_reasons: dict[str, str] = {}
@@ -107,7 +108,7 @@ class JogControl:
     def _begin_jog(self, axis: str, jog: _AxisJog) -> None:
         self._jogs[axis] = jog
         self._status.jogging.add(axis)
-        self._spawn(self._enforce_deadline(axis, jog))
+        self._tasks.spawn(self._enforce_deadline(axis, jog))
 
     async def _send_jog(self, axis: str, jog: _AxisJog, velocity: float) -> None:
         async with self._command_lock:
@@ -127,7 +128,7 @@ class JogControl:
             if self._jogs.get(axis) is not jog:
                 # The jog was stopped while the command was under way: the stop may have reached the controller first.
                 await self._require_manual().stop_axes([axis])
-        self._on_change()
+        self._timer.wake_up()
 
     def _revert_jog(self, axis: str, jog: _AxisJog) -> None:
         """Revert to the last accepted velocity: the command was not sent or not accepted."""
@@ -192,7 +193,7 @@ class JogControl:
             self._drop_jog(axis, self._jogs[axis], reason)
         self._expect_rest(jogging)
         await self._require_manual().stop_axes(jogging)
-        self._on_change()
+        self._timer.wake_up()
 
     async def stop_jogs_of(self, holder: str, reason: str) -> None:
         """Stop the axes that `holder` jogs."""
@@ -211,7 +212,7 @@ class JogControl:
         for axis, jog in list(self._jogs.items()):
             axis_reading = reading.axes[axis]
             if not axis_reading.enabled:
-                self._spawn(self.stop_axes([axis], "its motor has switched off"))
+                self._tasks.spawn(self.stop_axes([axis], "its motor has switched off"))
             elif jog.wanted != jog.velocity:
                 pass  # it may come to rest to change its speed
             elif (
@@ -220,7 +221,7 @@ class JogControl:
                 and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS
             ):
                 reason = "it is on its limit switch" if axis_reading.limit != "none" else "it is at its soft limit"
-                self._spawn(self.stop_axes([axis], reason))
+                self._tasks.spawn(self.stop_axes([axis], reason))
 
     def _expect_rest(self, axes: Sequence[str]) -> None:
         """Expect `axes` to come to rest. A jog command may have been under way, and the stop may get lost: only a poll

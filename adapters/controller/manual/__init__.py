@@ -1,0 +1,1 @@
+"""Motion and settings by hand: leases, jogs, motors, references."""

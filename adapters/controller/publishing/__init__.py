@@ -1,0 +1,1 @@
+"""A controller on the bus: its state, events, clock and trace."""

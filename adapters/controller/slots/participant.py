@@ -1,0 +1,181 @@
+"""A controller's part in a motion step: armed, committed, released, moving; and every way out of that.
+
+The order is fixed (propose, arm, commit, go). Each transition is checked against job, step and T0, and only a `go`
+after a commit starts anything. Interruptions (stop, e-stop, a lost coordinator) do not wait for this order: they
+increment `interruptions`, and a transition that finds the counter changed after a wait unloads what it has loaded.
+"""
+
+import asyncio
+from dataclasses import replace
+
+from adapters.controller.slots.follower import StepFollower
+from adapters.controller.slots.loader import StepLoader
+from adapters.controller.slots.lowering import StepLowering
+from adapters.controller.slots.parts import StepParts
+from adapters.controller.slots.step_checks import StepChecks
+from adapters.controller.state.armed_step import ArmedStep, StepPhase
+from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.next_step import FollowingStep, PreparedMove
+from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import (
+    ArmedReply,
+    ArmRequest,
+    CommitRequest,
+    CommittedReply,
+    GoRequest,
+    Proposal,
+    ProposeRequest,
+    Reply,
+    StepRequest,
+)
+
+
+class StepParticipant:
+    """One controller as a participant in steps."""
+
+    def __init__(self, context: ControllerContext, parts: StepParts, checks: StepChecks) -> None:
+        self._context = context
+        self._steps = parts.steps
+        self._withdrawal = parts.withdrawal
+        self._settling = parts.settling
+        self._tasks = parts.tasks
+        self._lowering = StepLowering(context, parts.steps, checks)
+        self._loader = StepLoader(context, parts)
+        self._follower = StepFollower(context, parts, self._loader)
+
+    async def propose_step(self, request: ProposeRequest) -> Proposal:
+        """Lower the profiles without accessing the controller."""
+        return await self._lowering.propose_step(request)
+
+    async def arm_step(self, request: ArmRequest) -> ArmedReply:
+        """Load the move for T0, with the present clock mapping frozen into it; behind the present move, if it follows
+        that."""
+        async with self._steps.transition_lock:
+            present = self._steps.present
+            if present is not None and not self._may_follow(request, present):
+                raise Refusal("busy", f"already {present.phase.value} for job {present.job}", "disarm it first")
+            interruptions = self._steps.interruptions
+            move = await self._lowering.prepare_move(request, follows=present is not None)
+            if interruptions != self._steps.interruptions:
+                raise Refusal("stopped", "a stop came before arming", "")
+            if self._steps.present is None:
+                return await self._loader.load_at_rest(move)
+            return await self._load_behind(move)
+
+    def _may_follow(self, request: ArmRequest, present: ArmedStep) -> bool:
+        """Whether the step may be loaded behind the present one."""
+        is_behind = (present.job, present.step) == (request.job, request.after_step)
+        return (
+            is_behind
+            and present.phase in (StepPhase.RELEASED, StepPhase.MOVING)
+            and self._steps.following.armed_step is None
+        )
+
+    async def _load_behind(self, move: PreparedMove) -> ArmedReply:
+        """Load the move beside the present one where the controller can hold it; otherwise keep it until that has
+        ended."""
+        present = self._steps.present
+        must_settle = present is not None and self._settling.must_settle(present.axes)
+        if move.lowered.gap_ns is None or must_settle:
+            is_checked = self._context.driver.capabilities.checks_while_moving
+            if is_checked:
+                await self._loader.require_settings()
+            self._steps.following.hold_back(move, checked=is_checked)
+            self._tasks.spawn(self._withdrawal.unload_at_t0(move.armed_step))
+            if self._steps.present is None:
+                self._follower.begin_next()
+            return self._loader.make_armed_reply(move, {}).model_copy(update={"waits": True})
+        stages = await self._loader.load(move, self._steps.following.require_slot(), "beside")
+        self._steps.stop_ns = max(self._steps.stop_ns, move.lowered.costs.stop_ns)
+        self._steps.following.note_loaded(move)
+        self._tasks.spawn(self._withdrawal.unload_at_t0(move.armed_step))
+        if self._steps.present is None:
+            self._follower.begin_next()  # the present move has ended meanwhile
+        return self._loader.make_armed_reply(move, stages)
+
+    async def commit_step(self, request: CommitRequest) -> CommittedReply:
+        """Commit to the step after a final check of the controller."""
+        waiting_move = self._steps.following.find_waiting(request)
+        if waiting_move is not None:
+            return await self._commit_following(request, waiting_move)
+        return await self._commit_present(request)
+
+    async def _commit_present(self, request: CommitRequest) -> CommittedReply:
+        async with self._steps.transition_lock:
+            armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
+            interruptions = self._steps.interruptions
+            follows = armed_step is self._steps.following.armed_step
+            await (self._steps.following.require_slot() if follows else self._steps.slots.present).verify()
+            if interruptions != self._steps.interruptions or not armed_step.is_same(self._steps.find_step(request)):
+                raise Refusal("stopped", "a stop came before the commit", "")
+            committed_step = replace(armed_step, phase=StepPhase.COMMITTED)
+            if armed_step is self._steps.following.armed_step:
+                self._steps.following.armed_step = committed_step
+            else:  # the step before may have ended meanwhile
+                self._steps.present = committed_step
+            return CommittedReply()
+
+    async def _commit_following(self, request: CommitRequest, following: FollowingStep) -> CommittedReply:
+        """Promise a step that is loaded after the present one, as soon as it is."""
+        armed_reply = await asyncio.shield(following.loaded)
+        return (await self._commit_present(request)).model_copy(update={"armed": armed_reply})
+
+    async def start_step(self, request: GoRequest) -> Reply:
+        """Release the move, for the committed T0 or an earlier one."""
+        async with self._steps.transition_lock:
+            advance_ns = request.advance_ns
+            armed_step = self._require_phase(request, request.t0_fleet_ns + advance_ns, StepPhase.COMMITTED)
+            if advance_ns and (advance_ns < 0 or not armed_step.can_advance):
+                raise Refusal(
+                    "not-sooner", "the step can only begin at the T0 for which it was armed", "arm it for another T0"
+                )
+            t0_ns = armed_step.scale.to_host_ns(request.t0_fleet_ns) if advance_ns else armed_step.t0_host_ns
+            advance_ns = armed_step.t0_host_ns - t0_ns
+            if self._context.clock.now_ns() >= t0_ns:
+                raise Refusal("late", "T0 has passed", "increase the lead time")
+            released_step = replace(
+                armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
+            )
+            interruptions = self._steps.interruptions
+            if armed_step is self._steps.following.armed_step:
+                return await self._release_following(released_step, advance_ns)
+            self._steps.present = released_step
+            try:
+                await self._steps.slots.present.release(request.start_tolerance_ns, advance_ns)
+            except (Refusal, ControllerFault):
+                self._steps.present = None
+                # The controller may have released the move all the same: a lost reply must not let it run.
+                await self._withdrawal.stop_driver()
+                await self._steps.slots.unload()
+                raise
+            if interruptions != self._steps.interruptions or self._steps.present is not released_step:
+                await self._steps.slots.unload()
+                raise Refusal("stopped", "a stop came before the start", "")
+            self._tasks.spawn(self._follower.follow_step(released_step))
+            return Reply()
+
+    async def _release_following(self, released: ArmedStep, advance_ns: int) -> Reply:
+        """Release the step that the controller holds beside the present one."""
+        interruptions = self._steps.interruptions
+        self._steps.following.armed_step = released
+        try:
+            await self._steps.following.require_slot().release(advance_ns=advance_ns)
+        except (Refusal, ControllerFault):
+            # The controller may have released the move all the same: a lost reply must not let it run.
+            await self._withdrawal.unload_released(released)
+            raise
+        if interruptions != self._steps.interruptions:
+            raise Refusal("stopped", "a stop came before the start", "")
+        return Reply()
+
+    def _require_phase(self, request: StepRequest, t0_fleet_ns: int, phase: StepPhase) -> ArmedStep:
+        armed_step = self._steps.find_step(request)
+        if armed_step is None and self._context.clock.now_ns() >= self._context.require_scale().to_host_ns(t0_fleet_ns):
+            raise Refusal("late", "T0 has passed, and the step was unloaded", "increase the lead time")
+        if armed_step is None or armed_step.t0_fleet_ns != t0_fleet_ns:
+            raise Refusal(
+                "not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it first"
+            )
+        if armed_step.phase is not phase:
+            raise Refusal("wrong-phase", f"the step is {armed_step.phase.value}, not {phase.value}", "")
+        return armed_step

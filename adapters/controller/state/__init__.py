@@ -1,0 +1,1 @@
+"""What is known of a controller: its status, its steps, its leases, what is kept on disk."""
