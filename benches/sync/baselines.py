@@ -9,10 +9,10 @@ from random import Random
 from typing import Any
 
 from orchestrator.bench import scripted
-from orchestrator.bench.sync_fleets import DRIFT_PPM, HOLD_MS, WANDER_PPM
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.base import Link
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, HOLD_MS, WANDER_PPM
 from sim.core.controller import DeviceSpec, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator

@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any, NamedTuple
 
-from orchestrator.bench.sync.baselines import BASELINES, BaselineMethod
-from orchestrator.bench.sync.bounds import Bound, bound_of_drifting_ticks, bound_of_latencies, bound_of_ticks
-from orchestrator.bench.sync_fleets import DRIFT_PPM, PP_SPREAD_MS, make_sync_fleet
+from benches.sync.baselines import BASELINES, BaselineMethod
+from benches.sync.bounds import Bound, bound_of_drifting_ticks, bound_of_latencies, bound_of_ticks
 from orchestrator.bus.memory.network import NetworkPath
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, StepRecording, StepReport
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, PP_SPREAD_MS, make_sync_fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from orchestrator.runtime.workers import map_in_processes
 

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.bench.sync_fleets import DRIFT_PPM, WANDER_PPM, make_smc2000, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, WANDER_PPM, make_smc2000, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Array = NDArray[np.float64]

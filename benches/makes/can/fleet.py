@@ -14,7 +14,7 @@ from typing import Any
 from adapters.contract import Driver, DriverSetup
 from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import BenchFigure, make_figure
+from benches.makes.figures import BenchFigure, make_figure
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.can import CanFrame, CanLink

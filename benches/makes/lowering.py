@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, DriverSetup, Lowered
 from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
-from orchestrator.bench.lowering_ppsmc import bench_ppsmc
-from orchestrator.bench.lowering_steppers import STEPPERS, bench_stepper
+from benches.makes.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
+from benches.makes.lowering_ppsmc import bench_ppsmc
+from benches.makes.lowering_steppers import STEPPERS, bench_stepper
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import VirtualClock, run_virtual

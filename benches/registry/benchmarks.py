@@ -1,9 +1,21 @@
-"""Benchmarks in virtual time, and of computations alone."""
+"""The registry of the developers' benchmarks: what compares Tutti's algorithms, simulators and page with baselines and
+targets; in virtual time, but for computations alone and the page.
+
+It is like that of the users' (`orchestrator.bench.registry.benchmarks`); `python -m benches` has the commands.
+"""
 
 from typing import Any
 
-from orchestrator.bench.registry import runs
-from orchestrator.bench.registry.record import BenchColumn, Benchmark, BenchNote, BenchOption, BenchTable, Document
+from benches.registry import runs
+from orchestrator.bench.registry.record import (
+    BenchColumn,
+    Benchmark,
+    BenchNote,
+    BenchOption,
+    BenchTable,
+    Document,
+    index_benchmarks,
+)
 
 _SEED = BenchOption("seed", "int", "Of all random draws.", default=1)
 _PERCENTILES = (BenchColumn("n>", "n"), *(BenchColumn(f"{title}>", title, ".3f") for title in ("p50", "p99", "max")))
@@ -43,29 +55,11 @@ def _name_row(row: Any) -> str:
     return f"{row.fleet}, {row.way}"
 
 
-def _simulated_rows(document: Document) -> list[Any] | None:
-    """Return the rows of `tutti bench sync` in virtual time; None for `--live`."""
-    return document["rows"] if "trials" in document else None
-
-
-def _verdict_rows(document: Document) -> list[Any] | None:
-    rows = _simulated_rows(document)
-    return None if rows is None else [row for row in rows if row.misses is not None]
-
-
-def _live_rows(document: Document) -> list[Any] | None:
-    return document["rows"] if "trials" not in document else None
-
-
-def _explain_starts(document: Document) -> list[str]:
-    text = "of starts; bound: the smallest p99 that is possible; end, path: p99 at the end and on the path\n"
-    return [] if _simulated_rows(document) is None else [text]
+def _list_verdict_rows(document: Document) -> list[Any]:
+    return [row for row in document["rows"] if row.misses is not None]
 
 
 def _list_sync_targets(document: Document) -> list[str]:
-    rows = _simulated_rows(document)
-    if rows is None:
-        return ["This includes host noise: simulated controllers run on this machine too, and share its delays."]
     legend = (
         "budget: predicted and guaranteed, its median; width: of the verdict's interval, p99, and its target; missed: "
         "verdicts that do not contain the true skew; late: a link delayed a command for longer than its adapter "
@@ -74,7 +68,7 @@ def _list_sync_targets(document: Document) -> list[str]:
     words = {True: "kept", False: "[red]missed[/]"}
     targets = [
         f"{_name_row(row)}: target {row.asked}: {words[bool(row.met)]}; worst is {row.worst}"
-        for row in rows
+        for row in document["rows"]
         if row.asked
     ]
     return [legend, *targets]
@@ -84,14 +78,14 @@ def _list_path_notes(document: Document) -> list[str]:
     return [f"{row.row}, {row.figure}: {row.note}" for row in document["rows"] if row.note]
 
 
-VIRTUAL_BENCHMARKS = (
+_BENCHMARKS = (
     Benchmark(
         name="plan",
         help="""Time the planning of steps of 1 to 1,024 axes against the bare Ruckig call.
 
         Jerk-limited axes count; trapezoids, where Ruckig has less to do, are shown for comparison.
         """,
-        example="tutti bench plan --rounds 1000",
+        example="python -m benches plan --rounds 1000",
         options=(
             BenchOption(name="rounds", kind="int", help="Plans of each size.", default=300, low=10, high=100_000),
         ),
@@ -101,7 +95,7 @@ VIRTUAL_BENCHMARKS = (
     Benchmark(
         name="virtual",
         help="Run the demo fleet in constant motion, in virtual time, and report its speed relative to real time.",
-        example="tutti bench virtual --hours 1 --json",
+        example="python -m benches virtual --hours 1 --json",
         options=(BenchOption(name="hours", kind="float", help="Of fleet time.", default=1.0, low=0.01, high=24),),
         run=runs.run_virtual,
         layout=(
@@ -117,7 +111,7 @@ VIRTUAL_BENCHMARKS = (
 
         One alone and three on a daisy chain, with and without a USB adapter that delays received bytes by up to 16 ms.
         """,
-        example="tutti bench poll --json",
+        example="python -m benches poll --json",
         options=(BenchOption(name="seconds", kind="float", help="Of virtual time.", default=60.0, low=1, high=3600),),
         run=runs.run_poll,
         layout=(
@@ -143,7 +137,7 @@ VIRTUAL_BENCHMARKS = (
         By E commands one after another, by the adapter's time slots with the delay in the programs, and by a trigger
         line.
         """,
-        example="tutti bench bus --json",
+        example="python -m benches bus --json",
         options=(
             BenchOption(name="rounds", kind="int", help="Starts of each method.", default=300, low=10, high=100_000),
         ),
@@ -170,7 +164,7 @@ VIRTUAL_BENCHMARKS = (
         In virtual time, by the simulators' ground truth; in one step with an SMC-4000 by a complete coordinator. The
         last part streams positions for `--hours`: an hour takes half an hour, the rest some three minutes.
         """,
-        example="tutti bench can --json",
+        example="python -m benches can --json",
         options=(
             BenchOption(name="rounds", kind="int", help="Moves of each method.", default=40, low=10, high=100_000),
             BenchOption(name="hours", kind="float", help="Of fleet time.", default=0.05, low=0.001, high=24),
@@ -191,7 +185,7 @@ VIRTUAL_BENCHMARKS = (
 
         Idle, and with all axes moving on commands of another host.
         """,
-        example="tutti bench sim --controllers 64 --json",
+        example="python -m benches sim --controllers 64 --json",
         options=(
             BenchOption(name="controllers", kind="int", help="Of four axes each.", default=64, low=1, high=512),
             BenchOption(name="seconds", kind="float", help="Of fleet time, each.", default=10.0, low=1, high=200),
@@ -220,7 +214,7 @@ VIRTUAL_BENCHMARKS = (
         counts/s are a tenth as many. Some minutes for the 10,000. An SMC30 accepts only whole steps/s: its moves are
         compared by their mean rate.
         """,
-        example="tutti bench lowering --make smc4000 --json",
+        example="python -m benches lowering --make smc4000 --json",
         options=(
             BenchOption("make", "text", "Of the controller.", "smc4000"),
             BenchOption(name="moves", kind="int", help="Trapezoids.", default=10_000, low=10, high=1_000_000),
@@ -242,7 +236,7 @@ VIRTUAL_BENCHMARKS = (
         Measures the duration of a move with its hand-over, for one axis and for three, and whether a chain ran dry.
         Some minutes.
         """,
-        example="tutti bench shrc-chain --json",
+        example="python -m benches shrc-chain --json",
         options=(
             BenchOption(name="moves", kind="int", help="Of each chain.", default=1000, low=2, high=100_000),
             BenchOption(name="seeds", kind="int", help="Chains of each kind.", default=100, low=1, high=10_000),
@@ -270,7 +264,7 @@ VIRTUAL_BENCHMARKS = (
         Shown with the estimate: its guaranteed bound, how often the true value was outside it, and two estimators
         without a bound: the smallest round trip at the nominal rate, and least squares.
         """,
-        example="tutti bench clock --trials 1000",
+        example="python -m benches clock --trials 1000",
         options=(
             BenchOption(name="trials", kind="int", help="Crystals a link.", default=200, low=10, high=100_000),
             _SEED,
@@ -301,7 +295,7 @@ VIRTUAL_BENCHMARKS = (
         the crystal, and the mean of the measured durations. Shown with the learned latency: the declared one, and the
         mean of the acknowledgements. 30 crystals per link take half a minute or so.
         """,
-        example="tutti bench rates --json",
+        example="python -m benches rates --json",
         options=(
             BenchOption(name="trials", kind="int", help="Crystals a link.", default=30, low=2, high=10_000),
             _SEED,
@@ -347,7 +341,7 @@ VIRTUAL_BENCHMARKS = (
         outside its interval. Everything takes a core an hour or so; --quick, with 5 paths of 10 s a row and without the
         long circles, half a minute.
         """,
-        example="tutti bench paths --quick --json",
+        example="python -m benches paths --quick --json",
         options=(
             BenchOption("quick", "flag", "Few and short paths."),
             _SEED,
@@ -387,7 +381,7 @@ VIRTUAL_BENCHMARKS = (
         to simulate have fewer trials. A thousand trials take a core an hour or so; a hundred, with --history 60, some
         minutes.
         """,
-        example="tutti bench sync --trials 100 --plot skews.png",
+        example="python -m benches sync --trials 100 --plot skews.png",
         options=(
             BenchOption(name="trials", kind="int", help="Steps of a row.", default=1000, low=2, high=1_000_000),
             _SEED,
@@ -395,21 +389,13 @@ VIRTUAL_BENCHMARKS = (
             BenchOption(
                 name="history", kind="int", help="Seconds of polls before the start.", default=300, low=5, high=3600
             ),
-            BenchOption(
-                name="live",
-                kind="int",
-                help="Run this many steps with real sockets and processes instead.",
-                default=None,
-                low=2,
-                high=10_000,
-            ),
             BenchOption("plot", "file", "Distributions of the start skews, a PNG."),
             BenchOption(name="processes", kind="int", help="Number of parallel processes.", default=1, low=1, high=256),
         ),
         run=runs.run_sync,
         layout=(
             BenchTable(
-                _simulated_rows,
+                "rows",
                 (
                     BenchColumn("skew, ms", _name_row),
                     BenchColumn("p50>", "start_p50", ".3g"),
@@ -420,9 +406,11 @@ VIRTUAL_BENCHMARKS = (
                     BenchColumn("path>", "path_p99", ".3g"),
                 ),
             ),
-            BenchNote(_explain_starts),
+            BenchNote(
+                "of starts; bound: the smallest p99 that is possible; end, path: p99 at the end and on the path\n"
+            ),
             BenchTable(
-                _verdict_rows,
+                _list_verdict_rows,
                 (
                     BenchColumn("reported start skew, ms", _name_row),
                     BenchColumn("budget>", "budget", ".3g"),
@@ -433,18 +421,28 @@ VIRTUAL_BENCHMARKS = (
                     BenchColumn("late>", "late"),
                 ),
             ),
-            BenchTable(
-                _live_rows,
-                (
-                    BenchColumn("start skew, ms", "fleet"),
-                    BenchColumn("p50>", lambda row: row.start.p50_ms, ".3g"),
-                    BenchColumn("p99>", lambda row: row.start.p99_ms, ".3g"),
-                    BenchColumn("max>", lambda row: row.start.max_ms, ".3g"),
-                    BenchColumn("outside evidence>", lambda row: f"{row.outside} of {row.start.n}"),
-                    BenchColumn("noise p99>", lambda row: row.noise.p99_ms, ".3g"),
-                ),
-            ),
             BenchNote(_list_sync_targets),
         ),
     ),
+    Benchmark(
+        name="page",
+        help="""Measure the gateway and the operators' page in a real browser (Chromium), live, for some minutes.
+
+        The gateway's processor time with 20 sockets and a page, 64 axes moving; script time and heap of the page; and
+        how quickly a jog ends when it is let go, or when the browser is killed, by the simulator's truth.
+        """,
+        example="python -m benches page --json",
+        options=(
+            BenchOption(name="seconds", kind="int", help="Of load.", default=20, low=5, high=600),
+            BenchOption(name="rounds", kind="int", help="Jogs that are let go.", default=30, low=1, high=1000),
+        ),
+        run=runs.run_page,
+        layout=(
+            BenchTable("rows", (BenchColumn("figure", "what"), BenchColumn("value>", "value", "g")), has_targets=True),
+        ),
+        has_failed=lambda document: not all(row.met for row in document["rows"]),
+    ),
 )
+
+BENCHMARKS: dict[str, Benchmark] = index_benchmarks(_BENCHMARKS)
+"""By name of the command."""

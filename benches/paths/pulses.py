@@ -4,7 +4,6 @@ edges at the terminal of its output."""
 from random import Random
 from typing import Any, NamedTuple
 
-from orchestrator.bench.sync_fleets import DRIFT_PPM, WANDER_PPM, make_smc4000
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -13,6 +12,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.recording import RecordedTriggers
 from orchestrator.model.report import JobReport, TriggerRow
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, WANDER_PPM, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 NAME, NUMBER = "gantry", 1

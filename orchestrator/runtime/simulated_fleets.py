@@ -1,4 +1,4 @@
-"""Simulated fleets for measuring the skew of starts and ends, with varied links, firmware and crystals."""
+"""Simulated fleets of benchmarks, campaign and tests, with varied links, firmware and crystals."""
 
 from collections.abc import Mapping
 from random import Random

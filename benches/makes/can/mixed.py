@@ -6,14 +6,14 @@ from math import ceil
 from random import Random
 from typing import Any
 
-from orchestrator.bench.can.fleet import MEASURED_OPTIONS, make_can_row
-from orchestrator.bench.figures import BenchFigure
-from orchestrator.bench.sync_fleets import DRIFT_PPM, WANDER_PPM, make_smc4000
+from benches.makes.can.fleet import MEASURED_OPTIONS, make_can_row
+from benches.makes.figures import BenchFigure
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import StepReport
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, WANDER_PPM, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTROLLERS_PER_MAKE = 4

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import websockets
 from playwright.async_api import Page, Route, WebSocketRoute
 
+from benches.page.browser import PageInBrowser, open_browser
+from benches.page.frames import HELLO, make_frames
 from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps, wait_until
-from orchestrator.bench.page.browser import PageInBrowser, open_browser
-from orchestrator.bench.page.frames import HELLO, make_frames
 from orchestrator.bench.recording.measure import read_cpu_s, start_part
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.clock.live import raw_ns

@@ -16,7 +16,7 @@ from adapters.host.makes import find_make
 from adapters.shrc203.fleetaxes import axis_bounds
 from adapters.shrc203.shapes.trapezoid import fit_trapezoid
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
+from benches.makes.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, can_wire, serial_wire

@@ -13,11 +13,11 @@ from math import floor
 from random import Random
 from typing import NamedTuple
 
-from orchestrator.bench.sync_fleets import DRIFT_PPM, HOLD_MS, PP_SPREAD_MS, WANDER_PPM
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.inferred import InferredClock
 from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.timed import TimedMove
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, HOLD_MS, PP_SPREAD_MS, WANDER_PPM
 from sim.core.oscillator import Oscillator
 
 MOVES = (1, 5, 20, 100)

@@ -9,7 +9,7 @@ import asyncio
 from math import ceil
 from typing import NamedTuple
 
-from orchestrator.bench.can.fleet import (
+from benches.makes.can.fleet import (
     ACCELERATION,
     BITRATE,
     NODES,
@@ -19,7 +19,7 @@ from orchestrator.bench.can.fleet import (
     make_can_row,
     write_object,
 )
-from orchestrator.bench.figures import BenchFigure
+from benches.makes.figures import BenchFigure
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.can import CanLink

@@ -1,4 +1,4 @@
-"""Random feasible moves of a pp-electronic SMC: as planned, as lowered, and a part of them as executed, in made_moves
+"""Random feasible moves of a pp-electronic SMC: as planned, as lowered, and a part of them as executed, in virtual
 time.
 
 Its speeds are whole Hz and its ramps whole Hz/ms. From one slew speed V to the next the duration T changes by T/V;
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from adapters.contract import Driver, DriverSetup
 from adapters.host.makes import find_make
 from adapters.toolkit.firing import LoopTimedWriter
-from orchestrator.bench.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
+from benches.makes.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import LAN, MemoryWire

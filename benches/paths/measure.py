@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orchestrator.bench.paths.circles import CircleCase, CircleRun, CircleTask, list_tasks, run_circle
-from orchestrator.bench.paths.planning import (
+from benches.paths.circles import CircleCase, CircleRun, CircleTask, list_tasks, run_circle
+from benches.paths.planning import (
     LimitsRun,
     TimeRun,
     measure_gcode,
@@ -16,8 +16,8 @@ from orchestrator.bench.paths.planning import (
     run_limits,
     run_time,
 )
-from orchestrator.bench.paths.pulses import PulsesRun, PulsesTask, run_pulses
-from orchestrator.bench.paths.random_paths import KINDS
+from benches.paths.pulses import PulsesRun, PulsesTask, run_pulses
+from benches.paths.random_paths import KINDS
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.runtime.workers import map_in_processes
 

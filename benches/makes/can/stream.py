@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from math import ceil
 from typing import NamedTuple
 
-from orchestrator.bench.can.fleet import (
+from benches.makes.can.fleet import (
     ACCELERATION,
     BITRATE,
     NODES,
@@ -20,7 +20,7 @@ from orchestrator.bench.can.fleet import (
     make_can_row,
     write_object,
 )
-from orchestrator.bench.figures import BenchFigure
+from benches.makes.figures import BenchFigure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.can import CanFrame, CanLink

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from orchestrator.bench.sync_fleets import DRIFT_PPM
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM
 
 DRAWS = 100_000
 

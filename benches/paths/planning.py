@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orchestrator.bench.paths.lower_bound import find_least_time
-from orchestrator.bench.paths.random_paths import (
+from benches.paths.lower_bound import find_least_time
+from benches.paths.random_paths import (
     even_limits,
     find_worst_use,
     random_outline,

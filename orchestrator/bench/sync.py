@@ -1,4 +1,4 @@
-"""The same fleets with real sockets, pseudo-terminals and processes of this machine, including its noise.
+"""The skew of simulated fleets with real sockets, pseudo-terminals and processes of this machine, including its noise.
 
 Adapters, firing process, bus and coordinator are the real ones; simulated controllers are delayed like every process
 here, unlike hardware: the result is this machine's figure, not the fleet's.
@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 from orchestrator.bench.fleet import run_measured_fleet
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
-from orchestrator.bench.sync_fleets import make_sync_fleet
 from orchestrator.bench.truth import NothingHappened
 from orchestrator.clock.live import raw_ns
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.runtime.live.demo_truth import check_verdicts
+from orchestrator.runtime.simulated_fleets import make_sync_fleet
 
 FLEETS = ("8 SMC-4000", "mixed")
 
