@@ -4,7 +4,6 @@ In virtual time, checked against the simulated controller's ground truth. Betwee
 must write the move after next; every move has its own speeds, so that its command line has the maximum length.
 """
 
-from contextvars import copy_context
 from random import Random
 from typing import NamedTuple
 
@@ -14,10 +13,11 @@ from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid
 from adapters.toolkit.firing import LoopTimedWriter
+from benches.makes.drivers import connect_wire
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import Link, ReceivedBytes
-from orchestrator.link.memory import MemoryWire, serial_wire
+from orchestrator.link.memory import serial_wire
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Controller
 from sim.core.controller import FirmwareTiming
@@ -96,15 +96,7 @@ async def _measure_chain(
     draw = Random(seed)
     oscillator = Oscillator(0, draw.uniform(-PPM, PPM), 0.05, draw.getrandbits(32))
     unit = find_simulator(MODEL).build_controller(clock, {}, oscillator=oscillator, timing=FIRMWARE, seed=seed)
-    wire = MemoryWire(
-        clock=clock,
-        model=serial_wire(BAUD),
-        far=unit,
-        port=unit.port_names[0],
-        endpoint="serial line",
-        far_context=copy_context(),
-        seed=seed,
-    )
+    wire = connect_wire(clock, serial_wire(BAUD), unit, unit.port_names[0], seed)
 
     async def open_slow_link() -> Link:
         return _SlowHost(await wire.open_link(), clock)

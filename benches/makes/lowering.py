@@ -7,23 +7,21 @@ of its own. To add a make, add its `BenchedMake`.
 
 import asyncio
 from collections.abc import Callable, Mapping
-from contextvars import copy_context
 from dataclasses import dataclass
 from functools import partial
 from math import ceil
 from random import Random
 from typing import Any, NamedTuple
 
-from adapters.contract import Driver, DriverSetup, Lowered
-from adapters.host.makes import find_make
-from adapters.toolkit.firing import LoopTimedWriter
+from adapters.contract import Driver, Lowered
+from benches.makes.drivers import connect_wire, make_drivers
 from benches.makes.figures import BenchFigure, LoweringChoices, LoweringFigures, make_figure
 from benches.makes.lowering_ppsmc import bench_ppsmc
 from benches.makes.lowering_steppers import STEPPERS, bench_stepper
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.link.memory import LAN, MemoryWire, WireModel, serial_wire
+from orchestrator.link.memory import LAN, WireModel, serial_wire
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
@@ -202,33 +200,14 @@ def _run_with_driver(subject: BenchedMake, ppm: float, seed: int, main: Callable
 
     async def run_bench(clock: VirtualClock) -> Any:
         config = Controller.model_validate(subject.config)
-        make = find_make(config.adapter)
         crystal = Oscillator(Random(seed).randrange(10**9), ppm)
         timing = FirmwareTiming(decode_ns=500 * NS_PER_US, spread_ns=50 * NS_PER_US)
         built_ns = clock.now_ns()
         controller = find_simulator(config.adapter).build_controller(
             clock, {}, oscillator=crystal, timing=timing, seed=seed
         )
-        wire = MemoryWire(
-            clock=clock,
-            model=subject.wire,
-            far=controller,
-            port=subject.port,
-            endpoint="bench",
-            far_context=copy_context(),
-            seed=seed,
-        )
-        options = make.options_model.model_validate(config.options)
-        driver = make.create_driver(
-            DriverSetup(
-                controller="bench",
-                config=config,
-                options=options,
-                clock=clock,
-                open_link=wire.open_link,
-                timed_writer=LoopTimedWriter(clock),
-            )
-        )
+        wire = connect_wire(clock, subject.wire, controller, subject.port, seed)
+        (driver,) = make_drivers(wire, {"bench": config})
         world = _LoweringBench(
             clock=clock,
             controller=controller,

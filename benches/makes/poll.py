@@ -1,13 +1,11 @@
 """The poll rate of SMC-2000 on a serial line, compared with the limit of the line's characters, in virtual time."""
 
 import asyncio
-from contextvars import copy_context
 from random import Random
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from adapters.contract import Driver, DriverSetup
-from adapters.host.makes import find_make
-from adapters.toolkit.firing import LoopTimedWriter
+from adapters.contract import Driver
+from benches.makes.drivers import connect_wire, make_drivers
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.memory import MemoryWire, serial_wire
@@ -100,7 +98,7 @@ async def _poll_until(clock: Clock, driver: Driver, until_ns: int) -> int:
 
 
 def _make_line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tuple[MemoryWire, list[Driver]]:
-    draw, make = Random(seed), find_make(MAKE)
+    draw = Random(seed)
     addresses = [None] if count == 1 else list(range(count))
     branches = {
         f"unit{number}": DeviceSpec(
@@ -114,34 +112,8 @@ def _make_line(clock: VirtualClock, count: int, hold_ms: int, seed: int) -> tupl
     }
     line = build_line(find_simulator(MAKE), clock, branches)
     model = serial_wire(BAUD, hold_ns=hold_ms * NS_PER_MS)
-    wire = MemoryWire(
-        clock=clock,
-        model=model,
-        far=line.endpoint,
-        port="serial",
-        endpoint="serial line",
-        far_context=copy_context(),
-        seed=seed,
-    )
-    line_options: dict[str, Any] = {}
-    drivers: list[Driver] = []
-    for name, branch in branches.items():
-        config = _make_config(branch.address)
-        options = make.options_model.model_validate({})
-        drivers.append(
-            make.create_driver(
-                DriverSetup(
-                    controller=name,
-                    config=config,
-                    options=options,
-                    clock=clock,
-                    open_link=wire.open_link,
-                    timed_writer=LoopTimedWriter(clock),
-                    shared=line_options,
-                )
-            )
-        )
-    return wire, drivers
+    wire = connect_wire(clock, model, line.endpoint, "serial", seed)
+    return wire, make_drivers(wire, {name: _make_config(branch.address) for name, branch in branches.items()})
 
 
 def _make_config(address: int | None) -> Controller:

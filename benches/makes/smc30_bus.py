@@ -7,15 +7,13 @@ crystal, firmware delays and phase of polling its inputs.
 """
 
 import asyncio
-from contextvars import copy_context
 from dataclasses import dataclass
 from math import ceil
 from random import Random
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from adapters.contract import Driver, DriverSetup
-from adapters.host.makes import find_make
-from adapters.toolkit.firing import LoopTimedWriter
+from adapters.contract import Driver
+from benches.makes.drivers import connect_wire, load_moves, make_drivers, release_moves
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.link.base import Link
@@ -33,7 +31,6 @@ CONTROLLERS = range(1, 8)
 SPREAD = 0.1  # of the firmware's delays around their typical values
 CRYSTAL_PPM = 100.0
 DECODE_US, LINE_MS, START_MS, FILTER_MS, POLL_MS = 1000, 1.0, 1.0, 0.16, 1.0
-WAKE_US = 60  # largest wake-up delay of a process that writes at an instant
 STEPS, VELOCITY, ACCELERATION = 400, 2000.0, 20_000.0
 ASKED_SLOTS_MS, ASKED_LINE_MS = 12.0, 1.3
 EDGE_NS = 20 * NS_PER_US  # largest distance of the trigger edge from T0
@@ -127,38 +124,12 @@ def _build_bus(clock: VirtualClock, seed: int) -> _Smc30Bus:
         return DeviceSpec(address, options, crystal, timing, draw.randrange(10**9))
 
     line = build_line(find_simulator(MAKE), clock, {f"u{address}": make_device(address) for address in CONTROLLERS})
-    wire = MemoryWire(
-        clock=clock,
-        model=serial_wire(BAUD),
-        far=line.endpoint,
-        port="serial",
-        endpoint="bus",
-        far_context=copy_context(),
-        seed=seed,
-    )
-    make, bus_options = find_make(MAKE), dict[str, Any]()
-    firer = LoopTimedWriter(clock, lambda: draw.randrange(WAKE_US * NS_PER_US))
-    drivers: list[Driver] = []
-    for address in CONTROLLERS:
-        config = Controller.model_validate(_make_config(address))
-        options = make.options_model.model_validate(config.options)
-        drivers.append(
-            make.create_driver(
-                DriverSetup(
-                    controller=f"u{address}",
-                    config=config,
-                    options=options,
-                    clock=clock,
-                    open_link=wire.open_link,
-                    timed_writer=firer,
-                    shared=bus_options,
-                )
-            )
-        )
+    wire = connect_wire(clock, serial_wire(BAUD), line.endpoint, "serial", seed)
+    drivers = make_drivers(wire, {f"u{address}": _make_config(address) for address in CONTROLLERS}, draw)
     return _Smc30Bus(clock, [line.devices[f"u{address}"] for address in CONTROLLERS], drivers, wire, draw)
 
 
-def _make_config(address: int) -> dict[str, Any]:
+def _make_config(address: int) -> Controller:
     link = {"kind": "serial", "device": "/dev/ttyS0", "baud": BAUD, "data_bits": 7, "parity": "odd", "address": address}
     axis = {
         "motors": ["1"],
@@ -166,7 +137,8 @@ def _make_config(address: int) -> dict[str, Any]:
         "limits": {"velocity": VELOCITY, "acceleration": ACCELERATION},
         "start_rate": {"min": 100, "max": 400},
     }
-    return {"adapter": MAKE, "link": link, "axes": {"a": axis}, "inputs": {"go": {"number": LINE_INPUT}}}
+    fields = {"adapter": MAKE, "link": link, "axes": {"a": axis}, "inputs": {"go": {"number": LINE_INPUT}}}
+    return Controller.model_validate(fields)
 
 
 async def _start_together(bus: _Smc30Bus, *, line: bool) -> tuple[list[int], int]:
@@ -186,16 +158,14 @@ async def _start_together(bus: _Smc30Bus, *, line: bool) -> tuple[list[int], int
         lowering.costs.disarm_ns for lowering in lowered_profiles
     )
     t0_ns = bus.clock.now_ns() + lead_ns + 100 * NS_PER_MS + bus.draw.randrange(10 * NS_PER_MS)
-    pairs = list(zip(bus.drivers, lowered_profiles, strict=True))
-    await asyncio.gather(*(driver.slots.present.load(lowering, t0_ns, None) for driver, lowering in pairs))
-    await asyncio.gather(*(driver.slots.present.verify() for driver in bus.drivers))
-    await asyncio.gather(*(driver.slots.present.release() for driver in bus.drivers))
+    await load_moves(bus.drivers, lowered_profiles, t0_ns)
+    await release_moves(bus.drivers)
     if line:
         await sleep_until_ns(bus.clock, t0_ns + bus.draw.randint(-EDGE_NS, EDGE_NS))
         for unit in bus.simulators:
             unit.set_input(LINE_INPUT, level=True)
     spans = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in bus.drivers))
-    for (driver, _), span, unit in zip(pairs, spans, bus.simulators, strict=True):
+    for driver, span, unit in zip(bus.drivers, spans, bus.simulators, strict=True):
         outcome, began_ns = await driver.slots.present.wait_for_end(), unit.commanded_motions[0].start_ns
         if outcome.state != "done" or not span["a"].earliest_ns <= began_ns <= span["a"].latest_ns:
             raise RuntimeError(f"a start of the benchmark differs from its driver's report: {outcome.reason or span}")

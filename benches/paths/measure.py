@@ -45,6 +45,12 @@ class PathFigure(NamedTuple):
     met: bool | None = None
     note: str = ""
 
+    def judge(self, most: float, digits: int | None = None, asked: str = "") -> "PathFigure":
+        """Return the figure, rounded, beside its limit. asked: the limit in words, where it is not a number alone."""
+        assert self.value is not None
+        words = asked or (f"≤ {most:g}" if most else "0")
+        return self._replace(value=round(self.value, digits), asked=words, met=self.value <= most)
+
 
 class PathCounts(NamedTuple):
     """How many paths each row has, and how much of the costs is measured."""
@@ -128,9 +134,7 @@ def make_circle_figures(
     ran = [run for run in runs if not run.refused and len(run.errors)]
     figures: list[PathFigure] = []
     if refused_runs:
-        figures.append(
-            PathFigure(case.name, "paths refused", len(refused_runs), "", "0", met=False, note=refused_runs[0])
-        )
+        figures.append(PathFigure(case.name, "paths refused", len(refused_runs), note=refused_runs[0]).judge(0))
     if not ran:
         return figures
     errors = np.concatenate([run.errors for run in ran])
@@ -138,71 +142,31 @@ def make_circle_figures(
     excess_count = sum(float(run.errors.max()) > run.bound for run in ran)
     largest = max(run.bound for run in ran) * UM
     worst = max({run.worst for run in ran}, key=lambda member: sum(run.worst == member for run in ran))
-    most, target = (60.0, "≤ 60") if minute_p99 is None else (1.3 * minute_p99, "≤ 1.3 × of 60 s")
+    error = PathFigure(case.name, "error, p99", p99, "um")
+    bound = PathFigure(case.name, "bound ahead, largest", largest, "um")
     if case.controllers != TWO:
-        most, target = np.inf, ""
-    rows = [
-        PathFigure(
-            row=case.name,
-            figure="error, p99",
-            value=round(p99, 1),
-            unit="um",
-            asked=target,
-            met=None if not target else p99 <= most,
-        ),
-        PathFigure(case.name, "error, largest", round(UM * float(errors.max()), 1), "um"),
-        PathFigure(
-            row=case.name,
-            figure="paths above their bound",
-            value=excess_count,
-            unit="",
-            asked="0",
-            met=excess_count == 0,
-        ),
-        PathFigure(case.name, "largest term of the bound", None, note=worst),
-        _make_sum_figure(case, ran),
-    ]
-    if case.controllers == TWO:
-        is_kept = largest <= 300 if minute_p99 is None else None
-        limit = "≤ 300" if minute_p99 is None else ""
-        rows.append(
-            PathFigure(
-                row=case.name,
-                figure="bound ahead, largest",
-                value=round(largest, 1),
-                unit="um",
-                asked=limit,
-                met=is_kept,
-            )
-        )
+        error, bound = error._replace(value=round(p99, 1)), bound._replace(value=round(largest, 1))
+    elif minute_p99 is None:
+        error, bound = error.judge(60, 1), bound.judge(300, 1)
     else:
-        rows.append(PathFigure(case.name, "bound ahead, largest", round(largest, 1), "um"))
+        error = error.judge(1.3 * minute_p99, 1, "≤ 1.3 × of 60 s")
+        bound = bound._replace(value=round(largest, 1))
+    sum_off = max(run.sum_off for run in ran)
+    rows = [
+        error,
+        PathFigure(case.name, "error, largest", round(UM * float(errors.max()), 1), "um"),
+        PathFigure(case.name, "paths above their bound", excess_count).judge(0),
+        PathFigure(case.name, "largest term of the bound", None, note=worst),
+        # Zero but for rounding: 1 pm.
+        PathFigure(case.name, "bound less the sum of its terms", UM * sum_off, "um").judge(UM * 1e-9, 6, "0"),
+        bound,
+    ]
     proven = [run.proven for run in ran if run.proven is not None]
     if proven and case.controllers == TWO:
         value = UM * median(proven)
-        rows.append(
-            PathFigure(
-                row=case.name,
-                figure="bound proven afterwards",
-                value=round(value, 1),
-                unit="um",
-                asked="≤ 2 × p99",
-                met=value <= 2 * p99,
-            )
-        )
+        figure = PathFigure(case.name, "bound proven afterwards", value, "um")
+        rows.append(figure.judge(2 * p99, 1, "≤ 2 × p99"))
     return rows + figures
-
-
-def _make_sum_figure(case: CircleCase, ran: Sequence[CircleRun]) -> PathFigure:
-    off = max(run.sum_off for run in ran)
-    return PathFigure(
-        row=case.name,
-        figure="bound less the sum of its terms",
-        value=round(UM * off, 6),
-        unit="um",
-        asked="0",
-        met=off < 1e-9,
-    )
 
 
 def _measure_limits(counts: PathCounts, options: PathsOptions) -> list[PathFigure]:
@@ -212,26 +176,11 @@ def _measure_limits(counts: PathCounts, options: PathsOptions) -> list[PathFigur
     worst = float(max(used))
     over = sum(1 for share in used if share > 1.001)
     refusal_count = len(runs) - len(used)
+    excess = f"of {len(used)} paths, above a limit by more than 0.1 %"
     return [
-        PathFigure(
-            row=LIMITS_ROW,
-            figure=f"of {len(used)} paths, above a limit by more than 0.1 %",
-            value=over,
-            unit="",
-            asked="0",
-            met=over == 0,
-        ),
-        PathFigure(
-            row=LIMITS_ROW,
-            figure="largest part of a limit that is used",
-            value=round(worst, 6),
-            unit="",
-            asked="≤ 1.001",
-            met=worst <= 1.001,
-        ),
-        PathFigure(
-            row=LIMITS_ROW, figure="paths refused", value=refusal_count, unit="", asked="0", met=refusal_count == 0
-        ),
+        PathFigure(LIMITS_ROW, excess, over).judge(0),
+        PathFigure(LIMITS_ROW, "largest part of a limit that is used", worst).judge(1.001, 6),
+        PathFigure(LIMITS_ROW, "paths refused", refusal_count).judge(0),
     ]
 
 
@@ -243,31 +192,9 @@ def _measure_times(counts: PathCounts, options: PathsOptions) -> list[PathFigure
     stopping = max(run.of_stopping for run in runs)
     note = "of velocity and acceleration alone, by the theory of TOPP-RA"
     return [
-        PathFigure(
-            row=TIME_ROW,
-            figure="times the least time, median",
-            value=round(middle, 3),
-            unit="",
-            asked="≤ 1.15",
-            met=middle <= 1.15,
-            note=note,
-        ),
-        PathFigure(
-            row=TIME_ROW,
-            figure="times the least time, p95",
-            value=round(most, 3),
-            unit="",
-            asked="≤ 1.4",
-            met=most <= 1.4,
-        ),
-        PathFigure(
-            row=TIME_ROW,
-            figure="times the time with stops, largest",
-            value=round(stopping, 3),
-            unit="",
-            asked="≤ 1",
-            met=stopping <= 1 + 1e-9,
-        ),
+        PathFigure(TIME_ROW, "times the least time, median", middle, note=note).judge(1.15, 3),
+        PathFigure(TIME_ROW, "times the least time, p95", most).judge(1.4, 3),
+        PathFigure(TIME_ROW, "times the time with stops, largest", stopping).judge(1 + 1e-9, 3, "≤ 1"),
     ]
 
 
@@ -279,47 +206,13 @@ def _measure_costs(counts: PathCounts, _: PathsOptions) -> list[PathFigure]:
     # In a process of its own, whose memory is that of the program alone.
     (gcode,) = map_in_processes(measure_gcode, [counts.gcode_lines], 2)
     ratio = long / lines
+    memory = PathFigure(COST_ROW, f"memory, {counts.gcode_lines} lines of G-code", gcode.peak_mb, "MB")
     return [
-        PathFigure(
-            row=COST_ROW,
-            figure=f"a line over 8 axes, {few_pieces} pieces",
-            value=round(lines),
-            unit="us",
-            asked="≤ 300",
-            met=lines <= 300,
-        ),
-        PathFigure(
-            row=COST_ROW,
-            figure=f"a mixed piece over 8 axes, {few_pieces} pieces",
-            value=round(mixed_cost),
-            unit="us",
-            asked="≤ 300",
-            met=mixed_cost <= 300,
-        ),
-        PathFigure(
-            row=COST_ROW,
-            figure=f"a line of {many_pieces} to one of {few_pieces}",
-            value=round(ratio, 2),
-            unit="",
-            asked="≤ 1.2",
-            met=ratio <= 1.2,
-        ),
-        PathFigure(
-            row=COST_ROW,
-            figure="a line of G-code to geometry",
-            value=round(gcode.us_line),
-            unit="us",
-            asked="≤ 100",
-            met=gcode.us_line <= 100,
-        ),
-        PathFigure(
-            row=COST_ROW,
-            figure=f"memory, {counts.gcode_lines} lines of G-code",
-            value=round(gcode.peak_mb),
-            unit="MB",
-            asked="≤ 500",
-            met=gcode.peak_mb <= 500,
-        ),
+        PathFigure(COST_ROW, f"a line over 8 axes, {few_pieces} pieces", lines, "us").judge(300),
+        PathFigure(COST_ROW, f"a mixed piece over 8 axes, {few_pieces} pieces", mixed_cost, "us").judge(300),
+        PathFigure(COST_ROW, f"a line of {many_pieces} to one of {few_pieces}", ratio).judge(1.2, 2),
+        PathFigure(COST_ROW, "a line of G-code to geometry", gcode.us_line, "us").judge(100),
+        memory.judge(500),
     ]
 
 
@@ -335,43 +228,18 @@ def make_trigger_figures(runs: Sequence[PulsesRun]) -> list[PathFigure]:
     refused_runs = [run.refused for run in runs if run.refused]
     edges, misses = sum(run.edges for run in runs), sum(run.missed for run in runs)
     figures = [
-        PathFigure(row, "fleets refused", len(refused_runs), "", "0", met=False, note=refused_runs[0])
-        for _ in refused_runs[:1]
+        PathFigure(row, "fleets refused", len(refused_runs), note=reason).judge(0) for reason in refused_runs[:1]
     ]
     by_evidence, by_promise = sum(run.outside_seen for run in runs), sum(run.outside_promise for run in runs)
     figures += [
-        PathFigure(
-            row=row,
-            figure=f"of {edges} pulses, without a row or evidence",
-            value=misses,
-            unit="",
-            asked="0",
-            met=misses == 0,
-        ),
-        PathFigure(
-            row=row,
-            figure="outside their interval by evidence",
-            value=by_evidence,
-            unit="",
-            asked="0",
-            met=by_evidence == 0,
-        ),
-        PathFigure(row=row, figure="outside their promise", value=by_promise, unit="", asked="0", met=by_promise == 0),
+        PathFigure(row, f"of {edges} pulses, without a row or evidence", misses).judge(0),
+        PathFigure(row, "outside their interval by evidence", by_evidence).judge(0),
+        PathFigure(row, "outside their promise", by_promise).judge(0),
     ]
     widest = {
         "on moves": max(run.widest_move_ns for run in runs),
         "along paths": max(run.widest_path_ns for run in runs),
     }
     for way, widest_ns in widest.items():
-        value = widest_ns / NS_PER_MS
-        figures.append(
-            PathFigure(
-                row=row,
-                figure=f"interval {way}, largest",
-                value=round(value, 2),
-                unit="ms",
-                asked=f"≤ {MOST_MS}",
-                met=value <= MOST_MS,
-            )
-        )
+        figures.append(PathFigure(row, f"interval {way}, largest", widest_ns / NS_PER_MS, "ms").judge(MOST_MS, 2))
     return figures

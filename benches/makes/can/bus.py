@@ -19,6 +19,7 @@ from benches.makes.can.fleet import (
     make_can_row,
     write_object,
 )
+from benches.makes.drivers import load_moves, release_moves
 from benches.makes.figures import BenchFigure
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -91,11 +92,9 @@ async def _run_step(world: CanBusBench, begin: int, end: int) -> _CanRound:
     lead_ns = max(lowering.costs.arm_ns + lowering.costs.disarm_ns for lowering in lowered_profiles)
     t0_ns = clock.now_ns() + lead_ns + 100 * NS_PER_MS + world.draw.randrange(10 * NS_PER_MS)
     began_ns, ordered_ns = clock.now_ns(), world.command_ns
-    pairs = list(zip(drivers, lowered_profiles, strict=True))
-    await asyncio.gather(*(driver.slots.present.load(lowering, t0_ns, None) for driver, lowering in pairs))
+    await load_moves(drivers, lowered_profiles, t0_ns)
     arm_ms, frames_ms = (clock.now_ns() - began_ns) * 1e-6, (world.command_ns - ordered_ns) * 1e-6
-    await asyncio.gather(*(driver.slots.present.verify() for driver in drivers))
-    await asyncio.gather(*(driver.slots.present.release() for driver in drivers))
+    await release_moves(drivers)
     spans = await asyncio.gather(*(driver.slots.present.wait_for_start() for driver in drivers))
     busy_ns, moving_ns = world.segment.bus.busy_ns, clock.now_ns()
     outcomes = await asyncio.gather(*(driver.slots.present.wait_for_end() for driver in drivers))

@@ -6,14 +6,12 @@ wake-up delay of a process.
 
 import asyncio
 from collections.abc import Mapping
-from contextvars import copy_context
 from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from adapters.contract import Driver, DriverSetup
-from adapters.host.makes import find_make
-from adapters.toolkit.firing import LoopTimedWriter
+from adapters.contract import Driver
+from benches.makes.drivers import connect_wire, make_drivers
 from benches.makes.figures import BenchFigure, make_figure
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.virtual import VirtualClock
@@ -29,7 +27,6 @@ MAKE = "cia402"
 BITRATE = 1_000_000
 NODES = range(1, 9)
 CRYSTAL_PPM = 100.0
-MAX_WAKE_DELAY_US = 60  # largest wake-up delay of a process that writes at an instant
 MEASURED_OPTIONS = {"cycle_us": 100, "start_us": 50, "start_spread_us": 50}
 """Measured properties of these drives."""
 VELOCITY, ACCELERATION = 80_000.0, 400_000.0
@@ -88,38 +85,18 @@ def make_can_bench(
         )
 
     segment, units = CIA402.build_shared(clock, [make_device(node) for node in NODES])
-    wire = MemoryWire(
-        clock=clock, model=can_wire(), far=segment, port="can", endpoint="bus", far_context=copy_context(), seed=seed
-    )
-    make, bus_options = find_make(MAKE), dict[str, Any]()
-    firer = LoopTimedWriter(clock, lambda: draw.randrange(MAX_WAKE_DELAY_US * NS_PER_US))
-    drivers: list[Driver] = []
-    for node in NODES:
-        config = Controller.model_validate(_make_config(node, limits or {}))
-        options = make.options_model.model_validate(config.options)
-        drivers.append(
-            make.create_driver(
-                DriverSetup(
-                    controller=f"d{node}",
-                    config=config,
-                    options=options,
-                    clock=clock,
-                    open_link=wire.open_link,
-                    timed_writer=firer,
-                    shared=bus_options,
-                )
-            )
-        )
+    wire = connect_wire(clock, can_wire(), segment, "can", seed)
+    drivers = make_drivers(wire, {f"d{node}": _make_config(node, limits or {}) for node in NODES}, draw)
     world = CanBusBench(clock=clock, segment=segment, drives=list(units), drivers=drivers, wire=wire, draw=draw)
     segment.bus.add_listener(world.count_frame)
     return world
 
 
-def _make_config(node: int, limits: Mapping[str, float]) -> dict[str, Any]:
+def _make_config(node: int, limits: Mapping[str, float]) -> Controller:
     most = {"velocity": VELOCITY, "acceleration": ACCELERATION, **limits}
     link = {"kind": "can", "interface": "socketcan", "channel": "can0", "bitrate": BITRATE, "address": node}
     axis = {"motors": ["1"], "unit": "counts", "limits": most}
-    return {"adapter": MAKE, "link": link, "options": MEASURED_OPTIONS, "axes": {"a": axis}}
+    return Controller.model_validate({"adapter": MAKE, "link": link, "options": MEASURED_OPTIONS, "axes": {"a": axis}})
 
 
 async def write_object(can: CanLink, node: int, entry: tuple[int, int], value: int, size: int) -> None:

@@ -20,6 +20,7 @@ from benches.makes.can.fleet import (
     make_can_row,
     write_object,
 )
+from benches.makes.drivers import load_moves, release_moves
 from benches.makes.figures import BenchFigure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -184,16 +185,14 @@ def _make_plan(world: CanBusBench) -> dict[int, Profile]:
 
 async def _start_moves(world: CanBusBench, profiles: Mapping[int, Profile]) -> int:
     """Arm and release the moves; return T0."""
-    lowered_profiles = {
-        node: driver.lower_profiles({"a": profiles[node]}, StartOptions(), None)
+    lowered_profiles = [
+        driver.lower_profiles({"a": profiles[node]}, StartOptions(), None)
         for node, driver in zip(NODES, world.drivers, strict=True)
-    }
-    lead_ns = max(lowering.costs.arm_ns + lowering.costs.disarm_ns for lowering in lowered_profiles.values())
+    ]
+    lead_ns = max(lowering.costs.arm_ns + lowering.costs.disarm_ns for lowering in lowered_profiles)
     t0_ns = world.clock.now_ns() + lead_ns + world.draw.randrange(10 * NS_PER_MS)
-    pairs = list(zip(world.drivers, lowered_profiles.values(), strict=True))
-    await asyncio.gather(*(driver.slots.present.load(lowering, t0_ns, None) for driver, lowering in pairs))
-    await asyncio.gather(*(driver.slots.present.verify() for driver in world.drivers))
-    await asyncio.gather(*(driver.slots.present.release() for driver in world.drivers))
+    await load_moves(world.drivers, lowered_profiles, t0_ns)
+    await release_moves(world.drivers)
     return t0_ns
 
 
