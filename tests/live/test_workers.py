@@ -29,10 +29,11 @@ def test_an_error_of_one_item_is_raised_and_ends_the_rest() -> None:
 
 
 def test_two_processes_measure_what_one_does() -> None:
-    asked = ["sync", "--trials", "5", "--only", "2 SMC-4000: clock, align 10 s", "--history", "5", "--json"]
+    asked = ["sync", "--trials", "5", "--only", "^2 SMC-4000, clock, align 10 s", "--history", "5", "--json"]
     alone, both = [CliRunner().invoke(benches, [*asked, "--processes", n]) for n in ("1", "2")]
     assert alone.exit_code == both.exit_code == 0, both.output
     assert json.loads(both.stdout) == json.loads(alone.stdout)
+    assert len(json.loads(alone.stdout)["rows"]) == 1
 
 
 def test_workers_end_with_their_parent() -> None:
