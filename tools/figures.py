@@ -1,6 +1,8 @@
 """Print figures of the project's order and words beside those of commit a72ec61 (`make figures`).
 
-The figures are to see by: a name is good when a reader knows without its file what it does.
+Product lines are those of `PACKAGES`. At a72ec61 these had the developers' benchmarks too, which are in `benches` now,
+outside the wheel, and count no longer. The figures are to see by: a name is good when a reader knows without its file
+what it does.
 """
 
 import ast

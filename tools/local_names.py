@@ -9,7 +9,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-PACKAGES = ("orchestrator", "adapters", "sim", "tutti")
+PACKAGES = ("orchestrator", "adapters", "sim", "tutti", "benches")
 
 _PRONOUNS = """
     all another any both each either few it many mine much neither none one ones other others ours some such that
@@ -85,7 +85,7 @@ def count_in_file(path: Path) -> tuple[int, int]:
 
 
 def count_per_folder(root: Path) -> dict[str, tuple[int, int]]:
-    """For each folder of the product, two levels deep (`orchestrator/plan`): such names, and lines."""
+    """For each folder of the product and the benches, two levels deep (`orchestrator/plan`): such names, and lines."""
     counts: dict[str, tuple[int, int]] = {}
     for path in sorted(path for package in PACKAGES for path in (root / package).rglob("*.py")):
         folder = "/".join(path.relative_to(root).parts[:-1][:2])
@@ -96,11 +96,11 @@ def count_per_folder(root: Path) -> dict[str, tuple[int, int]]:
 
 
 def measure_folders(root: Path) -> dict[str, float]:
-    """For each folder of the product, two levels deep: such names per 1,000 lines."""
+    """For each folder of the product and the benches, two levels deep: such names per 1,000 lines."""
     return {folder: 1000 * names / max(1, lines) for folder, (names, lines) in count_per_folder(root).items()}
 
 
 def measure_product(root: Path) -> float:
-    """Such names of the whole product, per 1,000 lines."""
+    """Such names of product and benches, per 1,000 lines."""
     counts = count_per_folder(root).values()
     return 1000 * sum(names for names, _ in counts) / max(1, sum(lines for _, lines in counts))

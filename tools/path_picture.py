@@ -5,6 +5,7 @@ of two SMC-4000 truly move, in virtual time."""
 # pyright: reportUnknownMemberType=false
 
 import asyncio
+import sys
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
@@ -16,7 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from orchestrator.bench.paths.circles import CircleCase, make_fleet
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches are not installed
+from benches.paths.circles import CircleCase, make_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.jobs.job import Job

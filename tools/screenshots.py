@@ -15,7 +15,8 @@ from typing import Literal
 
 from playwright.sync_api import Browser, Page, ViewportSize, expect, sync_playwright
 
-from orchestrator.bench.page.browser import find_browser
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches are not installed
+from benches.page.browser import find_browser
 from orchestrator.runtime.live.fleet import find_free_port
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -1,1 +1,1 @@
-"""Benchmarks."""
+"""The users' benchmarks: `tutti bench`."""

@@ -15,7 +15,6 @@ from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
-from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.live import raw_ns
@@ -25,6 +24,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, JobTransition
 from orchestrator.runtime.live.fleet import LiveFleet
+from orchestrator.runtime.simulated_fleets import make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTROLLERS = 16

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps, wait_until
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
-from orchestrator.bench.sync_fleets import make_shrc203, make_smc2000, make_smc4000
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.client import SubmittedJob, Tutti
 from orchestrator.clock.live import raw_ns
@@ -24,6 +23,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.live.fleet import LiveFleet
+from orchestrator.runtime.simulated_fleets import make_shrc203, make_smc2000, make_smc4000
 
 CONTROLLERS = 16
 P99_MS, SHELL_MAX_MS = 20.0, 500.0

@@ -18,10 +18,10 @@ from adapters.link.tcp import open_tcp
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bench.fleet import run_measured_fleet
 from orchestrator.bench.spread import DurationSpread, make_spread
-from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link
 from orchestrator.model.fleet import Fleet, TcpLink
+from orchestrator.runtime.simulated_fleets import make_smc4000
 
 CONTROLLERS = 16
 HZ = 10.0

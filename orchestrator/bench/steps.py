@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from orchestrator.bench.fleet import run_measured_fleet
 from orchestrator.bench.naive import PPSMC, SHRC203, SMC30, SMC4000, NaiveMove, find_gaps, measure_naive_gaps
-from orchestrator.bench.sync_fleets import make_ppsmc, make_smc30, make_smc4000
 from orchestrator.bench.truth import NothingHappened, read_motions
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS
@@ -23,6 +22,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.examples import find_example
+from orchestrator.runtime.simulated_fleets import make_ppsmc, make_smc30, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LIVE_MORE_MS = 5.0  # than in virtual time, of the median gap

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any
 
-from orchestrator.bench import sync_fleets as makes
 from orchestrator.campaign.recorder import Stage
 from orchestrator.campaign.trigger_outputs import TRIGGER_NUMBER, TRIGGER_OUTPUT
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime import simulated_fleets as makes
 from orchestrator.runtime.example_fleet import load_example
 from sim.core.campaign import CampaignTraits, campaign_traits
 from sim.core.vectors import find_simulator

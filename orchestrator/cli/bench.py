@@ -1,4 +1,7 @@
-"""`tutti bench …`: a command for each benchmark in the registry; tables and JSON are printed here."""
+"""`tutti bench …`: a command for each benchmark in the registry; tables and JSON are printed here.
+
+`python -m benches …` is made in the same way, from the registry of the developers' benchmarks.
+"""
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
@@ -13,13 +16,9 @@ from orchestrator.bench.registry.runs import BenchFailed, InvalidOption
 from orchestrator.cli.base.codes import FAILED
 from orchestrator.cli.base.common import console, print_json
 from orchestrator.cli.base.errors import exit_with_error, expected_errors
+from orchestrator.cli.base.root import RootGroup
 
 _JSON_OPTION = click.Option(["--json", "as_json"], is_flag=True, help="Print JSON for programs, errors too.")
-
-
-@click.group(epilog="Example: tutti bench plan --json")
-def bench() -> None:
-    """Measure Tutti; every figure stands next to its baseline from the same run."""
 
 
 def _make_option(option: BenchOption) -> click.Option:
@@ -145,5 +144,13 @@ def _find_value(value: str | Callable[[Any], Any], row: Any) -> Any:
     return cast(Mapping[str, Any], row)[value] if isinstance(row, Mapping) else getattr(row, value)
 
 
-for benchmark in BENCHMARKS.values():
-    bench.add_command(_make_command(benchmark))
+def make_bench_group(benchmarks: Mapping[str, Benchmark], text: str, example: str) -> RootGroup:
+    """Make the group with a command for each benchmark. text: its help."""
+    commands = [_make_command(benchmark) for benchmark in benchmarks.values()]
+    settings = {"help_option_names": ["-h", "--help"]}
+    return RootGroup("bench", commands=commands, help=text, epilog=f"Example: {example}", context_settings=settings)
+
+
+bench = make_bench_group(
+    BENCHMARKS, "Measure Tutti on this computer, live with simulated controllers.", "tutti bench dispatch --json"
+)

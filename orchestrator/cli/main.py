@@ -1,13 +1,12 @@
 """The root command: subcommands are imported when they are used, so that `tutti --help` is quick."""
 
 import os
-import sys
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import click
+
+from orchestrator.cli.base.root import RootGroup
 
 # command: (module, one line of help); grouped as the help shows them.
 _COMMANDS: dict[str, tuple[str, str]] = {
@@ -47,7 +46,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("completion", "Print the completion script of a shell."),
     "schema": ("files.schema", "Print the JSON Schema of a fleet or job file."),
     "demo": ("demo", "Run a job on a simulated fleet and show the report."),
-    "bench": ("bench", "Measure Tutti."),
+    "bench": ("bench", "Measure Tutti on this computer."),
     "sim": ("sim.sim", "Simulated controllers: check and manipulate them."),
     "adapter": ("machine.adapters", "Makes of others: write, check and list adapters."),
 }
@@ -73,7 +72,7 @@ tutti up lab.fleet.yaml --sim
 """
 
 
-class _LazyGroup(click.Group):
+class _LazyGroup(RootGroup):
     """Lists its commands by name and imports the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -94,26 +93,6 @@ class _LazyGroup(click.Group):
             if error.ctx is not ctx:
                 raise
             raise click.exceptions.NoSuchCommand(error.command_name, possibilities=_COMMANDS, ctx=ctx) from None
-
-    def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
-        """Run the command and exit by the rule for exit codes; every error has its message."""
-        words = list(sys.argv[1:] if args is None else args)
-        from orchestrator.cli.base import errors
-        from orchestrator.cli.base.encoding import replace_unknown_signs
-
-        replace_unknown_signs()
-        errors.note_arguments(words)
-        try:
-            sys.exit(super().main(words, *rest, **{**options, "standalone_mode": False}))
-        except click.exceptions.NoArgsIsHelpError as error:
-            error.show()
-            sys.exit(error.exit_code)
-        except click.ClickException as error:
-            errors.exit_with_usage_error(error)
-        except (click.Abort, KeyboardInterrupt):
-            errors.exit_interrupted()
-        except Exception as error:
-            errors.exit_with_any_error(error)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

@@ -8,7 +8,7 @@ The lines that pass all gates are the estimate: their middle is the mapping, the
 that the model allows exceeds this bound: slow replies, one-sided delays of a receiver, coarse ticks, wander. An
 asymmetry of the fastest replies, which no sample can reveal, is inside the bound.
 
-`tutti bench clock` compares this with least squares and the smallest round trip (Cristian, 1989): neither gives a
+`python -m benches clock` compares this with least squares and the smallest round trip (Cristian, 1989): neither gives a
 bound, and bytes that a USB adapter delays pull both off.
 """
 

@@ -100,9 +100,9 @@ class LatencyEstimator:
         """The mean of the acknowledgements, if they differ by no more than the starts themselves may: then no
         receiver delays them. Otherwise the declared value, unless every start was later, or earlier.
 
-        `tutti bench rates`: without delays, this is 0.1 ms from the middle of a controller's latencies. With delays,
-        and where the acknowledgement is that of another query after the command, the declared value is nearer than
-        anything that acknowledgements and ends can show, by milliseconds.
+        `python -m benches rates`: without delays, this is 0.1 ms from the middle of a controller's latencies. With
+        delays, and where the acknowledgement is that of another query after the command, the declared value is nearer
+        than anything that acknowledgements and ends can show, by milliseconds.
         """
         declared_latency, answers = self._declared, self._answered
         if (

@@ -7,7 +7,7 @@ bound. Effects that no evidence reveals lie inside: a delayed reply only widens 
 
 The position of the rate between the bounds is estimated better than by their middle: measurements, each with its own
 scatter, are combined as those of a rate that walks randomly (Kalman, 1960), and limited to the feasible range.
-`tutti bench rates` shows both compared with the method of a script, for every kind of link.
+`python -m benches rates` shows both compared with the method of a script, for every kind of link.
 """
 
 from collections import deque

@@ -16,7 +16,7 @@ from children import LIMIT_S
 from fleet import RunningFleet
 from playwright.sync_api import Browser, BrowserContext, Page, ViewportSize, WebSocketRoute, sync_playwright
 
-from orchestrator.bench.page.frames import HELLO
+from benches.page.frames import HELLO
 from orchestrator.client.api import Tutti
 from orchestrator.gateway.app import PAGE
 

@@ -6,11 +6,11 @@ from cluster.worlds import PREPARE as DEMO_PREPARE
 from cluster.worlds import demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
 from rich.console import Console
 
-from orchestrator.bench.sync_fleets import make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Fleet
 from orchestrator.monitor.report_table import make_report_tables
+from orchestrator.runtime.simulated_fleets import make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PREPARE = job("[{do: enable, axes: [line, gantry]}, {do: home, axes: [line, gantry]}]")

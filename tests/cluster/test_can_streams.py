@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.simulated_fleets import make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.cia402.unit import SimulatedDrive
 

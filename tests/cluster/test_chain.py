@@ -8,10 +8,10 @@ import pytest
 from cluster.worlds import EXAMPLES, job, outcome
 from cluster.worlds import run_fleet as run_any
 
-from orchestrator.bench.sync_fleets import make_sync_fleet
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
+from orchestrator.runtime.simulated_fleets import make_sync_fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 UNITS = ("feeder", "turner", "outlet")

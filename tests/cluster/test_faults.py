@@ -26,13 +26,13 @@ from cluster.worlds import (
 from adapters.contract import ControllerReading
 from adapters.controller.slots.withdrawal import StepWithdrawal
 from adapters.smc30.driver import Smc30Driver
-from orchestrator.bench import sync_fleets
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Fleet, QueuePolicy
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobState
+from orchestrator.runtime import simulated_fleets
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTINUES = QueuePolicy(on_restart="continue", on_failure="continue")
@@ -50,7 +50,7 @@ def pair(make: str) -> Fleet:
     drafts: dict[str, Any] = {}
     for name, unit in PAIR[make].items():
         if make == "smc30":
-            drafts[name] = sync_fleets.make_smc30(0, unit)
+            drafts[name] = simulated_fleets.make_smc30(0, unit)
         else:
             axis = {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": {"velocity": 80, "acceleration": 400}}
             link = {"kind": "can", "interface": "socketcan", "channel": "can0", "address": unit}
@@ -255,9 +255,9 @@ def test_a_controller_that_was_being_armed_when_its_link_was_closed_is_stopped(m
 
     monkeypatch.setattr(Smc30Driver, "poll", polled)
     units = {
-        name: {**sync_fleets.make_smc30(0, unit), "state": {"idle_hz": 50}} for name, unit in PAIR["smc30"].items()
+        name: {**simulated_fleets.make_smc30(0, unit), "state": {"idle_hz": 50}} for name, unit in PAIR["smc30"].items()
     }
-    lined = sync_fleets.make_wired({"a1": sync_fleets.make_smc4000(0), **units})
+    lined = simulated_fleets.make_wired({"a1": simulated_fleets.make_smc4000(0), **units})
 
     async def main(fleet: VirtualFleet) -> None:
         await prepared(fleet)
@@ -359,7 +359,7 @@ def gentle_fleet(**units: dict[str, Any]) -> Fleet:
 
 def test_a_gentle_stop_ramp_is_waited_for_to_its_end() -> None:
     """An SMC30 brakes by the ramp of its move, here that of the slow gantry: much longer than at its limits."""
-    gantry = sync_fleets.make_smc4000(0)
+    gantry = simulated_fleets.make_smc4000(0)
     gantry["axes"]["x"]["limits"] = {"velocity": 200, "acceleration": 60}
 
     async def main(fleet: VirtualFleet) -> None:
@@ -380,7 +380,7 @@ def test_a_gentle_stop_ramp_is_waited_for_to_its_end() -> None:
         origin_ns = origin_host_ns(fleet)
         assert begun[0]["fleet_ns"] + origin_ns >= stopped.end_ns
 
-    run_fleet(main, gentle_fleet(gantry=gantry, steps=sync_fleets.make_smc30(0, 1)))
+    run_fleet(main, gentle_fleet(gantry=gantry, steps=simulated_fleets.make_smc30(0, 1)))
 
 
 @pytest.mark.parametrize("restart_s", [0.2, 1.2])
@@ -390,7 +390,7 @@ def test_a_job_waits_for_an_unreachable_controller_as_long_as_it_may_brake(
     """Its host is killed, and its guardian stops it, by a ramp of four seconds. Meanwhile the new adapter has not
     connected to it yet, or does not exist."""
     monkeypatch.setattr("orchestrator.runtime.virtual.fleet.RESTART_NS", round(restart_s * NS_PER_S))
-    steps = sync_fleets.make_smc30(0, 1)
+    steps = simulated_fleets.make_smc30(0, 1)
     steps["axes"]["x"]["limits"] = {"velocity": 8, "acceleration": 1}
 
     async def main(fleet: VirtualFleet) -> None:

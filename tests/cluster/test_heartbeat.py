@@ -2,12 +2,12 @@
 
 from cluster.worlds import job, outcome
 
-from orchestrator.bench.sync_fleets import make_smc4000
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import ControllerState
+from orchestrator.runtime.simulated_fleets import make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SECONDS = 10

@@ -7,11 +7,11 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
 from unit.random_rounds import share_with_nightly
 
-from orchestrator.bench.sync_fleets import make_smc2000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobProgress
+from orchestrator.runtime.simulated_fleets import make_smc2000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 ENABLE = job("[{do: enable, axes: [gantry, stage]}]")

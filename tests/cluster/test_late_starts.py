@@ -9,10 +9,10 @@ from cluster.test_can_streams import fleet as streams
 from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, outcome, run_fleet
 
 from adapters.toolkit.firing import ORDINARY_DELAY_US, VIRTUAL_DELAY_US, LoopTimedWriter
-from orchestrator.bench.sync_fleets import make_mixed, make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport
+from orchestrator.runtime.simulated_fleets import make_mixed, make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LATE_NS = 3 * NS_PER_MS

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from orchestrator.bench.paths.circles import CircleRun, make_fleet
-from orchestrator.bench.paths.measure import (
+from benches.__main__ import main as benches
+from benches.paths.circles import CircleRun, make_fleet
+from benches.paths.measure import (
     LONG,
     MAKES,
     MINUTE,
@@ -16,9 +17,8 @@ from orchestrator.bench.paths.measure import (
     make_circle_figures,
     make_trigger_figures,
 )
-from orchestrator.bench.paths.pulses import PulsesRun, PulsesTask, run_pulses
-from orchestrator.bench.registry.benchmarks import BENCHMARKS
-from orchestrator.cli.main import main
+from benches.paths.pulses import PulsesRun, PulsesTask, run_pulses
+from benches.registry.benchmarks import BENCHMARKS
 
 # What the controllers state about their starts is known to some tenths of a millisecond, by the shortest round trip of
 # their links; they start closer together than that.
@@ -26,8 +26,8 @@ OPEN = {"bound proven afterwards"}
 
 
 def test_circles_keep_what_is_asked() -> None:
-    words = ["bench", "paths", "--quick", "--only", "2 SMC-4000", "--paths", "1", "--json"]
-    shown = CliRunner().invoke(main, words)
+    words = ["paths", "--quick", "--only", "2 SMC-4000", "--paths", "1", "--json"]
+    shown = CliRunner().invoke(benches, words)
     rows = json.loads(shown.stdout)["rows"]
     assert {row["row"] for row in rows} == {"2 SMC-4000, 10 s"}
     missed = [row for row in rows if row["met"] is False and row["figure"] not in OPEN]

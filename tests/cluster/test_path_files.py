@@ -153,7 +153,7 @@ def test_more_stops_than_a_repeat_may_have(tmp_path: Path) -> None:
 
 
 def test_a_long_program_is_one_path(tmp_path: Path) -> None:
-    from orchestrator.bench.paths.planning import make_program
+    from benches.paths.planning import make_program
 
     (tmp_path / "part.ngc").write_text("\n".join(make_program(3000)))
     axes = {"X": "gantry.x", "Y": "gantry.y", "Z": "portal.x"}

@@ -10,12 +10,12 @@ from cluster.test_contour import two_gantries
 from cluster.test_paths import count_motions, positions
 from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
-from orchestrator.bench.sync_fleets import make_ppsmc, make_smc30
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
+from orchestrator.runtime.simulated_fleets import make_ppsmc, make_smc30
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 AXES = ("gantry.x", "gantry.y", "stage.u")

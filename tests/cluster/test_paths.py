@@ -11,7 +11,6 @@ from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
 
 from adapters.controller.slots.path_chunks import PathChunks
 from adapters.yaskawa.common.course_refill import ContourRefill
-from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -19,6 +18,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest
 from orchestrator.model.report import JobReport, PathReport
 from orchestrator.plan.path_profiles import FIT_SHARE
+from orchestrator.runtime.simulated_fleets import make_smc2000, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 RADIUS, CENTRE = 50.0, 100.0  # mm

@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import pytest
 from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
+from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000, make_sync_fleet
 
 from adapters.controller.slots.participant import StepParticipant
 from adapters.controller.slots.withdrawal import STOP_LEAD_NS
-from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000, make_sync_fleet
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.motion.negotiation import (
@@ -24,6 +24,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.messages import GoRequest, Proposal, Reply
 from orchestrator.model.report import StepReport
+from orchestrator.runtime.simulated_fleets import make_smc2000, make_smc4000, make_sync_fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 

@@ -9,7 +9,6 @@ import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, run_fleet
 from rich.console import Console
 
-from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000
 from orchestrator.bus.base import BusSample
 from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
@@ -23,6 +22,7 @@ from orchestrator.monitor.export.files import write_tables
 from orchestrator.monitor.export.recorded import RecordedRun
 from orchestrator.monitor.export.triggers import make_triggers_table
 from orchestrator.monitor.report_table import make_report_tables
+from orchestrator.runtime.simulated_fleets import make_smc2000, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.cia402.unit import SimulatedDrive
 

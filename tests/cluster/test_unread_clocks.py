@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 from cluster.worlds import job, origin_host_ns, outcome, run_fleet
 
-from orchestrator.bench.sync_fleets import make_ppsmc, make_shrc203, make_smc30
 from orchestrator.client.clocks import query_clocks
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
+from orchestrator.runtime.simulated_fleets import make_ppsmc, make_shrc203, make_smc30
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 HOME = job("[{do: enable, axes: [u]}, {do: home}]")

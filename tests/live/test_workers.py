@@ -11,7 +11,7 @@ import pytest
 from children import wait_until
 from click.testing import CliRunner
 
-from orchestrator.cli.main import main
+from benches.__main__ import main as benches
 from orchestrator.runtime.workers import map_in_processes
 
 pytestmark = pytest.mark.live
@@ -29,10 +29,11 @@ def test_an_error_of_one_item_is_raised_and_ends_the_rest() -> None:
 
 
 def test_two_processes_measure_what_one_does() -> None:
-    asked = ["bench", "sync", "--trials", "5", "--only", "2 SMC-4000: clock, align 10 s", "--history", "5", "--json"]
-    alone, both = [CliRunner().invoke(main, [*asked, "--processes", n]) for n in ("1", "2")]
+    asked = ["sync", "--trials", "5", "--only", "^2 SMC-4000, clock, align 10 s", "--history", "5", "--json"]
+    alone, both = [CliRunner().invoke(benches, [*asked, "--processes", n]) for n in ("1", "2")]
     assert alone.exit_code == both.exit_code == 0, both.output
     assert json.loads(both.stdout) == json.loads(alone.stdout)
+    assert len(json.loads(alone.stdout)["rows"]) == 1
 
 
 def test_workers_end_with_their_parent() -> None:

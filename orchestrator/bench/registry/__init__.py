@@ -1,1 +1,1 @@
-"""The table of all benchmarks: their options, how they are run, and how their results are shown."""
+"""The table of the users' benchmarks: their options, how they are run, and how their results are shown."""

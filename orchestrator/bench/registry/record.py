@@ -80,7 +80,7 @@ class BenchNote:
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """One benchmark, and its command `tutti bench NAME`.
+    """One benchmark, and its command, `tutti bench NAME` or `python -m benches NAME`.
 
     run: called with a function that shows progress, and with the options by name.
     layout: tables and notes in the order in which they are shown.
@@ -94,6 +94,11 @@ class Benchmark:
     run: Callable[..., Document]
     layout: tuple[BenchTable | BenchNote, ...]
     has_failed: Callable[[Document], bool] = lambda document: False
+
+
+def index_benchmarks(benchmarks: Iterable[Benchmark]) -> dict[str, Benchmark]:
+    """Return benchmarks by name, in the order of their names."""
+    return {benchmark.name: benchmark for benchmark in sorted(benchmarks, key=lambda benchmark: benchmark.name)}
 
 
 def make_spread_columns(unit: str, scale: float, spec: str) -> tuple[BenchColumn, ...]:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from orchestrator.bench.can.bus import bench_can
-from orchestrator.bench.can.stream import bench_stream
-from orchestrator.bench.lowering_steppers import bench_stepper
+from benches.makes.can.bus import bench_can
+from benches.makes.can.stream import bench_stream
+from benches.makes.lowering_steppers import bench_stepper
 
 
 @pytest.mark.parametrize("moves", [3, pytest.param(300, marks=pytest.mark.nightly)])

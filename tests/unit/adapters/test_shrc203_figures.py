@@ -1,6 +1,6 @@
-"""How an SHRC-203 executes random moves, as `tutti bench lowering --make shrc203` measures it."""
+"""How an SHRC-203 executes random moves, as `python -m benches lowering --make shrc203` measures it."""
 
-from orchestrator.bench.lowering_steppers import bench_stepper
+from benches.makes.lowering_steppers import bench_stepper
 
 
 def test_durations_are_kept_to_a_fifth_of_a_millisecond_where_one_command_alone_could_not() -> None:

@@ -1,7 +1,7 @@
 """Requirements of the SMC30's figures, on few rounds of the benchmarks that measure them."""
 
-from orchestrator.bench.lowering_steppers import bench_stepper
-from orchestrator.bench.smc30_bus import ASKED_LINE_MS, ASKED_SLOTS_MS, bench_smc30_bus
+from benches.makes.lowering_steppers import bench_stepper
+from benches.makes.smc30_bus import ASKED_LINE_MS, ASKED_SLOTS_MS, bench_smc30_bus
 
 
 def test_seven_controllers_start_together_by_slots_and_by_a_trigger_line() -> None:

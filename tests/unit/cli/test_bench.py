@@ -1,19 +1,20 @@
-"""The commands that are made from the registry of benchmarks."""
+"""The commands that are made from the registries of benchmarks, those of users and those of developers."""
 
 import json
 
 import pytest
 from click.testing import CliRunner
 
+from benches.__main__ import main as benches
 from orchestrator.bench.registry.benchmarks import BENCHMARKS
 from orchestrator.cli.main import main
 
 
 def test_a_benchmark_prints_its_tables_or_one_json_document() -> None:
-    shown = CliRunner().invoke(main, ["bench", "poll", "--seconds", "1"])
+    shown = CliRunner().invoke(benches, ["poll", "--seconds", "1"])
     assert shown.exit_code == 0, shown.output
     assert "SMC-2000 of two axes" in shown.output and "line limit" in shown.output
-    found = json.loads(CliRunner().invoke(main, ["bench", "poll", "--seconds", "1", "--json"]).stdout)
+    found = json.loads(CliRunner().invoke(benches, ["poll", "--seconds", "1", "--json"]).stdout)
     assert found["seconds"] == 1 and {"units", "polls_s", "share"} < set(found["rows"][0])
 
 
@@ -26,8 +27,20 @@ def test_a_benchmark_prints_its_tables_or_one_json_document() -> None:
     ],
 )
 def test_an_invalid_option_is_bad_input(words: list[str], text: str) -> None:
-    shown = CliRunner().invoke(main, ["bench", *words])
+    shown = CliRunner().invoke(benches, words)
     assert shown.exit_code == 2 and text in shown.output
+
+
+def test_an_invalid_option_of_a_users_benchmark_is_bad_input() -> None:
+    shown = CliRunner().invoke(main, ["bench", "dispatch", "--rounds", "1"])
+    assert shown.exit_code == 2 and "2<=x<=100000" in shown.output
+
+
+def test_every_benchmark_has_its_command_in_its_example() -> None:
+    for command in benches.commands.values():
+        assert command.epilog and command.epilog.startswith(f"Example: python -m benches {command.name}")
+    for benchmark in BENCHMARKS.values():
+        assert benchmark.example.startswith(f"tutti bench {benchmark.name} ")
 
 
 def test_a_lost_job_fails_the_kills_benchmark() -> None:

@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from orchestrator.bench.rates import CASES, bench_rates
+from benches.clocks.rates import CASES, bench_rates
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.inferred import InferredClock
 from orchestrator.clock.latency import MAX_STARTS, LatencyEstimator, StartLatency

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PRODUCT = ("tutti", "orchestrator", "adapters", "sim")
+PACKAGES = ("tutti", "orchestrator", "adapters", "sim", "benches")
 
 # Where a library may be imported; everywhere else it is refused.
 ALLOWED = {
@@ -21,15 +21,15 @@ ALLOWED = {
 
 
 def list_parts() -> list[Path]:
-    """The folders of the product that are parts of their own, relative to its root."""
-    parts = [Path(package) for package in PRODUCT]
-    parts += [path.parent.relative_to(ROOT) for package in PRODUCT for path in (ROOT / package).glob("*/__init__.py")]
+    """The folders that are parts of their own, relative to the root."""
+    parts = [Path(package) for package in PACKAGES]
+    parts += [path.parent.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).glob("*/__init__.py")]
     return sorted(parts)
 
 
 def test_an_import_that_is_planted_in_any_part_is_refused(tmp_path: Path) -> None:
-    for package in PRODUCT:
-        ignored = shutil.ignore_patterns("__pycache__", "node_modules", "static", "page")
+    for package in PACKAGES:
+        ignored = shutil.ignore_patterns("__pycache__", "node_modules", "static")
         shutil.copytree(ROOT / package, tmp_path / package, ignore=ignored)
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     planted: set[tuple[str, str]] = set()

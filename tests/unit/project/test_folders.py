@@ -3,7 +3,7 @@
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PRODUCT = ("orchestrator", "adapters", "sim", "tutti")
+PACKAGES = ("orchestrator", "adapters", "sim", "tutti", "benches")
 
 # Folders of one module, and why each is one.
 ONE_MODULE = {
@@ -13,6 +13,7 @@ ONE_MODULE = {
 }
 # Modules of under 15 lines, and why each is one.
 SHORT = {
+    "benches/__main__.py": "what `python -m benches` runs, and nothing else",
     "orchestrator/campaign/trigger_outputs.py": "a name that the fleets and the checks of triggers share",
     "orchestrator/campaign/repairs.py": "what faults and stages share, without importing each other",
     "orchestrator/cli/base/codes.py": "exit codes, which the quick commands import without anything else",
@@ -28,8 +29,8 @@ LEAST_LINES = 15
 
 
 def list_folders() -> list[Path]:
-    """The packages of the product."""
-    return [path.parent for package in PRODUCT for path in sorted((ROOT / package).rglob("__init__.py"))]
+    """All packages but those of tests and tools."""
+    return [path.parent for package in PACKAGES for path in sorted((ROOT / package).rglob("__init__.py"))]
 
 
 def list_modules(folder: Path) -> list[Path]:

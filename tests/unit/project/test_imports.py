@@ -1,4 +1,4 @@
-"""Every module of the product can be imported, on each Python that is tested."""
+"""Every module can be imported, on each Python that is tested."""
 
 import importlib
 import pkgutil
@@ -7,12 +7,13 @@ from types import ModuleType
 import pytest
 
 import adapters
+import benches
 import orchestrator
 import sim
 import tutti
 
 
-@pytest.mark.parametrize("package", [adapters, orchestrator, sim, tutti], ids=lambda package: package.__name__)
+@pytest.mark.parametrize("package", [adapters, benches, orchestrator, sim, tutti], ids=lambda package: package.__name__)
 def test_every_module_can_be_imported(package: ModuleType) -> None:
     names = [module.name for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")]
     assert len(names) > 5

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from orchestrator.bench.paths.random_paths import KINDS, random_outline
+from benches.paths.random_paths import KINDS, random_outline
 from orchestrator.plan.path.arc_length import find_lengths, find_parameters
 from orchestrator.plan.path.corners import fit_corners, make_track
 from orchestrator.plan.path.curves import evaluate_polys

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from unit.random_rounds import share_with_nightly
 
-from orchestrator.bench.paths.lower_bound import find_least_time
-from orchestrator.bench.paths.random_paths import (
+from benches.paths.lower_bound import find_least_time
+from benches.paths.random_paths import (
     even_limits,
     find_worst_use,
     random_outline,

@@ -1,0 +1,1 @@
+"""Benchmarks of estimates of the clocks of controllers, beside estimators without a bound."""

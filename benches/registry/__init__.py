@@ -1,0 +1,1 @@
+"""The table of the developers' benchmarks, like that of the users' in `orchestrator.bench.registry`."""

@@ -1,0 +1,1 @@
+"""Benchmarks of processor time: of plans, and of simulations in virtual time."""

@@ -1,0 +1,1 @@
+"""Skew of starts: methods to compare with, bounds, and the measurement in virtual time."""

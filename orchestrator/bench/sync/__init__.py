@@ -1,1 +1,0 @@
-"""Skew of starts: methods to compare with, bounds, and the measurement in virtual time and live."""

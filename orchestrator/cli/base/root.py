@@ -1,0 +1,31 @@
+"""The end of a root command: its exit code, and the message of its error."""
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+
+class RootGroup(click.Group):
+    """The commands of a program, and its exit."""
+
+    def main(self, args: Sequence[str] | None = None, *rest: Any, **options: Any) -> Any:
+        """Run the command and exit by the rule for exit codes; every error has its message."""
+        words = list(sys.argv[1:] if args is None else args)
+        from orchestrator.cli.base import errors
+        from orchestrator.cli.base.encoding import replace_unknown_signs
+
+        replace_unknown_signs()
+        errors.note_arguments(words)
+        try:
+            sys.exit(super().main(words, *rest, **{**options, "standalone_mode": False}))
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(error.exit_code)
+        except click.ClickException as error:
+            errors.exit_with_usage_error(error)
+        except (click.Abort, KeyboardInterrupt):
+            errors.exit_interrupted()
+        except Exception as error:
+            errors.exit_with_any_error(error)
