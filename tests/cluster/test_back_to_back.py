@@ -8,12 +8,7 @@ from statistics import median
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-<<<<<<< HEAD
 from adapters.controller.slots.participant import StepParticipant
-from orchestrator.bench.sync_fleets import make_smc4000
-=======
-from adapters.controller.participant import StepParticipant
->>>>>>> benches
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import CommitRequest, CommittedReply

@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import pytest
 from cluster.worlds import EXAMPLES, job, origin_host_ns, outcome, run_fleet
-from orchestrator.bench.sync_fleets import make_smc2000, make_smc4000, make_sync_fleet
 
 from adapters.controller.slots.participant import StepParticipant
 from adapters.controller.slots.withdrawal import STOP_LEAD_NS
