@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 from orchestrator.model.base import Model
+from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPreview, StartQueue
 from orchestrator.model.jobs.service import (
     AcquireAxes,
     AxesAcquired,
@@ -151,7 +152,8 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "cancel": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
     "retry": ServiceVerb(RetryJob, JobRetried, "operator", subject=_describe_retry),
     "hold": ServiceVerb(JobReferences, Reply, "operator", subject=_name_jobs),
-    "release": ServiceVerb(JobReferences, Reply, "operator", subject=_name_released_jobs),
+    "preview-start": ServiceVerb(PreviewStart, StartPreview, "viewer", reads=True),
+    "release": ServiceVerb(ReleaseJobs, Reply, "operator", subject=_name_released_jobs),
     "plan": ServiceVerb(JobReference, JobPlanned, "viewer", reads=True),
     "approve": ServiceVerb(ApproveJob, Reply, "operator", subject=_describe_approval),
     "reorder": ServiceVerb(ReorderJob, Reply, "operator", subject=_describe_place),
@@ -160,7 +162,7 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "override": ServiceVerb(OverrideJob, Reply, "operator", subject=_describe_override),
     "prune": ServiceVerb(PruneJobs, JobsPruned, "maintainer", subject=_describe_age),
     "stop": ServiceVerb(StopFleet, Reply, "viewer", subject=_describe_stop),
-    "start-queue": ServiceVerb(Request, Reply, "operator"),
+    "start-queue": ServiceVerb(StartQueue, Reply, "operator"),
     "stop-queue": ServiceVerb(Request, Reply, "operator"),
     "acquire-axes": ServiceVerb(AcquireAxes, AxesAcquired, "operator", subject=_describe_axes),
     "release-axes": ServiceVerb(ReleaseAxes, Reply, "operator"),

@@ -1,6 +1,7 @@
 """Requests about the queue as a whole, and about jobs that wait in it."""
 
 from orchestrator.client.points import PointRequests
+from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPreview, StartQueue
 from orchestrator.model.jobs.service import JobReference, JobReferences, JobsPruned, PruneJobs, ReorderJob
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
@@ -11,9 +12,20 @@ PRUNE_S = 60.0
 class QueueRequests(PointRequests):
     """Start and stop the queue, and change what waits in it."""
 
-    async def start_queue(self) -> None:
-        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
-        await self.request_service("start-queue", Request(**self.request_fields()), Reply)
+    async def preview_start(self, *job_ids: str) -> StartPreview:
+        """What would move first if these jobs were released; without any, if the queue was started. Raises `Refusal`:
+        code `not-queued`."""
+        request = PreviewStart(**self.request_fields(), job_ids=list(job_ids))
+        return await self.request_service("preview-start", request, StartPreview)
+
+    async def start_queue(self, preview: StartPreview | None = None) -> StartPreview:
+        """Let the jobs of the queue begin again after a break or a stop, and those that had to wait for a cause which
+        is gone. preview: what was shown to a person; without one, what would move at this moment. Returns it. Raises
+        `Refusal`: code `not-shown` if something else would move first by now."""
+        shown_preview = preview or await self.preview_start()
+        request = StartQueue(**self.request_fields(), shown=shown_preview.shown)
+        await self.request_service("start-queue", request, Reply)
+        return shown_preview
 
     async def stop_queue(self) -> None:
         """Let no further job begin; running jobs continue. Raises `Refusal`."""
@@ -23,10 +35,15 @@ class QueueRequests(PointRequests):
         """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
         await self.request_service("hold", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
 
-    async def release_jobs(self, *job_ids: str) -> None:
-        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
-        `awaits-approval`."""
-        await self.request_service("release", JobReferences(**self.request_fields(), job_ids=list(job_ids)), Reply)
+    async def release_jobs(self, *job_ids: str, preview: StartPreview | None = None) -> None:
+        """Release held jobs, and give the word for jobs that had to wait for a cause; without ids, all held jobs but
+        those that wait for approval or for a word. preview: what was shown to a person; without one, what these jobs
+        would move at this moment. Raises `Refusal`: codes `awaits-approval`, `cause-lasts`, `not-shown`."""
+        if job_ids and preview is None:
+            preview = await self.preview_start(*job_ids)
+        shown = "" if preview is None else preview.shown
+        request = ReleaseJobs(**self.request_fields(), job_ids=list(job_ids), shown=shown)
+        await self.request_service("release", request, Reply)
 
     async def plan_job(self, job_id: str) -> JobPlanned:
         """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was

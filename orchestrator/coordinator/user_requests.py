@@ -26,6 +26,7 @@ from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.model.base import Model, UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPreview, StartQueue
 from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
@@ -95,6 +96,7 @@ class UserRequests:
             "cancel": self._cancel_job,
             "retry": intake.retry_job,
             "hold": self._hold_jobs,
+            "preview-start": self._preview_start,
             "release": self._release_jobs,
             "plan": approvals.plan_job,
             "approve": approvals.approve_job,
@@ -228,8 +230,15 @@ class UserRequests:
         await self._scheduler.queue_requests.hold_jobs(request.job_ids, request.actor)
         return Reply()
 
-    async def _release_jobs(self, request: JobReferences) -> Reply:
-        await self._scheduler.queue_requests.release_jobs(request.job_ids, request.actor)
+    async def _preview_start(self, request: PreviewStart) -> StartPreview:
+        starts, register = self._scheduler.starts, self._scheduler.register
+        if not request.job_ids:
+            return starts.preview_start()
+        remedy = "only a job that waits can be released"
+        return starts.preview_release([await register.find_waiting(job_id, remedy) for job_id in request.job_ids])
+
+    async def _release_jobs(self, request: ReleaseJobs) -> Reply:
+        await self._scheduler.queue_requests.release_jobs(request.job_ids, request.actor, request.shown)
         return Reply()
 
     async def _reorder_job(self, request: ReorderJob) -> Reply:
@@ -256,7 +265,8 @@ class UserRequests:
         await self._scheduler.stop_jobs(interrupt, request.mode)
         return Reply()
 
-    async def _start_queue(self, request: Request) -> Reply:
+    async def _start_queue(self, request: StartQueue) -> Reply:
+        await self._scheduler.starts.start_jobs(request.actor, request.shown)
         await self._scheduler.gate.start_queue(request.actor)
         return Reply()
 

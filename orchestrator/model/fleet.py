@@ -418,6 +418,11 @@ class Permit(Model):
     value: bool = Field(default=True, description="true: the input must be active")
     axes: list[str] | None = Field(default=None, description="Axes, groups or controllers; none: the whole fleet.")
     settle: Duration = Field(default=0, ge=0, description="How long it must have held before anything moves.")
+    on_clear: Literal["ask", "begin"] | None = Field(
+        default=None,
+        description="What happens to jobs that waited for it once it holds, instead of `queue.on_clear`. `begin` is "
+        "only for a guard that people do not walk through.",
+    )
 
 
 def _read_short_position(data: Any) -> Any:
@@ -459,6 +464,11 @@ class QueuePolicy(Model):
     )
     on_failure: Literal["hold", "continue"] = Field(
         default="hold", description="hold: waiting jobs that need a controller of a failed job are held."
+    )
+    on_clear: Literal["ask", "begin"] = Field(
+        default="ask",
+        description="ask: a job that had to wait for a permit, an e-stop, a fault, a reference, a motor or a "
+        "controller begins only by `tutti queue start` or `tutti job release`; begin: as soon as the cause is gone.",
     )
 
 

@@ -59,6 +59,9 @@ class JobProgress(Model):
     )
     reason: str
     utc: str
+    ready: bool = Field(
+        default=False, description="What the job had to wait for is gone; it begins when its start is asked for."
+    )
 
 
 class QueuedJob(Protocol):
@@ -459,7 +462,8 @@ class LeaseState(Model):
 class QueueEntry(Model):
     """A job in a list. A job of N steps that is repeated has the steps 0 to repeat * N - 1.
 
-    reason: of its state; for a queued job, what it waits for. place: position in the queue, 1 is next. held_by:
+    reason: of its state; for a queued job, what it waits for. ready: what it had to wait for is gone, and its start has
+    to be asked for. place: position in the queue, 1 is next. held_by:
     originator of the hold, if it is held; `approval` while its plan waits for that. origin: the job that it re-runs,
     from step `from_step` on. proposed: it needs the approval of its plan.
     """
@@ -476,6 +480,7 @@ class QueueEntry(Model):
     origin: str | None = None
     from_step: int = 0
     proposed: bool = False
+    ready: bool = False
 
 
 class MissingPermit(Model):

@@ -45,7 +45,7 @@ def test_resources_that_an_earlier_job_waits_for_are_reserved_for_it() -> None:
     a, b, c, d = (waiting(name, place) for place, name in enumerate("abcd"))
     queue = [(a, {"x", "y"}), (b, {"y"}), (c, {"z"}), (d, set[str]())]
     choice = choose_jobs([(each, frozenset(needs)) for each, needs in queue], {"x": "in use by ben (alignment)"})
-    assert ids(choice.ready_jobs) == ["c", "d"]
+    assert ids(choice.begin) == ["c", "d"]
     assert choice.reasons == {
         "a": "waits for x: in use by ben (alignment)",
         "b": "waits for y: job 'scan' a of anna comes first",
@@ -57,7 +57,7 @@ def test_a_held_job_blocks_no_other() -> None:
     after = waiting("d", 3)
     after.pending = "q"
     choice = choose_jobs([(each, frozenset("x")) for each in (held, timed, after, late)], {})
-    assert ids(choice.ready_jobs) == ["c"]
+    assert ids(choice.begin) == ["c"]
     assert choice.reasons == {"a": "held by ben", "b": "begins at 10:00", "d": "begins when job q is done"}
 
 
@@ -83,7 +83,7 @@ def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve(fir
                     del running[name]
             busy = {each: name for name, needs in running.items() for each in needs}
             choice = choose_jobs(queue, busy)
-            starts = set(ids(choice.ready_jobs))
+            starts = set(ids(choice.begin))
             for place, (each, needs) in enumerate(queue):
                 assert (each.row.id in starts) != (each.row.id in choice.reasons)
                 if each.row.id in starts:
@@ -92,13 +92,13 @@ def test_no_seed_lets_a_job_overtake_or_two_share_a_controller_or_one_starve(fir
                 else:
                     assert needs & (busy.keys() | {c for _, before in queue[:place] for c in before})
             running |= {each.row.id: needs for each, needs in queue if each.row.id in starts}
-            begun += ids(choice.ready_jobs)
+            begun += ids(choice.begin)
             queue = [(each, needs) for each, needs in queue if each.row.id not in starts]
         while queue:
             choice = choose_jobs(queue, {})
-            assert choice.ready_jobs, "the first one can always begin when nothing runs"
-            begun += ids(choice.ready_jobs)
-            queue = [(each, needs) for each, needs in queue if each not in choice.ready_jobs]
+            assert choice.begin, "the first one can always begin when nothing runs"
+            begun += ids(choice.begin)
+            queue = [(each, needs) for each, needs in queue if each not in choice.begin]
         assert sorted(begun, key=int) == [str(turn) for turn in range(40)]
 
 

@@ -4,7 +4,7 @@ The world makes a job wait; only its own file and the fleet file make it fail.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.access import FleetAccess
@@ -16,6 +16,7 @@ from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.tree import iterate_steps
 
+ADOPTION_NS = 3 * NS_PER_S  # for a new leader to receive the states of all controllers, and to adopt them
 ESTOP_VISIBLE_NS = NS_PER_S  # after an e-stop; by then every adapter has published its latch
 _SAFE = "make the machine safe, then `tutti reset`"
 
@@ -27,6 +28,8 @@ class Obstacle:
     code: str
     text: str
     remedy: str = ""
+    asks: bool = True
+    """Once it is gone, the job begins only by a word."""
 
     def describe(self) -> str:
         return f"{self.text}; {self.remedy}" if self.remedy else self.text
@@ -83,6 +86,12 @@ class WorldConditions:
         self._permits = fleet.permits
         self._clock = fleet.clock
         self._estop: tuple[int, str] | None = None
+        self._since_ns = fleet.clock.now_ns()
+
+    @property
+    def _asks(self) -> bool:
+        """Whether the fleet file asks for a word once a cause is gone."""
+        return self._view.fleet.queue.on_clear == "ask"
 
     def note_estop(self, reason: str) -> None:
         """An e-stop was received: adapters publish that they have latched it a moment later."""
@@ -90,6 +99,14 @@ class WorldConditions:
 
     def find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
         """The first condition that does not hold; None: the job can begin."""
+        obstacle = self._find_obstacle(needs)
+        if obstacle is None or obstacle.code == "permit":
+            return obstacle
+        # For a moment after the change of a leader it has not received every state, and adopts: that is no cause.
+        is_new = self._clock.now_ns() < self._since_ns + ADOPTION_NS and obstacle.code in ("absent", "not-adopted")
+        return replace(obstacle, asks=self._asks and not is_new and obstacle.code != "not-adopted")
+
+    def _find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
         if needs.moves and self._estop is not None and self._clock.now_ns() < self._estop[0]:
             return Obstacle("estop-latched", self._estop[1], _SAFE)
         for controller in sorted(needs.controllers):
@@ -98,7 +115,8 @@ class WorldConditions:
                 return obstacle
         missing_permit = self._permits.find_missing(needs.moved)
         if missing_permit is not None:
-            return Obstacle("permit", missing_permit, "satisfy the permit")
+            asks = self._permits.asks(needs.moved)
+            return Obstacle("permit", missing_permit, "satisfy the permit", asks=asks)
         return self._find_axis_obstacle(needs.enabled_before, needs.referenced_before)
 
     def _find_controller_obstacle(self, controller: str, *, moves: bool) -> Obstacle | None:

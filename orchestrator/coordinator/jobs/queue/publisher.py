@@ -26,6 +26,7 @@ class QueuePublisher:
         self._register = register
         self._places: Mapping[str, int] = {}
         self._reasons: Mapping[str, str] = {}
+        self._ready: frozenset[str] = frozenset()
         self._told: dict[str, str] = {}
         self._changed = False
         self._announcing: asyncio.Task[None] | None = None
@@ -70,6 +71,7 @@ class QueuePublisher:
             origin=row.origin,
             from_step=row.from_step,
             proposed=bool(row.proposed),
+            ready=row.id in self._ready,
         )
 
     def note_change(self) -> None:
@@ -94,8 +96,13 @@ class QueuePublisher:
             self._services.bus.put(self._services.keys.queue, state.to_json(), Priority.EVENT)
             await sleep_ns(self._services.clock, MIN_INTERVAL_NS)
 
-    def take_schedule(self, order: Sequence[WaitingJob], reasons: Mapping[str, str]) -> None:
-        """Take over what each job waits for, in the queue's order; publish changes of the jobs that are shown."""
+    def take_schedule(
+        self, order: Sequence[WaitingJob], reasons: Mapping[str, str], ready: frozenset[str] = frozenset()
+    ) -> None:
+        """Take over what each job waits for, in the queue's order; publish changes of the jobs that are shown. ready:
+        those whose start has to be asked for."""
+        is_changed = ready != self._ready
+        self._ready = ready
         self._places = {job.row.id: rank for rank, job in enumerate(order, 1)}
         self._reasons = reasons
         published_reasons: dict[str, str] = {}
@@ -105,8 +112,11 @@ class QueuePublisher:
             if self._told.get(row.id) != reason:
                 steps = len(StepOrder(job.job.steps, row.repeat))
                 progress = make_queued_progress(row, "queued", reason, self._services.clock.utc(), steps)
+                progress = progress.model_copy(update={"ready": row.id in ready})
                 self._services.bus.put(self._services.keys.job_state(row.id), progress.to_json(), Priority.STATE)
         self._told = published_reasons
+        if is_changed:
+            self.schedule_publication()
 
 
 def describe_stop(stop: QueueStop) -> str:

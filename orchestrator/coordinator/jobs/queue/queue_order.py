@@ -3,24 +3,28 @@
 The rule: **no job overtakes an earlier one that needs one of its controllers.** From the first in the queue to the
 last, a job begins when all controllers that it needs are free of running jobs and manual leases, and no earlier job
 waits for one of them. A job whose controllers are free may still have to wait for the world (an e-stop, a permit, a
-controller that is off); it keeps its place. So jobs without a common controller run at the same time, and a job that
-needs many controllers is not starved by small ones: what becomes free is kept for it. Jobs that are held, not due, or
-waiting for the end of another job block no other job. Manual control has priority: a waiting job does not keep axes
-from an operator.
+controller that is off); it keeps its place. Once such a cause is gone, it and those that waited behind it begin only by
+a word (`deliberate_starts`). So jobs without a common controller run at the same time, and a job that needs many
+controllers is not starved by small ones: what becomes free is kept for it. Jobs that are held, not due, or waiting for
+the end of another job block no other job. Manual control has priority: a waiting job does not keep axes from an
+operator.
 
 A controller is loaded with one step at a time, so jobs need whole controllers, also where axes can be leased
 separately.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.restart import READY, RESTART
 from orchestrator.model.queue import APPROVAL, WAITS_FOR_APPROVAL
 
 MAX_JOBS_WITHOUT_AXES = 32  # that run at once; jobs with axes are limited by the controllers of the fleet
 
+READY_REASON = f"{READY}: its start has to be asked for, `tutti queue start`"
 WITHOUT_AXES_REASON = f"waits for the end of one of the {MAX_JOBS_WITHOUT_AXES} jobs without axes that run"
 
 
@@ -50,11 +54,16 @@ class WaitingJob:
         return bool(self.row.proposed) and self.row.held_by == APPROVAL
 
     @property
+    def awaits_word(self) -> bool:
+        """Whether it had to wait for a cause, or for a job that had to, and its start was not asked for since."""
+        return self.row.held_by == RESTART
+
+    @property
     def blocking_reason(self) -> str:
         """Why it would not begin even on free controllers; empty if nothing prevents it."""
         if self.awaits_approval:
             return self.deviation or WAITS_FOR_APPROVAL
-        if self.row.held_by:
+        if self.row.held_by and not self.awaits_word:
             return f"held by {self.row.held_by}"
         if self.pending is not None:
             return f"begins when job {self.pending} is done"
@@ -69,28 +78,42 @@ def sort_waiting(waiting: Mapping[str, WaitingJob]) -> list[WaitingJob]:
 @dataclass(frozen=True, slots=True)
 class Schedule:
     """The jobs that may begin now, and what each of the others waits for. waits_for_world: one waits for a condition
-    outside the queue, which must be looked at again."""
+    outside the queue, which must be looked at again. ready: jobs that may begin only by a word. causes: by job that is
+    not marked for that yet, the cause that it waits for, or that a job before it waits for."""
 
-    ready_jobs: list[WaitingJob]
+    begin: list[WaitingJob]
     reasons: dict[str, str]
     waits_for_world: bool = False
+    ready: frozenset[str] = frozenset()
+    causes: Mapping[str, str] = field(default_factory=dict[str, str])
+
+
+class Condition(NamedTuple):
+    """What a job on free controllers waits for. asks: once it is gone, the job begins only by a word."""
+
+    text: str
+    asks: bool
 
 
 def choose_jobs(
     waiting: Iterable[tuple[WaitingJob, frozenset[str]]],
     busy: Mapping[str, str],
-    find_condition: Callable[[WaitingJob], str] = lambda _: "",
+    find_condition: Callable[[WaitingJob], Condition | None] = lambda _: None,
     stopped: str = "",
     free_places: int = MAX_JOBS_WITHOUT_AXES,
 ) -> Schedule:
     """Choose the jobs of `waiting` that may begin now. waiting: in the queue's order, each with the controllers that
     it needs. busy: by controller, its present user in words. find_condition: returns what a job on free controllers
-    still waits for; empty: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
+    still waits for; None: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
     jobs without axes may run.
     """
     users = dict(busy)
     begin: list[WaitingJob] = []
     reasons: dict[str, str] = {}
+    causes: dict[str, str] = {}
+    causes_ahead: dict[str, str] = {}
+    """By controller, the cause of a job that keeps its claim on it."""
+    ready: set[str] = set()
     waits_for_world = False
     for job, needs in waiting:
         reason = job.blocking_reason or ("" if job.is_attended else stopped)
@@ -100,6 +123,7 @@ def choose_jobs(
         # It keeps its claim on the controllers while it waits.
         claim = f"job {job.row.name!r} {job.row.id} of {job.row.actor}"
         in_the_way = sorted(needs & users.keys())
+        cause = next((causes_ahead[name] for name in in_the_way if name in causes_ahead), "")
         if not needs and not free_places:
             reasons[job.row.id] = WITHOUT_AXES_REASON
         elif in_the_way:
@@ -108,13 +132,23 @@ def choose_jobs(
             claim += " comes first"
         else:
             condition = find_condition(job)
-            if condition:
-                reasons[job.row.id] = f"waits for: {condition}"
+            if condition is not None:
+                reasons[job.row.id] = f"waits for: {condition.text}"
                 waits_for_world = True
+                claim += " comes first"
+                cause = condition.text if condition.asks or job.awaits_word else ""
+            elif job.awaits_word:
+                cause = job.row.reason
+                reasons[job.row.id] = READY_REASON
+                ready.add(job.row.id)
                 claim += " comes first"
             else:
                 begin.append(job)
                 free_places -= not needs
+        if cause:
+            causes_ahead |= dict.fromkeys(needs, cause)
+            if not job.awaits_word:
+                causes[job.row.id] = cause
         for controller in needs:
             users.setdefault(controller, claim)
-    return Schedule(begin, reasons, waits_for_world)
+    return Schedule(begin, reasons, waits_for_world, frozenset(ready), causes)

@@ -1,8 +1,9 @@
 """Changes of the queue that users request: cancellation, holds, releases, approvals and the order."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.ends import JobEnds
 from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher
 from orchestrator.coordinator.jobs.queue.queue_order import WaitingJob
@@ -16,11 +17,20 @@ from orchestrator.model.operation.approval import JobApproval
 class QueueRequests:
     """Changes waiting jobs. All methods raise `Refusal` and `JournalError`."""
 
-    def __init__(self, services: JobServices, register: JobRegister, publisher: QueuePublisher, ends: JobEnds) -> None:
+    def __init__(
+        self,
+        services: JobServices,
+        register: JobRegister,
+        publisher: QueuePublisher,
+        ends: JobEnds,
+        *,
+        starts: DeliberateStarts,
+    ) -> None:
         self._services = services
         self._register = register
         self._publisher = publisher
         self._ends = ends
+        self._starts = starts
         self._arranging = asyncio.Lock()
 
     async def cancel_job(self, job_id: str, actor: str) -> None:
@@ -45,16 +55,22 @@ class QueueRequests:
     async def hold_job(self, job_id: str, held_by: str, reason: str) -> None:
         """Hold a waiting job now, and record it. Raises `JournalError`. Does nothing to a held job."""
         services, waiting_job = self._services, self._register.waiting.get(job_id)
-        if waiting_job is None or waiting_job.row.held_by:
+        if waiting_job is None or (waiting_job.row.held_by and not waiting_job.awaits_word):
             return
         waiting_job.row = waiting_job.row._replace(held_by=held_by)
         change = services.make_transition("queued", reason, held_by)
         await services.execute(services.journal.hold_jobs, [job_id], held_by, change)
         self._register.wake_up()
 
-    async def release_jobs(self, job_ids: Iterable[str], actor: str) -> None:
-        """Release held jobs; without ids, all held jobs but those that wait for approval."""
-        held_jobs = [job for job in self._register.waiting.values() if job.row.held_by and not job.awaits_approval]
+    async def release_jobs(self, job_ids: Sequence[str], actor: str, shown: str = "") -> None:
+        """Release held jobs; without ids, all held jobs but those that wait for approval, or for a word. shown: of the
+        preview of these jobs, for those that had to wait for a cause."""
+        register = self._register
+        held_jobs = [
+            job for job in register.waiting.values() if job.row.held_by and not (job.awaits_approval or job.awaits_word)
+        ]
+        named_jobs = [register.waiting[job_id] for job_id in job_ids if job_id in register.waiting]
+        self._starts.require_release(named_jobs, shown)
         for job_id in list(job_ids) or [job.row.id for job in held_jobs]:
             waiting_job = await self._register.find_waiting(job_id, "for a paused job: `tutti job resume`")
             if waiting_job.awaits_approval:

@@ -14,11 +14,12 @@ from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle, WorldConditions
+from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.ends import RETRY_NS, JobEnd, JobEnds
 from orchestrator.coordinator.jobs.queue.journal_tasks import JournalTasks
 from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher, describe_stop
 from orchestrator.coordinator.jobs.queue.queue_gate import COORDINATOR, QueueGate
-from orchestrator.coordinator.jobs.queue.queue_order import WITHOUT_AXES_REASON, Schedule, WaitingJob, choose_jobs
+from orchestrator.coordinator.jobs.queue.queue_order import WITHOUT_AXES_REASON, Schedule, WaitingJob
 from orchestrator.coordinator.jobs.queue.queue_requests import QueueRequests
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.queue.run_requests import RunRequests
@@ -46,11 +47,12 @@ class Scheduler:
         self.publisher = publisher = QueuePublisher(services, register)
         self.gate = QueueGate(services, register, publisher)
         self._ends = ends = JobEnds(services, register, publisher, self._tasks)
-        self.queue_requests = QueueRequests(services, register, publisher, ends)
+        self._conditions = WorldConditions(services.fleet)
+        self.starts = DeliberateStarts(services, register, self._conditions)
+        self.queue_requests = QueueRequests(services, register, publisher, ends, starts=self.starts)
         self.run_requests = RunRequests(services, register)
         self._times = JobTimes(services, register, publisher, ends)
         self._sessions = SessionMonitor(services, register, ends, self._tasks)
-        self._conditions = WorldConditions(services.fleet)
         self._trouble = False
         self._declared: list[BusDeclaration] = []
         services.leases.add_release_listener(lambda _: register.wake_up())
@@ -139,24 +141,18 @@ class Scheduler:
             choice = self._make_schedule()
             if choice.waits_for_world:
                 services.clock.call_at_ns(services.clock.now_ns() + CONDITION_POLL_NS, self.register.wake_up)
-            for job in choice.ready_jobs:
+            for job in choice.begin:
                 self._begin_job(job)
             await self._cancel_impatient(choice.reasons)
-            self.publisher.take_schedule(self.register.list_waiting(), choice.reasons)
-            if choice.ready_jobs:
+            if choice.causes:
+                self._tasks.spawn(self.starts.mark_jobs, choice.causes)
+            self.publisher.take_schedule(self.register.list_waiting(), choice.reasons, choice.ready)
+            if choice.begin:
                 self.publisher.schedule_publication()
 
     def _make_schedule(self) -> Schedule:
-        queue = ((job, self.register.find_needs(job).controllers) for job in self.register.list_waiting())
         stop = self.register.stopped
-        reason = "" if stop is None else describe_stop(stop)
-        return choose_jobs(
-            queue, self.register.find_busy(), self._find_condition, reason, self.register.count_free_places()
-        )
-
-    def _find_condition(self, waiting: WaitingJob) -> str:
-        obstacle = self._conditions.find_obstacle(self.register.find_needs(waiting))
-        return "" if obstacle is None else obstacle.describe()
+        return self.starts.choose("" if stop is None else describe_stop(stop))
 
     def find_obstacle(self, job: Job, terms: QueueTerms) -> Obstacle | None:
         """What would keep a job from beginning at once; None: it would begin. Raises `UnknownName`,
@@ -190,7 +186,13 @@ class Scheduler:
         for waiting_job in [job for job in self.register.waiting.values() if job.row.now and job.row.id in reasons]:
             if self.register.waiting.pop(waiting_job.row.id, None) is not None:
                 reason = f"not begun, because it must not wait: {reasons[waiting_job.row.id]}"
-                await self._ends.cancel_waiting(waiting_job, reason, COORDINATOR)
+                try:
+                    await self._ends.cancel_waiting(waiting_job, reason, COORDINATOR)
+                except JournalError as error:
+                    # It is in the queue again, and this is tried again.
+                    self._services.log.warning(str(error), job=waiting_job.row.id)
+                    self._trouble = True
+                    self.register.wake_up()
 
     def _begin_job(self, waiting: WaitingJob) -> None:
         row = waiting.row
