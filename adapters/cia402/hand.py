@@ -7,17 +7,17 @@ mode, and a crashed host leaves a motion with an end.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
-from adapters.cia402 import objects as o
-from adapters.cia402 import states
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.handshake import settle_handshake, standing_refusal
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.sdo import SdoAborted
+from adapters.cia402.canopen.states import DriveState
+from adapters.cia402.canopen.words import NOT_THERE
 from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, homing_method, homing_numbers, only_axis
-from adapters.cia402.handshake import settle_handshake, standing_refusal
-from adapters.cia402.node import BusDrive
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
-from adapters.cia402.sdo import SdoAborted
-from adapters.cia402.shape import WORD_MAX
-from adapters.cia402.states import DriveState
-from adapters.cia402.words import NOT_THERE
+from adapters.cia402.shapes.trapezoid import WORD_MAX
 from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adapters.cia402.course import SetpointTrajectory
+from adapters.cia402.shapes.course import SetpointTrajectory
 from adapters.yaskawa.common.contour import ContourLimits, axis_increments, fit_contour
 from adapters.yaskawa.common.model import SMC4000
 from orchestrator.model.profile import Profile
