@@ -21,9 +21,9 @@ from adapters.controller.referencing import AxisReferencing
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.shrc203.moves import ShrcMover
 from adapters.yaskawa.common import device
-from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.program import EDGE_THREAD, OUTPUT_PASSIVE
+from adapters.yaskawa.shapes.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario

@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from adapters.contract import NULL_LOG, ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.gate import GateTiming
-from adapters.yaskawa.common.handles import HandleCleaner
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     EDGE_THREAD,
@@ -21,16 +19,18 @@ from adapters.yaskawa.common.program import (
     axis_letters,
     program_lines,
 )
-from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord, RecordFormat
-from adapters.yaskawa.common.session import (
+from adapters.yaskawa.common.ticks import SampleClock
+from adapters.yaskawa.language.numbers import parse_numbers
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.wire.handles import HandleCleaner
+from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord, RecordFormat
+from adapters.yaskawa.wire.session import (
     CommandSession,
     SmcCommandRefused,
     print_command,
     session_tag,
 )
-from adapters.yaskawa.common.stops import SharedStops, StopHandle
-from adapters.yaskawa.common.ticks import SampleClock
-from adapters.yaskawa.language.numbers import parse_numbers
+from adapters.yaskawa.wire.stops import SharedStops, StopHandle
 from orchestrator.clock.base import NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.model import SMC4000
-from adapters.yaskawa.common.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.common.registers import ramp_register, speed_register
 from adapters.yaskawa.language.words import stop_code_meaning
+from adapters.yaskawa.shapes.model import SMC4000
+from adapters.yaskawa.wire.record import AXIS_LETTERS, AxisRecord
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal

@@ -13,9 +13,9 @@ from functools import partial
 
 from adapters.contract import JogMove
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.model import RAMP_UNIT, SPEED_UNIT
-from adapters.yaskawa.common.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.common.registers import exact_ramp, exact_speed
+from adapters.yaskawa.shapes.model import RAMP_UNIT, SPEED_UNIT
+from adapters.yaskawa.wire.record import AXIS_LETTERS, AxisRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.estimator import MAX_PPM
 from orchestrator.model.errors import ControllerFault, Refusal

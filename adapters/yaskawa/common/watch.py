@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from adapters.contract import SettingDifference
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
-from adapters.yaskawa.common.record import AXIS_LETTERS
-from adapters.yaskawa.common.session import SmcCommandRefused, pack_operands
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.wire.record import AXIS_LETTERS
+from adapters.yaskawa.wire.session import SmcCommandRefused, pack_operands
 from orchestrator.model.errors import ControllerFault
 
 LABELS = "DL"  # number of free labels: another program has others

@@ -9,9 +9,15 @@ from adapters.contract import ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.gate import SINGLE_CONDITIONS
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import OUTPUT_PASSIVE, TABLE
-from adapters.yaskawa.common.record import (
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.smc2000 import program as smc2000_program
+from adapters.yaskawa.smc2000.line import SharedSerialLine
+from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
+from adapters.yaskawa.smc2000.polls import PolledSession
+from adapters.yaskawa.smc2000.program import AXIS_VALUES
+from adapters.yaskawa.smc2000.session import ADDRESS, LineTiming
+from adapters.yaskawa.wire.record import (
     MOTOR_OFF,
     MOVING,
     OFF_ON_ERROR,
@@ -20,13 +26,7 @@ from adapters.yaskawa.common.record import (
     AxisRecord,
     DataRecord,
 )
-from adapters.yaskawa.common.session import SmcCommandRefused
-from adapters.yaskawa.smc2000 import program as smc2000_program
-from adapters.yaskawa.smc2000.line import SharedSerialLine
-from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
-from adapters.yaskawa.smc2000.polls import PolledSession
-from adapters.yaskawa.smc2000.program import AXIS_VALUES
-from adapters.yaskawa.smc2000.session import ADDRESS, LineTiming
+from adapters.yaskawa.wire.session import SmcCommandRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed, OpenLink
 from orchestrator.model.errors import ControllerFault

@@ -9,10 +9,10 @@ controller, and a poll that overlapped with a disturbance is repeated alone.
 import asyncio
 from dataclasses import dataclass, replace
 
-from adapters.yaskawa.common.session import SmcCommandRefused
 from adapters.yaskawa.language.numbers import parse_numbers
 from adapters.yaskawa.smc2000.line import EarlyPoll, LineTurn, SharedSerialLine, address_command
 from adapters.yaskawa.smc2000.session import LineTiming, SerialCommandSession
+from adapters.yaskawa.wire.session import SmcCommandRefused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 from adapters.yaskawa.common.gate import BEGIN_TICKS, FOLLOWING_STEP_TICKS, LAST_LOOK_TICKS, STEP_TICKS, GateTiming
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
     CONTOUR_VARIABLES,
@@ -38,6 +37,7 @@ from adapters.yaskawa.common.program import (
     sum_of_distances,
     take_lines,
 )
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
 from adapters.yaskawa.smc2000.session import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048

@@ -14,17 +14,17 @@ from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from adapters.yaskawa.common.session import (
+from adapters.yaskawa.language.dialect import MAX_LINE
+from adapters.yaskawa.language.numbers import parse_error_code, parse_numbers
+from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
+from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
+from adapters.yaskawa.wire.session import (
     FRACTIONS,
     CommandReply,
     CommandSession,
     SmcCommandRefused,
     pack_texts,
 )
-from adapters.yaskawa.language.dialect import MAX_LINE
-from adapters.yaskawa.language.numbers import parse_error_code, parse_numbers
-from adapters.yaskawa.smc2000.line import LineTurn, SharedSerialLine, address_command
-from adapters.yaskawa.smc2000.replies import SerialReply, parse_serial_reply
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from adapters.contract import HostInterval, LatchedPosition
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.record import AXIS_LETTERS
+from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
