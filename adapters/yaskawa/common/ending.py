@@ -1,5 +1,7 @@
 """The end of a move: watched until no axis moves, narrowed by the program's own stamps, and judged."""
 
+from collections.abc import Sequence
+
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.following import FollowingStart
@@ -58,16 +60,25 @@ class SampleEnd:
             ):
                 break
             ticks = round((self._device.samples.current_mapping() or loaded.mapping).to_ticks(record.received_ns))
-            await self._device.session.send_command(
-                self._watchdog.extension_command(max(ticks, self._following.released_ticks))
-            )
+            deadline_ticks = max(ticks, self._following.released_ticks)
+            await self._device.session.send_command(self._watchdog.extension_command(deadline_ticks))
             # Poll again soon after the next planned end: the stamps record only the last end.
             ends_ns = min((planned_ns[axis] for axis in seen_ns if axis not in end_spans), default=loaded.switched_ns)
             left_ns = ends_ns + SETTLE_NS - self._clock.now_ns()
             watch_ns = min(WATCH_NS, left_ns) if left_ns > 0 and not is_stopped else SETTLE_NS
             if not is_stopped:
                 watch_ns = self._spare_turn(loaded, watch_ns)
-            is_stopped = await self._device.sleep_to_stop(watch_ns) or is_stopped
+            is_stopped = await self._device.stop_counts.sleep_to_stop(watch_ns) or is_stopped
+        return await self._judge_end(loaded, moves, record, end_spans)
+
+    async def _judge_end(
+        self,
+        loaded: LoadedMove,
+        moves: Sequence[YaskawaAxisMove],
+        record: DataRecord,
+        end_spans: dict[str, HostInterval],
+    ) -> MoveOutcome:
+        """Return how the move ended. record: read when no axis moved any more."""
         reasons = {move.axis: self._end_reason(move, record) for move in moves}
         states = {state for state, _ in reasons.values()}
         if states <= {"done"}:

@@ -40,7 +40,7 @@ async def home_axes(
 
     Raises `Refusal` when no axis began.
     """
-    stop_counts = {index: device.stop_count(index) for _, index, _ in axes}
+    stop_counts = {index: device.stop_counts.stop_count(index) for _, index, _ in axes}
     searching: list[HomingAxis] = []
     try:
         failures = await _begin_homing(device, axes, stop_counts, searching)

@@ -42,6 +42,7 @@ from adapters.yaskawa.triggers.latch import PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
+from adapters.yaskawa.wire.exchange import parse_reply
 from adapters.yaskawa.wire.record import (
     AXIS_LETTERS,
     FORWARD_SWITCH,
@@ -50,7 +51,7 @@ from adapters.yaskawa.wire.record import (
     VELOCITY_SCALE,
     AxisRecord,
 )
-from adapters.yaskawa.wire.session import pack_operands, parse_reply
+from adapters.yaskawa.wire.session import pack_operands
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink

@@ -15,8 +15,8 @@ from adapters.yaskawa.language.dialect import MAX_LINE
 from adapters.yaskawa.shapes.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.shapes.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.smc4000.driver import MAKE
+from adapters.yaskawa.wire.exchange import parse_reply
 from adapters.yaskawa.wire.record import AXIS_LETTERS
-from adapters.yaskawa.wire.session import parse_reply
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
