@@ -11,7 +11,7 @@ from adapters.smc30.session import ControllerBusy
 from adapters.smc30.starting import Smc30Starter
 from adapters.smc30.step import LoadedStep, passive_commands
 from adapters.smc30.timing import Smc30Timing
-from adapters.smc30.unitstate import PositionReading, Smc30State
+from adapters.smc30.unitstate import ActivityReading, PositionReading, Smc30State
 from adapters.toolkit.host_start import MoverTools
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.timed import MIN_POLLED_DURATION_S
@@ -100,22 +100,10 @@ class Smc30Mover:
             return MoveOutcome(
                 "done", {name: HostInterval(move.t0_ns, move.t0_ns) for name in lowered_step.durations_s}
             )
-        least_ns, most_ns = self._timing.duration_bounds_ns(move)
-        # The end of a long motion is queried without a pause, so that the latest instant before the end is known as
-        # well.
-        close = move.timed is not None and move.timed.duration_s >= MIN_POLLED_DURATION_S
-        before_ns = 0 if move.timed is None or not close else move.timed.end_poll_lead_ns
-        await move.sleep_until(self._clock, move.start.earliest_ns + least_ns - before_ns)
-        overdue_ns = self._clock.now_ns() + self._timing.program_excess_ns(move)
-        last_busy_ns = 0
-        while (status := await unit.read_status()).busy:
-            last_busy_ns = status.arrived_ns
-            if move.timed is not None:
-                move.timed.mark_moving(status.arrived_ns)
-            if self._clock.now_ns() > overdue_ns and move.stopped_ns is None:
-                return await self._kill_overdue(move)
-            if not close or move.stopped_ns is not None or self._clock.now_ns() > move.start.latest_ns + most_ns:
-                await sleep_ns(self._clock, _POLL_NS)
+        activity = await self._wait_until_ready(move)
+        if activity is None:
+            return await self._kill_overdue(move)
+        status, last_busy_ns = activity
         await unit.wait_for_stops()
         counts = await self._counts_at_rest()
         self._finish_step(move)
@@ -129,16 +117,42 @@ class Smc30Mover:
             unit.limit = "none"
             self._timing.learn_crystal(move, status.at_ns)
             return MoveOutcome("done", {lowered_step.axis: self._timing.end_interval(move, last_busy_ns, status.at_ns)})
-        span = HostInterval(min(move.start.earliest_ns, status.at_ns), status.at_ns)
-        stands = f"axis {lowered_step.axis} is at {counts}, not at its target {lowered_step.target}"
+        return self._missed_outcome(move, lowered_step.target, counts, status.at_ns)
+
+    async def _wait_until_ready(self, move: LoadedStep) -> tuple[ActivityReading, int] | None:
+        """Wait until the controller executes nothing; return the answer that shows it, and when the last one came that
+        did not; None: the motion is overdue."""
+        least_ns, most_ns = self._timing.duration_bounds_ns(move)
+        # The end of a long motion is queried without a pause, so that the latest instant before the end is known as
+        # well.
+        close = move.timed is not None and move.timed.duration_s >= MIN_POLLED_DURATION_S
+        before_ns = 0 if move.timed is None or not close else move.timed.end_poll_lead_ns
+        await move.sleep_until(self._clock, move.start.earliest_ns + least_ns - before_ns)
+        overdue_ns = self._clock.now_ns() + self._timing.program_excess_ns(move)
+        last_busy_ns = 0
+        while (status := await self._unit.read_status()).busy:
+            last_busy_ns = status.arrived_ns
+            if move.timed is not None:
+                move.timed.mark_moving(status.arrived_ns)
+            if self._clock.now_ns() > overdue_ns and move.stopped_ns is None:
+                return None
+            if not close or move.stopped_ns is not None or self._clock.now_ns() > move.start.latest_ns + most_ns:
+                await sleep_ns(self._clock, _POLL_NS)
+        return status, last_busy_ns
+
+    def _missed_outcome(self, move: LoadedStep, target: int, counts: int, at_ns: int) -> MoveOutcome:
+        """Return how a step ended that is not at its target, but at rest at `counts`."""
+        axis = move.lowered.axis
+        span = HostInterval(min(move.start.earliest_ns, at_ns), at_ns)
+        stands = f"axis {axis} is at {counts}, not at its target {target}"
         if move.stopped_ns is not None:
-            return MoveOutcome("stopped", {lowered_step.axis: span}, f"stopped on request; {stands}")
-        forward = lowered_step.target > lowered_step.start_counts
-        unit.limit = "forward" if forward else "reverse"
+            return MoveOutcome("stopped", {axis: span}, f"stopped on request; {stands}")
+        forward = target > move.lowered.start_counts
+        self._unit.limit = "forward" if forward else "reverse"
         side = "CW" if forward else "CCW"
         return MoveOutcome(
             "fault",
-            {lowered_step.axis: span},
+            {axis: span},
             f"{stands}: has the {side} end-of-travel input stopped it, or its own error?",
         )
 
