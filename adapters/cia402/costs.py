@@ -2,10 +2,10 @@
 
 from math import ceil
 
-from adapters.cia402.bus import SYNC
-from adapters.cia402.objects import DEMAND, OUTPUTS, STATUSWORD, TARGET
+from adapters.cia402.canopen.bus import SYNC
+from adapters.cia402.canopen.objects import DEMAND, OUTPUTS, STATUSWORD, TARGET
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.stream import COPIES
+from adapters.cia402.sync.stream import COPIES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.link.can import CanFrame, frame_ns
 from orchestrator.model.state import StepCosts

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 
-from adapters.cia402 import bus, states
-from adapters.cia402 import objects as o
-from adapters.cia402.objects import DictionaryObject
+from adapters.cia402.canopen import bus, states
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.words import abort_text, emergency_text
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import PdoMapping, required_pdos
-from adapters.cia402.words import abort_text, emergency_text
 from adapters.toolkit.frames import DecodedFrame, FrameDirection, printable_text
 from orchestrator.link.can import CanFrame, FrameReader
 

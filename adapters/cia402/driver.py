@@ -1,9 +1,6 @@
 """The driver of one CiA 402 drive."""
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import Literal
 
 from adapters.abilities import (
     LatchDriver,
@@ -16,41 +13,29 @@ from adapters.abilities import (
     SharedLineDriver,
     TriggerDriver,
 )
-from adapters.cia402 import eds, startup, states
-from adapters.cia402 import objects as o
-from adapters.cia402.bus import SHARED, Cia402Bus
+from adapters.cia402 import sharing, startup
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.handshake import STANDING_NS
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.objects import CYCLIC_MODE, FOLLOWED, DictionaryObject
+from adapters.cia402.canopen.sdo import bus_off_fault
+from adapters.cia402.connection import Cia402Connection, make_connection
 from adapters.cia402.costs import step_costs
 from adapters.cia402.fleetaxes import (
-    POINTS,
-    POSITION_MAX,
-    drive_units,
     needs_stream,
     node_number,
     only_axis,
-    passive_outputs,
-    ramp_in_units,
     ramp_s,
 )
-from adapters.cia402.hand import Cia402ManualMotion
-from adapters.cia402.handshake import STANDING_NS
 from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, lower_step
-from adapters.cia402.moves import Cia402Mover, EndLimits
-from adapters.cia402.node import BusDrive
-from adapters.cia402.objects import CONSUMER, CYCLIC_MODE, FOLLOWED, DictionaryObject, point_bit
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import required_pdos
-from adapters.cia402.power import PowerStage
 from adapters.cia402.probe import TouchProbe, find_edge
 from adapters.cia402.sampling import PdoSampling
-from adapters.cia402.sdo import bus_off_fault
-from adapters.cia402.starts import SyncScheduler
-from adapters.cia402.states import DriveState
-from adapters.cia402.stream import PERIODS_AHEAD, StreamedMove
-from adapters.cia402.switching import NOTHING_SWITCHED
+from adapters.cia402.shapes.switching import NOTHING_SWITCHED
 from adapters.cia402.triggers import add_triggers
-from adapters.cia402.watch import AT_ARM, SettingsWatch
+from adapters.cia402.watch import AT_ARM
 from adapters.contract import (
-    AxisReading,
     ChunkFit,
     ControllerIdentity,
     ControllerReading,
@@ -67,29 +52,16 @@ from adapters.contract import (
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.refusals import log_refusals
 from adapters.toolkit.watched_settings import check_watched_settings
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, DigitalInput
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import FaultReport, StepCosts
+from orchestrator.model.state import StepCosts
 
 LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
-_STARTS = "cia402 starts"
-_NEGATIVE_LIMIT, _POSITIVE_LIMIT = 1, 2  # bits of 60FDh
-
-
-@dataclass(frozen=True, slots=True)
-class Cia402Connection:
-    """Everything that exists only while the drive is connected."""
-
-    node: BusDrive
-    power: PowerStage
-    mover: Cia402Mover
-    manual: Cia402ManualMotion
-    watch: SettingsWatch
 
 
 class Cia402Driver(
@@ -113,25 +85,10 @@ class Cia402Driver(
         self._clock = setup.clock
         self._number = node_number(setup.config)
         self._axis, axis = only_axis(setup.config)
-        link = setup.config.link
-        assert isinstance(link, CanBusLink)
-        self._bus: Cia402Bus = setup.shared.setdefault(SHARED, Cia402Bus(setup.clock, link.bitrate))
-        self._bus.register_drive(self._number, options.start_us * NS_PER_US)
-        self._sync_scheduler: SyncScheduler = setup.shared.setdefault(
-            _STARTS, SyncScheduler(self._bus, setup.timed_writer)
-        )
-        self._sync_scheduler.mark_unknown(self._number)
-        self._ramp, self._ramp_s = ramp_in_units(axis, drive_units(options)), ramp_s(axis)
-        self._settle_ns = round(axis.in_position_timeout_s * NS_PER_S)
+        self._bus, self._sync_scheduler = sharing.join_bus(setup, options)
+        self._ramp_s = ramp_s(axis)
         self._pdos = required_pdos(options, outputs=bool(setup.config.outputs))
         self._streams = needs_stream(setup.config)
-        if self._streams:
-            self._bus.periods_ms[self._number] = options.period_ms
-            if setup.config.outputs:
-                self._bus.switching.add(self._number)
-        if options.watchdog_ms is not None:
-            self._bus.watchdogs_ms[self._number] = options.watchdog_ms
-            self._bus.host_node = options.host_node
         self._following: int | None = CYCLIC_MODE
         """The mode in which the drive follows positions, once it is known."""
         self._boots = 0
@@ -144,29 +101,11 @@ class Cia402Driver(
     async def connect(self) -> ControllerIdentity:
         link = self._config.link
         assert isinstance(link, CanBusLink)
-        if self._bus.bitrate != link.bitrate:
-            raise ControllerFault(
-                "config-mismatch",
-                f"{link.endpoint}: the drives of one bus have different values of link.bitrate",
-                "set the same value for all of them",
-            )
-        if self._bus.host_node in self._bus.units:
-            raise ControllerFault(
-                "config-mismatch",
-                f"{link.endpoint}: a drive has the node number {self._bus.host_node} of this computer's heartbeat",
-                "set another node number of this computer with `options.host_node`",
-            )
-        if len(set(self._bus.periods_ms.values())) > 1:
-            raise ControllerFault(
-                "config-mismatch",
-                f"{link.endpoint}: the drives of one bus have different values of options.period_ms, and "
-                "one SYNC serves all",
-                "set the same value for all of them",
-            )
+        sharing.compare_bus(self._bus, link)
         node = (await self._attach_node()).node
         identity = await startup.identify_drive(node, self._options.boot_ms)
         if self._options.eds is not None:
-            await startup.compare_product(node, self._read_product(self._options.eds))
+            await startup.compare_product(node, startup.require_product(self._options.eds, self._config, self._options))
         await self._find_following_mode(node)
         self._was_unmapped = await startup.map_and_start(node, self._sync_scheduler, self._options, self._pdos)
         self._boots = node.boots
@@ -185,13 +124,8 @@ class Cia402Driver(
         node.log = self._log
         node.inhibit_ns = self._options.inhibit_ms * NS_PER_MS
         self._log.info("attached to the bus", place=self._config.link.endpoint, node=self._number)
-        power = PowerStage(node, passive_outputs(self._config))
-        mover = Cia402Mover(self._options, self._sync_scheduler, node, power, EndLimits(self._settle_ns, self._ramp))
-        manual = Cia402ManualMotion(self._config, self._options, node, power, lambda: mover.move is not None)
-        mover.busy = lambda: manual.homing or manual.is_jogging
-        watch = SettingsWatch(node, self._axis)
-        connection = self._connection = Cia402Connection(node, power, mover, manual, watch)
-        return connection
+        self._connection = make_connection(self._config, self._options, node, self._sync_scheduler)
+        return self._connection
 
     async def _find_following_mode(self, found: BusDrive) -> None:
         """Determine how the drive follows positions; required only for jerk-limited motion."""
@@ -209,12 +143,6 @@ class Cia402Driver(
             await found.sdo.write_value(o.OUTPUTS, found.outputs)
             self._log.warning("outputs were still active from a step that was broken off; they are passive now")
         self._broken_off = NOTHING_SWITCHED
-
-    def _read_product(self, path: str) -> eds.DriveProduct:
-        try:
-            return eds.read_product(path, self._config, self._options)
-        except ValueError as error:
-            raise ControllerFault("config-mismatch", str(error), "correct `options.eds`, or remove it") from None
 
     async def configure(self) -> None:
         node = self.connection.node
@@ -248,28 +176,16 @@ class Cia402Driver(
         patience_ns = 3 * max(self._options.heartbeat_ms, self._options.state_ms) * NS_PER_MS
         if self._bus.is_off:
             raise bus_off_fault(node.name)
-        began_ns = self._clock.now_ns()
-
-        # The last message is valid as long as the drive is alive: it sends changes at once.
-        def is_alive() -> bool:
-            return node.heard_ns > began_ns or node.boots != self._boots or self._bus.is_off
-
-        if not await node.wait_until(is_alive, began_ns + patience_ns):
-            raise ControllerFault(
-                "no-answer",
-                f"{node.name} has been silent for {(self._clock.now_ns() - node.heard_ns) // NS_PER_MS} "
-                f"ms, its heartbeat period is {self._options.heartbeat_ms} ms",
-                "check its power, the cable and both terminations",
-            )
+        await self.connection.reader.require_sign_of_life(self._boots, patience_ns)
         if self._bus.is_off:
             raise bus_off_fault(node.name)
         is_restarted, self._restarted = self._restarted, False
         if node.boots != self._boots:
             is_restarted = True
             await self._reload_drive(node)
-        elif not self._is_operating(node):
+        elif not self.connection.mover.is_operating:
             await node.wait_for_second_change()
-        return self._make_reading(node, restarted=is_restarted)
+        return self.connection.reader.make_reading(restarted=is_restarted)
 
     async def _reload_drive(self, found: BusDrive) -> None:
         """Load again what the drive has lost by a power cycle."""
@@ -284,59 +200,6 @@ class Cia402Driver(
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
         """Read the objects that determine where a motion goes, or the next two of all objects, by SDO."""
         return await check_watched_settings(self.connection.watch, self._log, everything=everything)
-
-    def _make_reading(self, found: BusDrive, *, restarted: bool) -> ControllerReading:
-        is_moving = self._is_moving(found)
-        axis = AxisReading(
-            commanded_counts=found.demand,
-            actual_counts=float(found.actual),
-            velocity_counts_s=found.velocity / float(self._options.velocity_units) if is_moving else 0.0,
-            moving=is_moving,
-            enabled=found.is_enabled,
-            limit=_limit_switches(found.inputs),
-        )
-        return ControllerReading(
-            at_ns=found.state_ns if is_moving and found.state_ns else found.heard_ns,
-            axes={self._axis: axis},
-            inputs={number: bool(found.inputs & point_bit(number)) for number in POINTS},
-            outputs={number: bool(found.outputs & point_bit(number)) for number in POINTS}
-            if self._config.outputs
-            else {},
-            faults=self._drive_faults(found),
-            restarted=restarted,
-        )
-
-    def _is_moving(self, found: BusDrive) -> bool:
-        """Return whether the drive moves: by its statusword during an operation; otherwise by its position, which shows
-        it a little later."""
-        if self.connection.power.is_stopping:
-            return True
-        operating = self._is_operating(found)
-        if operating and found.is_enabled and not found.status & states.TARGET_REACHED:
-            return True
-        # Outside an operation a single change is a new coordinate, set by another master.
-        changed_ns = found.moved_ns if operating else found.running_ns
-        return bool(changed_ns) and self._clock.now_ns() - changed_ns < 2 * found.inhibit_ns
-
-    def _is_operating(self, found: BusDrive) -> bool:
-        """Return whether a motion of this adapter is under way."""
-        mover, manual = self.connection.mover, self.connection.manual
-        stepping = mover.move is not None and mover.move.started is not None
-        return stepping or manual.homing or manual.is_jogging
-
-    def _drive_faults(self, found: BusDrive) -> list[FaultReport]:
-        codes = dict(found.emergencies)
-        if not codes and found.state in (DriveState.FAULT, DriveState.REACTION):
-            codes = {0: found.fault_text()}
-        return [
-            FaultReport(
-                code="emergency" if code else "fault",
-                text=f"{found.name}: {text}",
-                remedy="remove its cause, then clear it with `tutti reset`",
-                axis=self._axis,
-            )
-            for code, text in codes.items()
-        ]
 
     # Steps
 
@@ -407,50 +270,11 @@ class Cia402Driver(
             self.connection.power.write_stop(abort=False)
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
-        """Load 607Dh; the whole range for an axis whose position is unknown."""
-        node = self.connection.node
         for pair in limits.values():
-            low, high = (-POSITION_MAX, POSITION_MAX) if pair is None else pair
-            for obj, value in ((o.LIMIT_LOW, low), (o.LIMIT_HIGH, high)):
-                node.held[obj] = value
-                if not await startup.load_optional(node, obj, value):
-                    del node.held[obj]
-                    self._log.info(f"the drive has no {obj}: the limits of the axis are kept by plans and jogs alone")
+            await startup.load_soft_limits(self.connection.node, pair)
 
     async def set_output(self, number: int, *, on: bool) -> None:
-        node = self.connection.node
-        mover = self.connection.mover
-        if mover.move is not None and (mover.move.lowered.drive or mover.move.lowered.switched.points):
-            raise Refusal(
-                "busy",
-                "a step switches an output, and all outputs are written together",
-                "wait for the end of the step",
-            )
-        if mover.move is not None and mover.move.waits_for_sync:
-            raise Refusal(
-                "busy", "a set-point waits for its SYNC, and outputs are written with it", "wait for the start"
-            )
-        bit = point_bit(number)
-        node.outputs = node.outputs | bit if on else node.outputs & ~bit
-        ride = None if mover.move is None else mover.move.streamed_move
-        if ride is not None and node.switches_with_positions:
-            await self._switch_in_stream(ride)
-        else:
-            node.send_control(node.control if ride is not None else node.control & ~states.NEW_SET_POINT)
-        held_outputs = await node.sdo.read_value(o.OUTPUTS)
-        if held_outputs != node.outputs:
-            raise ControllerFault(
-                "not-switched",
-                f"{node.name} contains {held_outputs:#010x} in {o.OUTPUTS}, and was given {node.outputs:#010x}",
-                "has the drive this output? Is another master on the bus?",
-            )
-
-    async def _switch_in_stream(self, ride: StreamedMove) -> None:
-        """Switch outputs with a position that is not sent yet, and wait for its SYNC."""
-        node, mover = self.connection.node, self.connection.mover
-        number = ride.change_outputs(node.outputs)
-        latest_ns = node.clock.now_ns() + 2 * PERIODS_AHEAD * self._options.period_ms * NS_PER_MS + node.answer_ns
-        await node.wait_until(lambda: ride.edges.written >= number or mover.move is None, latest_ns)
+        await self.connection.outputs.set_output(number, on=on)
 
     async def clear_faults(self) -> None:
         with log_refusals(self._log, "clearing the fault"):
@@ -481,10 +305,7 @@ class Cia402Driver(
             return
         self._log.info("detached from the bus")
         self._sync_scheduler.mark_unknown(self._number)
-        with suppress(ControllerFault, LinkClosed):
-            await old_connection.mover.halt_drive()
-            if self._options.watchdog_ms is not None and old_connection.node.mapped:
-                await old_connection.node.sdo.write_value(CONSUMER, 0)
+        await old_connection.end_operation(watched=self._options.watchdog_ms is not None)
         if old_connection.mover.switching.points:
             self._broken_off = old_connection.mover.switching
         old_connection.mover.cancel_waits()
@@ -492,14 +313,6 @@ class Cia402Driver(
         await self._bus.detach_node(self._number, old_connection.node)
         # Tasks that wait for the drive, such as a reference search, get no further message of it.
         old_connection.node.handle_link_loss(LinkClosed(f"{self._setup.controller} was disconnected"))
-
-
-def _limit_switches(inputs: int) -> Literal["none", "forward", "reverse", "both"]:
-    """Return the active limit switches in 60FDh."""
-    negative, positive = inputs & _NEGATIVE_LIMIT, inputs & _POSITIVE_LIMIT
-    if negative and positive:
-        return "both"
-    return "reverse" if negative else "forward" if positive else "none"
 
 
 def _parse_access(command: str) -> tuple[DictionaryObject, int | None]:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from canopen import ObjectDictionary, ObjectDictionaryError, import_od
 
-from adapters.cia402 import objects as o
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.objects import DictionaryObject
 from adapters.cia402.fleetaxes import needs_stream
-from adapters.cia402.objects import DictionaryObject
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.pdo import PdoMapping, parameter_values, required_pdos
 from adapters.contract import require_no_problems

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from math import ceil, floor
 
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.shape import WORD_MAX, DriveBounds, DriveUnits
+from adapters.cia402.shapes.trapezoid import WORD_MAX, DriveBounds, DriveUnits
 from orchestrator.model.fleet import Axis, Controller
 
 MOTOR = "1"

@@ -6,18 +6,19 @@ mode, and a crashed host leaves a motion with an end.
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
-from adapters.cia402 import objects as o
-from adapters.cia402 import states
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.handshake import settle_handshake, standing_refusal
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.sdo import SdoAborted
+from adapters.cia402.canopen.states import DriveState
+from adapters.cia402.canopen.words import NOT_THERE
 from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, homing_method, homing_numbers, only_axis
-from adapters.cia402.handshake import settle_handshake, standing_refusal
-from adapters.cia402.node import BusDrive
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
-from adapters.cia402.sdo import SdoAborted
-from adapters.cia402.shape import WORD_MAX
-from adapters.cia402.states import DriveState
-from adapters.cia402.words import NOT_THERE
+from adapters.cia402.shapes.trapezoid import WORD_MAX
 from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
@@ -35,6 +36,69 @@ _OPTIONAL = (o.HOMING_ACCELERATION, o.HOME_OFFSET)  # without them: the drive's 
 _RETURN_NS = 60 * NS_PER_S  # a caller with a shorter timeout cancels
 _AT_LIMITS = (1, 2, 17, 18)
 """Methods whose reference is at the edge of a limit switch, or near it."""
+
+
+@dataclass(frozen=True, slots=True)
+class HomingSearch:
+    """One search of a drive.
+
+    stops, boots, left_bus: how often it had been stopped and had started, and this computer had left the bus.
+    has_stood: bits of a result were on at its begin; they are from an earlier search, or from another mode.
+    is_here: the reference is the present position, and becomes 0: there is no search whose begin could be seen."""
+
+    node: BusDrive
+    stops: int
+    boots: int
+    left_bus: int
+    has_stood: bool
+    since_ns: int
+    is_here: bool
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether a result that the drive shows is that of this search."""
+        node = self.node
+        return not self.has_stood or node.unresolved_ns > self.since_ns or self._is_found_at_once
+
+    @property
+    def _is_found_at_once(self) -> bool:
+        node = self.node
+        return self.is_here and node.demand == 0 and node.status & _RESULT == states.ACKNOWLEDGED
+
+    @property
+    def has_failed(self) -> bool:
+        return bool(self.interruption_text()) or self.node.state is not DriveState.ENABLED
+
+    @property
+    def is_attained(self) -> bool:
+        status = self.node.status
+        return self.is_fresh and bool(status & states.ACKNOWLEDGED and status & states.TARGET_REACHED)
+
+    def interruption_text(self) -> str:
+        """Return what has ended it from outside; empty: nothing."""
+        if self.node.stops != self.stops:
+            return "it was stopped"
+        if self.node.boots != self.boots:
+            return "it was switched off and on"
+        if self.node.left_bus != self.left_bus:
+            return "this computer has left the bus (bus-off)"
+        return ""
+
+    async def wait_for_result(self) -> bool:
+        """Wait until it has succeeded or failed; return whether it has begun."""
+        node = self.node
+        await node.wait_until(
+            lambda: self.has_failed or not node.status & states.TARGET_REACHED, node.clock.now_ns() + _SEEN_NS
+        )
+        await node.wait_until(
+            lambda: self.has_failed or self.is_fresh or node.moved_ns > self.since_ns, node.clock.now_ns() + _BEGIN_NS
+        )
+        has_begun = self.is_fresh or node.moved_ns > self.since_ns
+        await node.wait_until(
+            lambda: self.has_failed or self.is_attained or (self.is_fresh and bool(node.status & states.MODE_ERROR)),
+            node.clock.now_ns() + (_LONGEST_NS if has_begun else 0),
+        )
+        return has_begun
 
 
 class Cia402ManualMotion:
@@ -117,58 +181,35 @@ class Cia402ManualMotion:
 
     async def _run_search(self, found: Callable[[str], None]) -> Mapping[str, Refusal]:
         node = self._node
-        stops, boots, left_bus = node.stops, node.boots, node.left_bus
-        # Bits that stand from an earlier search, or from another mode, are not the result of this one.
-        has_stood, since_ns = bool(node.status & _RESULT), node.clock.now_ns()
+        search = HomingSearch(
+            node,
+            stops=node.stops,
+            boots=node.boots,
+            left_bus=node.left_bus,
+            has_stood=bool(node.status & _RESULT),
+            since_ns=node.clock.now_ns(),
+            is_here=homing_method(self._axis) in _HERE,
+        )
         node.send_control(states.ENABLE | states.NEW_SET_POINT)
-
-        def is_fresh() -> bool:
-            return not has_stood or node.unresolved_ns > since_ns or self._is_found_at_once
-
-        def has_failed() -> bool:
-            return (
-                node.stops != stops
-                or node.boots != boots
-                or node.left_bus != left_bus
-                or node.state is not DriveState.ENABLED
-            )
-
-        def is_attained() -> bool:
-            return is_fresh() and bool(node.status & states.ACKNOWLEDGED and node.status & states.TARGET_REACHED)
-
-        await node.wait_until(
-            lambda: has_failed() or not node.status & states.TARGET_REACHED, node.clock.now_ns() + _SEEN_NS
-        )
-        await node.wait_until(
-            lambda: has_failed() or is_fresh() or node.moved_ns > since_ns, node.clock.now_ns() + _BEGIN_NS
-        )
-        has_begun = is_fresh() or node.moved_ns > since_ns
-        await node.wait_until(
-            lambda: has_failed() or is_attained() or (is_fresh() and bool(node.status & states.MODE_ERROR)),
-            node.clock.now_ns() + (_LONGEST_NS if has_begun else 0),
-        )
-        is_reference_attained = not has_failed() and is_attained()
+        has_begun = await search.wait_for_result()
+        is_reference_attained = not search.has_failed and search.is_attained
         if is_reference_attained:
-            await self._move_to_reference(stops)
-        if is_reference_attained and not has_failed() and (node.demand == 0 or not self._returns_to_reference):
+            await self._move_to_reference(search.stops)
+        if is_reference_attained and not search.has_failed and (node.demand == 0 or not self._returns_to_reference):
             node.moved_ns = node.running_ns = 0  # it is at rest; the change of its position was the new origin
             found(self._name)
             return {}
-        if node.stops != stops:
-            reason = "it was stopped"
-        elif node.boots != boots:
-            reason = "it was switched off and on"
-        elif node.left_bus != left_bus:
-            reason = "this computer has left the bus (bus-off)"
-        elif node.state is not DriveState.ENABLED:
+        reason = search.interruption_text()
+        if not reason and node.state is not DriveState.ENABLED:
             reason = f"it is {node.state.value}: {node.fault_text()}"
             # A status can be wrong.
             self._power.write_stop(abort=False)
-        elif not has_begun:
-            reason = "the drive does not begin its search, and still shows the result of an earlier one"
-            node.send_control(states.ENABLE)
-        else:
-            reason = "the drive reports that its homing has failed, or does not return to its reference"
+        elif not reason:
+            reason = (
+                "the drive reports that its homing has failed, or does not return to its reference"
+                if has_begun
+                else "the drive does not begin its search, and still shows the result of an earlier one"
+            )
             node.send_control(states.ENABLE)
         text = f"axis {self._name} has not found its reference: {reason}"
         return {self._name: Refusal("homing-failed", text, "check its switches, and `homing.method`")}
@@ -177,13 +218,6 @@ class Cia402ManualMotion:
     def _returns_to_reference(self) -> bool:
         """Return whether the axis finally moves to its reference; not from the edge of a limit switch."""
         return homing_method(self._axis) not in _AT_LIMITS
-
-    @property
-    def _is_found_at_once(self) -> bool:
-        """Return whether the reference is the present position, and has become 0: there is no search whose begin could
-        be seen."""
-        status = self._node.status & _RESULT
-        return homing_method(self._axis) in _HERE and self._node.demand == 0 and status == states.ACKNOWLEDGED
 
     async def _move_to_reference(self, stops: int) -> None:
         """Return to the reference: the drive stops after the edge or index that it has found."""

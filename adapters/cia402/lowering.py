@@ -5,13 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 
+from adapters.cia402.canopen.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
 from adapters.cia402.costs import full_frame_ns, stream_ns, sync_ns
-from adapters.cia402.course import SetpointTrajectory
 from adapters.cia402.fleetaxes import POSITION_MAX, axis_bounds, drive_units, needs_stream, only_axis
-from adapters.cia402.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.shape import DriveTrapezoid, fit_trapezoid
-from adapters.cia402.switching import NOTHING_SWITCHED, OutputSchedule, SwitchedPoint, SyncPoint
+from adapters.cia402.shapes.course import SetpointTrajectory
+from adapters.cia402.shapes.switching import NOTHING_SWITCHED, OutputSchedule, SwitchedPoint, SyncPoint
+from adapters.cia402.shapes.trapezoid import DriveTrapezoid, fit_trapezoid
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.toolkit.path_error import path_error_counts
 from adapters.toolkit.wired_points import find_driven_output

@@ -5,14 +5,15 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.cia402 import eds, fleetaxes, states
-from adapters.cia402.bus import RPDO, SDO_REQUEST
+from adapters.cia402 import eds, fleetaxes
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.bus import RPDO, SDO_REQUEST
+from adapters.cia402.canopen.objects import CONTROLWORD, OUTPUTS
+from adapters.cia402.canopen.sdo import download_request
 from adapters.cia402.decoder import Cia402Decoder
 from adapters.cia402.driver import Cia402Driver
-from adapters.cia402.objects import CONTROLWORD, OUTPUTS
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import quick_stop_by_sdo
-from adapters.cia402.sdo import download_request
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.link.can import CanFrame, encode_frames

@@ -10,12 +10,12 @@ positions that are under way do not enable a drive that was stopped.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from adapters.cia402 import objects as o
-from adapters.cia402.bus import RPDO, TPDO
-from adapters.cia402.objects import DictionaryObject
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.bus import RPDO, TPDO
+from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.sdo import SdoAborted, SdoClient
+from adapters.cia402.canopen.words import NOT_THERE, WRONG_STATE, abort_text
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.sdo import SdoAborted, SdoClient
-from adapters.cia402.words import NOT_THERE, WRONG_STATE, abort_text
 from orchestrator.model.errors import ControllerFault, TuttiError
 
 _OFF = 1 << 31

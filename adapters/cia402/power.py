@@ -7,12 +7,12 @@ stop is completed: at rest a quick stop follows, which cancels the set-point, an
 import asyncio
 from contextlib import suppress
 
-from adapters.cia402 import states
-from adapters.cia402.bus import SDO_REQUEST
-from adapters.cia402.node import BusDrive
-from adapters.cia402.objects import CONTROLWORD, FOLLOWED, PROFILE_POSITION_MODE
-from adapters.cia402.sdo import download_request
-from adapters.cia402.states import NEXT, DriveState
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.bus import SDO_REQUEST
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.objects import CONTROLWORD, FOLLOWED, PROFILE_POSITION_MODE
+from adapters.cia402.canopen.sdo import download_request
+from adapters.cia402.canopen.states import NEXT, DriveState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame

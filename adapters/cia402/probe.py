@@ -3,11 +3,11 @@
 from contextlib import suppress
 from dataclasses import dataclass
 
-from adapters.cia402 import objects as o
-from adapters.cia402.node import BusDrive
-from adapters.cia402.objects import DictionaryObject, point_bit
-from adapters.cia402.sdo import SdoAborted, bus_off_fault
-from adapters.cia402.words import NOT_THERE
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.objects import DictionaryObject, point_bit
+from adapters.cia402.canopen.sdo import SdoAborted, bus_off_fault
+from adapters.cia402.canopen.words import NOT_THERE
 from adapters.contract import HostInterval, LatchedPosition
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed

@@ -7,8 +7,8 @@ into this computer.
 
 from collections.abc import Sequence
 
+from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.costs import full_frame_ns
-from adapters.cia402.node import BusDrive
 from adapters.cia402.options import Cia402Options
 from adapters.contract import SampledPositions, SamplingPlan
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US

@@ -2,19 +2,19 @@
 
 from fractions import Fraction
 
-from adapters.cia402 import objects as o
 from adapters.cia402 import pdo
-from adapters.cia402.bus import NMT_PRE_OPERATIONAL, NMT_START, OPERATIONAL
-from adapters.cia402.eds import DriveProduct
-from adapters.cia402.fleetaxes import drive_units, only_axis, ramp_in_units
-from adapters.cia402.node import BusDrive
-from adapters.cia402.objects import DictionaryObject
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.bus import NMT_PRE_OPERATIONAL, NMT_START, OPERATIONAL
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.sdo import SdoAborted
+from adapters.cia402.canopen.states import NEW_SET_POINT, QUICK_STOP, DriveState
+from adapters.cia402.canopen.words import NOT_THERE
+from adapters.cia402.eds import DriveProduct, read_product
+from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, only_axis, ramp_in_units
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.sdo import SdoAborted
-from adapters.cia402.shape import WORD_MAX
-from adapters.cia402.starts import SyncScheduler
-from adapters.cia402.states import NEW_SET_POINT, QUICK_STOP, DriveState
-from adapters.cia402.words import NOT_THERE
+from adapters.cia402.shapes.trapezoid import WORD_MAX
+from adapters.cia402.sync.starts import SyncScheduler
 from adapters.contract import ControllerIdentity
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.can import CanFrame
@@ -258,3 +258,21 @@ async def _read_optional_text(node: BusDrive, obj: DictionaryObject) -> str:
 
 def _mismatch_fault(node: BusDrive, text: str, remedy: str) -> ControllerFault:
     return ControllerFault("config-mismatch", f"{node.name}: {text}", remedy)
+
+
+async def load_soft_limits(node: BusDrive, pair: tuple[int, int] | None) -> None:
+    """Load 607Dh; the whole range for an axis whose position is unknown."""
+    low, high = (-POSITION_MAX, POSITION_MAX) if pair is None else pair
+    for obj, value in ((o.LIMIT_LOW, low), (o.LIMIT_HIGH, high)):
+        node.held[obj] = value
+        if not await load_optional(node, obj, value):
+            del node.held[obj]
+            node.log.info(f"the drive has no {obj}: the limits of the axis are kept by plans and jogs alone")
+
+
+def require_product(path: str, config: Controller, options: Cia402Options) -> DriveProduct:
+    """Return the product in the EDS of that path. Raises `ControllerFault`."""
+    try:
+        return read_product(path, config, options)
+    except ValueError as error:
+        raise ControllerFault("config-mismatch", str(error), "correct `options.eds`, or remove it") from None

@@ -5,11 +5,11 @@ from dataclasses import replace
 from itertools import pairwise
 from math import ceil
 
+from adapters.cia402.canopen.objects import point_bit
 from adapters.cia402.costs import full_frame_ns, sync_ns
 from adapters.cia402.lowering import BusTimes, Cia402Lowered
-from adapters.cia402.objects import point_bit
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.switching import EdgeTimes, OutputSchedule, SwitchedPoint
+from adapters.cia402.shapes.switching import EdgeTimes, OutputSchedule, SwitchedPoint
 from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.duration import format_ns

@@ -7,12 +7,12 @@ before each step; all objects are read in turn at rest, by SDO.
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from adapters.cia402 import objects as o
-from adapters.cia402.node import BusDrive
-from adapters.cia402.objects import DictionaryObject
+from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.sdo import SdoAborted
+from adapters.cia402.canopen.words import NOT_THERE, WRONG_STATE
 from adapters.cia402.pdo import PdoMapping, parameter_values, pdo_value
-from adapters.cia402.sdo import SdoAborted
-from adapters.cia402.words import NOT_THERE, WRONG_STATE
 from adapters.contract import SettingDifference
 from orchestrator.model.errors import Refusal
 

@@ -3,8 +3,8 @@
 from adapters.galil.models import MAX_AXES, GalilFamily, identify_family
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.program import program_lines
-from adapters.yaskawa.common.record import RecordFormat
-from adapters.yaskawa.common.session import CommandSession
+from adapters.yaskawa.wire.record import RecordFormat
+from adapters.yaskawa.wire.session import CommandSession
 
 
 class GalilDevice(SmcDevice):

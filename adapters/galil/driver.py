@@ -16,9 +16,9 @@ from adapters.galil.device import GalilDevice
 from adapters.galil.models import DMC21X3, DMC40X0, MAX_AXES
 from adapters.galil.options import GalilOptions
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
-from adapters.yaskawa.common.model import ModelTraits
-from adapters.yaskawa.common.record import AXIS_LETTERS, RECORD_LETTERS
+from adapters.yaskawa.shapes.model import ModelTraits
 from adapters.yaskawa.smc4000.driver import SMC4000Driver, SMC4000Make
+from adapters.yaskawa.wire.record import AXIS_LETTERS, RECORD_LETTERS
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
 

@@ -8,8 +8,8 @@ identification and number of axes in `connected`, largest acceleration), tmtsoft
 import re
 from dataclasses import dataclass, replace
 
-from adapters.yaskawa.common.model import SMC4000, ModelTraits
-from adapters.yaskawa.common.record import RecordFormat
+from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
+from adapters.yaskawa.wire.record import RecordFormat
 from orchestrator.model.errors import ControllerFault
 
 MAX_AXES = 4

@@ -261,7 +261,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
         return self.connection.state.output_lock
 
     def _save_token(self, session: PpSmcSession) -> None:
-        if session.restarted:
-            self._restarted, session.restarted = True, False
+        if session.batches.restarted:
+            self._restarted, session.batches.restarted = True, False
             self._log.warning("the controller was restarted: its volatile state is lost")
             self._crystal.discard_moves()

@@ -81,10 +81,10 @@ async def home_axes(
             await sleep_ns(clock, _POLL_NS)
             look = await unit.read_state()
             for search in _ended_searches(
-                begun_searches, look, clock.now_ns(), lost=look.is_blocked or unit.session.restarted
+                begun_searches, look, clock.now_ns(), lost=look.is_blocked or unit.session.batches.restarted
             ):
                 failure = await _search_failure(unit, search, look)
-                if failure == "" or clock.now_ns() > search.begun_ns + _READY_LAG_NS or unit.session.restarted:
+                if failure == "" or clock.now_ns() > search.begun_ns + _READY_LAG_NS or unit.session.batches.restarted:
                     begun_searches.remove(search)
                     if failure:
                         text = f"axis {search.axis} has not found its reference: {failure}"
@@ -176,7 +176,7 @@ def _search_speeds(axis: Axis) -> tuple[int, int, int, int]:
 async def _search_failure(unit: PpSmcState, search: _ReferenceSearch, look: PpSmcReading) -> str:
     """Return the failure of a search whose axis is at rest; "" when it has found its reference."""
     motor, bits = search.motor, look.bits[search.motor]
-    if unit.session.restarted:
+    if unit.session.batches.restarted:
         return "the controller was restarted"
     if unit.stops.stop_count(motor) != search.stops or look.is_blocked:
         return "it was stopped"

@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 from adapters.ppsmc import fleetaxes
+from adapters.ppsmc.batches import PpSmcLine, TokenReply
 from adapters.ppsmc.lines import switch_text, wait_text
 from adapters.ppsmc.lowering import PpSmcAxisMove, PpSmcLowered
 from adapters.ppsmc.options import PpSmcOptions
@@ -20,7 +21,6 @@ from adapters.ppsmc.replies import (
     parse_entries,
     parse_settings,
 )
-from adapters.ppsmc.session import PpSmcLine, TokenReply
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
 from adapters.ppsmc.watch import require_settings
 from orchestrator.model.errors import Refusal

@@ -7,10 +7,11 @@ from pydantic import BaseModel
 
 from adapters.contract import DriverSetup, ExamplePlace, require_no_problems, validate_options
 from adapters.ppsmc import fleetaxes
+from adapters.ppsmc.batches import EOL
 from adapters.ppsmc.decoder import PpSmcDecoder
 from adapters.ppsmc.driver import PpSmcDriver
 from adapters.ppsmc.options import PpSmcOptions
-from adapters.ppsmc.session import EOL, SPOILER
+from adapters.ppsmc.session import SPOILER
 from adapters.toolkit.frames import FrameDecoder
 from orchestrator.model.fleet import Controller
 from orchestrator.model.plugins import API_VERSION

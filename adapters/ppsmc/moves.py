@@ -1,10 +1,9 @@
 """One move of a controller: loaded, checked, started by one command at an instant or by an input, followed to its
 end."""
 
-import asyncio
 from collections.abc import Mapping
 
-from adapters.contract import HostInterval, MoveOutcome, TimedWrite, WriteResult
+from adapters.contract import HostInterval, MoveOutcome
 from adapters.ppsmc import loading
 from adapters.ppsmc.ending import PpSmcEndTimes
 from adapters.ppsmc.lowering import PpSmcLowered
@@ -17,21 +16,17 @@ from adapters.ppsmc.replies import (
     ASK_PROGRAM,
     ASK_STATUS,
     ASK_TARGETS,
-    FormattedQuery,
 )
-from adapters.ppsmc.session import EOL, PendingBatch, PpSmcSession, as_refusal
+from adapters.ppsmc.session import as_refusal
+from adapters.ppsmc.start_write import PpSmcStartWrite
 from adapters.ppsmc.starting import PpSmcStarts
 from adapters.ppsmc.step import LoadedMove
 from adapters.ppsmc.unitstate import PpSmcState
 from adapters.toolkit.driven_output import DrivenOutput
-from adapters.toolkit.firing import missed_write_fault
 from adapters.toolkit.host_start import (
     MoverTools,
-    cancelled_write_fault,
     moving_intervals,
-    require_time_left,
     unmoved_outcome,
-    wait_for_write,
 )
 from adapters.toolkit.wired_points import WiredInput
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -43,16 +38,13 @@ class PpSmcMover:
     def __init__(self, options: PpSmcOptions, tools: MoverTools, unit: PpSmcState, settle_ns: int) -> None:
         self._options = options
         self._clock = tools.clock
-        self._timed_writer = tools.timed_writer
         self._unit = unit
+        self._session = unit.session
+        self._start_write = PpSmcStartWrite(options, tools, unit.session)
         self._starts = PpSmcStarts(options, tools.clock, unit)
         self._end_times = PpSmcEndTimes(options, tools, unit, settle_ns)
         self._output: DrivenOutput[PpSmcOutput] | None = None  # the last output that a step drove
         self.move: LoadedMove | None = None
-
-    @property
-    def _session(self) -> PpSmcSession:
-        return self._unit.session
 
     # Before the start
 
@@ -133,7 +125,7 @@ class PpSmcMover:
             async with self._session.exclusive_lock():
                 if self.move is not move:
                     raise Refusal("stopped", "a stop came before the start", "")
-                self._schedule_write(move, line, start_tolerance_ns)
+                self._start_write.schedule_line(move, line, start_tolerance_ns)
         move.released = True
 
     async def _begin_wait(self, move: LoadedMove, wait: WiredInput) -> None:
@@ -167,26 +159,12 @@ class PpSmcMover:
                 "move all axes of the controller off their limit switches, or set `iel1` there",
             )
 
-    def _schedule_write(self, move: LoadedMove, line: str, start_tolerance_ns: int) -> None:
-        at_ns = move.t0_ns - self._session.wire_ns(len(line + EOL)) - move.lowered.lead_ns
-        latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns)
-        require_time_left(self._clock.now_ns(), at_ns)
-        queries: list[FormattedQuery] = [ASK_STATUS, ASK_POSITIONS]
-        if move.output is not None:
-            queries.append(ASK_OUTPUTS)
-        self._session.keep_quiet(latest_ns, at_ns)
-        move.pending = self._session.expect_batch((line,), queries, latest_ns)
-        move.order = self._timed_writer.schedule_write(self._session.link, move.pending.data, at_ns, latest_ns)
-        if move.output is not None:
-            edge_ns = move.lowered.edge_window_ns[1]
-            move.output.follow_write(move.order, move.t0_ns + edge_ns + move.output.port.drive.active_ns)
-
     async def unload_move(self) -> None:
         """Cancel the timed write, end a waiting program, and empty the buffers. Never starts a move."""
         move, self.move = self.move, None
         is_written = False
         if move is not None:
-            is_written = not self._cancel_start(move) and move.order is not None
+            is_written = not self._start_write.cancel_start(move) and move.order is not None
         if move is not None and move.released and (move.waits_for_input or is_written):
             # A waiting program, or a command written this very moment: it ends before anything is unloaded.
             self._unit.write_stop("q")
@@ -221,7 +199,7 @@ class PpSmcMover:
         """Drop the move: the controller has lost it, or the connection ends."""
         move, self.move = self.move, None
         if move is not None:
-            self._cancel_start(move)
+            self._start_write.cancel_start(move)
         if self._output is not None:
             self._output.drop_output()
             self._output = None
@@ -240,19 +218,8 @@ class PpSmcMover:
         move.stopped_ns = at_ns
         if move.output is not None:
             move.output.drop_output()
-        if self._cancel_start(move) or not move.released:
+        if self._start_write.cancel_start(move) or not move.released:
             self.move = None
-
-    def _cancel_start(self, move: LoadedMove) -> bool:
-        """Cancel the timed write; return whether no axis has started or will start."""
-        if move.order is None or not move.order.cancel_write():
-            return False
-        move.cancelled = True
-        if move.pending is not None:
-            self._session.remove_expected(move.pending)
-            move.pending.answer.set_failure(cancelled_write_fault())
-        self._session.end_quiet()
-        return not move.waits_for_input
 
     # After the start
 
@@ -271,7 +238,7 @@ class PpSmcMover:
             raise
 
     async def _start_intervals(self, move: LoadedMove) -> Mapping[str, HostInterval]:
-        write = None if move.order is None else await self._wait_for_write(move, move.order)
+        write = None if move.order is None else await self._start_write.wait_for_write(move, move.order)
         if move.lowered.moves and move.lowered.wait is not None:
             start = await self._starts.line_start(move, move.lowered.wait)
         elif write is not None and move.lowered.moves and move.pending is not None:
@@ -279,29 +246,9 @@ class PpSmcMover:
         else:
             start = HostInterval(move.t0_ns, move.t0_ns)
         if move.output is not None and move.pending is not None:
-            await self._require_edge(move, move.output.port, move.pending)
+            await self._start_write.require_edge(move, move.output.port, move.pending)
         move.started = start
         return moving_intervals(move.lowered.durations_s, start, move.t0_ns)
-
-    async def _wait_for_write(self, move: LoadedMove, order: TimedWrite) -> WriteResult:
-        write = await wait_for_write(order, lambda: move.cancelled)
-        if write.late:
-            if move.pending is not None:
-                self._session.remove_expected(move.pending)
-            raise missed_write_fault("the starting command", self._session.link, write)
-        if move.pending is not None:
-            self._session.record_write(move.pending, write.written_ns)
-        self._session.end_quiet()
-        return write
-
-    async def _require_edge(self, move: LoadedMove, output: PpSmcOutput, pending: PendingBatch) -> None:
-        """Raise `ControllerFault` when the output was not switched; a lost answer proves nothing."""
-        try:
-            reply = await asyncio.shield(pending.answer.future)
-        except ControllerFault:
-            return
-        if move.stopped_ns is None:
-            output.require_switched(int(reply.first_text(ASK_OUTPUTS)))
 
     async def wait_for_end(self) -> MoveOutcome:
         """Watch the axes until they are at rest. In closed loop they may make further moves after the planned one."""

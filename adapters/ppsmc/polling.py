@@ -62,7 +62,7 @@ class PpSmcPoller:
                 self._inputs = port_levels(int(reply.first_text(ASK_INPUTS)))
             if ASK_OUTPUTS in reply:
                 self._outputs = port_levels(int(reply.first_text(ASK_OUTPUTS)))
-        if session.restarted:
+        if session.batches.restarted:
             raise ControllerRestarted()
         faults = _controller_faults(look)
         axes = {name: self._read_axis(name, look, errors, actual, measured_motors) for name in self._motors}

@@ -10,67 +10,18 @@ only `?s` and `?p` (L1404): those are queried without a token then.
 import asyncio
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from functools import partial
 
 from adapters.contract import NULL_LOG
-from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, ASK_USER_STATUS, FormattedQuery, StatusBits, parse_states
-from adapters.toolkit.pending_reply import PendingReply
+from adapters.ppsmc.batches import EOL, LONGEST_ANSWER, BatchQueue, PpSmcLine, TokenReply, blocked_fault
+from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, FormattedQuery, StatusBits, parse_states
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 
-EOL = "\r\n"
 # Ends a half-typed line without completing it: `goto1:5` must not become a command by this session's line end.
 SPOILER = "!"
-_FIRST_TOKEN = 1_000_000  # not a port byte, and not a value that a user would choose
-_LAST_TOKEN = 2_000_000_000
-_MOST_LINES = 5000
 _LINES_AT_MOST = 14  # of an exchange with queries only
-_LONGEST_ANSWER = 120  # characters of one answer, for its transmission time on a serial line
 _DELIMITERS = re.compile(r"[\r\n]")
-
-
-@dataclass(frozen=True, slots=True)
-class PpSmcLine:
-    """A received line. at_ns: host time when its end was taken from the operating system."""
-
-    text: str
-    at_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class TokenReply:
-    """The answers to a batch, by query, and all of its lines. written_ns: when the batch was handed over (at the
-    latest)."""
-
-    answers: dict[str, list[PpSmcLine]]
-    written_ns: int
-    all_lines: list[PpSmcLine]
-
-    def first_line(self, query: FormattedQuery) -> PpSmcLine:
-        return self.answers[query.text][0]
-
-    def first_text(self, query: FormattedQuery) -> str:
-        return self.first_line(query).text
-
-    def reply_texts(self, query: FormattedQuery) -> list[str]:
-        return [line.text for line in self.answers[query.text]]
-
-    def __contains__(self, query: FormattedQuery) -> bool:
-        return query.text in self.answers
-
-
-@dataclass(slots=True)
-class PendingBatch:
-    """A batch whose answers are outstanding. wait_ns: their timeout after the write."""
-
-    token: str
-    queries: tuple[FormattedQuery, ...]
-    data: bytes
-    written_ns: int
-    wait_ns: int
-    answer: PendingReply[TokenReply] = field(default_factory=PendingReply[TokenReply])
 
 
 class PpSmcSession:
@@ -78,7 +29,6 @@ class PpSmcSession:
 
     slow_ns: the slowest execution of one command.
     token: the last token of an earlier connection, 0 without any.
-    restarted: the controller has lost the token; stays set until it is handled.
     greeting: the controller's first message.
     """
 
@@ -87,20 +37,13 @@ class PpSmcSession:
         self.log = NULL_LOG
         self.greeting = ""
         self.blocked = False
-        self.restarted = False
-        self._known = token > 0
         self._clock = clock
         self._answer_ns = answer_ns
         self._slow_ns = slow_ns
-        self._token = max(token, _FIRST_TOKEN)
         self._turn = asyncio.Lock()
-        self._pending: dict[str, PendingBatch] = {}
-        self._lost: set[str] = set()
-        self._received_lines: list[PpSmcLine] = []
+        self.batches = BatchQueue(link, clock, answer_ns, slow_ns, token)
         self._plain: asyncio.Event | None = None
         self._partial_line = ""
-        self._out_of_step = True  # the previous traffic is unknown
-        self._closed: LinkClosed | None = None
         self._quiet = (0, 0)
         self._reader = asyncio.get_running_loop().create_task(self._read_lines())
 
@@ -112,7 +55,7 @@ class PpSmcSession:
     @property
     def last_token(self) -> int:
         """The last token that may have been written: the answer to `?us` as long as the controller is not restarted."""
-        return self._token
+        return self.batches.last_token
 
     # Exchanges
 
@@ -127,7 +70,7 @@ class PpSmcSession:
         except ControllerFault as error:
             if error.code == "blocked":
                 raise
-            self._out_of_step = True
+            self.batches.out_of_step = True
             self.log.warning(f"the exchange is repeated: {error.text}", code=error.code)
         return await self.send_once(commands, *queries)
 
@@ -147,10 +90,7 @@ class PpSmcSession:
         """Handle a `block` under way: it clears the controller's command buffers (L1409), and outstanding queries stay
         unanswered."""
         self.blocked = True
-        for pending in list(self._pending.values()):
-            self.remove_expected(pending)
-            self._lost.add(pending.token)
-            pending.answer.set_failure(_blocked_fault(self.link.endpoint))
+        self.batches.fail_blocked()
 
     async def query_blocked(self) -> tuple[PpSmcLine, PpSmcLine]:
         """Query `?s` and `?p`, which a blocked controller answers, too; repeated, because an arriving block clears even
@@ -170,7 +110,7 @@ class PpSmcSession:
         async with self._turn:
             self._write_lines("unblock", "unlock")
             self.blocked = False
-            self._out_of_step = True
+            self.batches.out_of_step = True
 
     async def send_raw(self, command: str) -> str:
         """Send any command, and return whatever the reply is."""
@@ -181,10 +121,10 @@ class PpSmcSession:
                 await sleep_ns(self._clock, self._slow_ns)
                 return ""
             await self._synchronise()
-            pending = self._build_batch((command,), ())
+            pending = self.batches.build_batch((command,), ())
             self.link.write(pending.data)
             reply = await pending.answer.future
-            self._out_of_step = True  # it may have changed the delimiters of answers
+            self.batches.out_of_step = True  # it may have changed the delimiters of answers
             return "\n".join(line.text for line in reply.all_lines[:-1])
 
     def write_at_once(self, *commands: str) -> int:
@@ -192,33 +132,13 @@ class PpSmcSession:
         whole, so that this is always at the beginning of a line."""
         return self._write_lines(*commands)
 
-    def expect_batch(
-        self, commands: Sequence[str], queries: Sequence[FormattedQuery], written_by_ns: int
-    ) -> PendingBatch:
-        """Expect the answers to a batch whose `data` another writer writes by that instant."""
-        return self._build_batch(commands, queries, written_by_ns)
-
-    def record_write(self, pending: PendingBatch, at_ns: int) -> None:
-        """Record when the expected batch was written."""
-        pending.written_ns = at_ns
-        if pending.token in self._pending:
-            pending.answer.cancel_timeout()
-            pending.answer.timer = self._clock.call_at_ns(
-                at_ns + pending.wait_ns, partial(self._handle_timeout, pending)
-            )
-
-    def remove_expected(self, pending: PendingBatch) -> None:
-        """Remove an expected batch that was never written."""
-        pending.answer.cancel_timeout()
-        self._pending.pop(pending.token, None)
-
     def exclusive_lock(self) -> asyncio.Lock:
         """Return the lock for exclusive use of the connection."""
         return self._turn
 
     def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
         """Begin no exchange that would still be executed when another writer writes, at `line_at_ns`."""
-        self._quiet = (line_at_ns - _LINES_AT_MOST * self._slow_ns - self.wire_ns(4 * _LONGEST_ANSWER), until_ns)
+        self._quiet = (line_at_ns - _LINES_AT_MOST * self._slow_ns - self.wire_ns(4 * LONGEST_ANSWER), until_ns)
 
     def end_quiet(self) -> None:
         self._quiet = (0, 0)
@@ -232,26 +152,8 @@ class PpSmcSession:
     def _write_lines(self, *commands: str) -> int:
         return self.link.write("".join(command + EOL for command in commands).encode())
 
-    def _build_batch(
-        self, commands: Sequence[str], queries: Sequence[FormattedQuery], written_ns: int | None = None
-    ) -> PendingBatch:
-        if self._closed is not None:
-            raise self._closed
-        self._token = self._token + 1 if self._token < _LAST_TOKEN else _FIRST_TOKEN
-        token = str(self._token)
-        lines = [*commands, *(query.text for query in queries), "?us", f"us{token}", "?us"]
-        data = "".join(line + EOL for line in lines).encode()
-        since_ns = self._clock.now_ns() if written_ns is None else written_ns
-        answers = sum(20 if query.form.many else 1 for query in queries)
-        wait_ns = self._answer_ns + len(lines) * self._slow_ns + self.wire_ns(len(data) + answers * _LONGEST_ANSWER)
-        earlier_count = sum(pending_reply.written_ns <= since_ns for pending_reply in self._pending.values())
-        wait_ns += (earlier_count + 1) * self._slow_ns * 10
-        pending = self._pending[token] = PendingBatch(token, tuple(queries), data, since_ns, wait_ns)
-        pending.answer.timer = self._clock.call_at_ns(since_ns + wait_ns, partial(self._handle_timeout, pending))
-        return pending
-
     async def _run_batch(self, commands: Sequence[str], queries: Sequence[FormattedQuery]) -> TokenReply:
-        pending = self._build_batch(commands, queries)
+        pending = self.batches.build_batch(commands, queries)
         self.link.write(pending.data)
         try:
             return await pending.answer.future
@@ -265,12 +167,12 @@ class PpSmcSession:
         while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
             await sleep_ns(self._clock, NS_PER_MS)
         if self.blocked:
-            raise _blocked_fault(self.link.endpoint)
-        if self._out_of_step:
+            raise blocked_fault(self.link.endpoint)
+        if self.batches.out_of_step:
             # End a half-typed line (each TCP connection has its own line buffer), then set the delimiters.
             spoiler = (SPOILER,) if self.link.char_ns else ()
             await self._run_batch((*spoiler, "txdel3", "echo0"), ())
-            self._out_of_step = False
+            self.batches.out_of_step = False
             self.log.info("the session is synchronised", place=self.link.endpoint)
 
     async def _detect_block(self, error: ControllerFault) -> None:
@@ -280,51 +182,34 @@ class PpSmcSession:
             raise error from None
         if self.blocked:
             self.log.warning("the controller is blocked: a client has sent `block`")
-            raise _blocked_fault(self.link.endpoint) from None
+            raise blocked_fault(self.link.endpoint) from None
 
     async def _query_plain(self) -> tuple[PpSmcLine, PpSmcLine]:
-        self._require_open()
-        self._received_lines.clear()
+        self.batches.require_open()
+        self.batches.received_lines.clear()
         change_event = self._plain = asyncio.Event()
-        until_ns = self._clock.now_ns() + self._answer_ns + 2 * self._slow_ns + self.wire_ns(2 * _LONGEST_ANSWER)
+        until_ns = self._clock.now_ns() + self._answer_ns + 2 * self._slow_ns + self.wire_ns(2 * LONGEST_ANSWER)
         timer = self._clock.call_at_ns(until_ns, change_event.set)
         try:
             self._write_lines(ASK_STATUS.text, ASK_POSITIONS.text)
             while True:
                 await change_event.wait()
-                self._require_open()
+                self.batches.require_open()
                 change_event.clear()
-                reply_lines = [line for line in self._received_lines if ASK_POSITIONS.form.matches_text(line.text)]
+                reply_lines = [
+                    line for line in self.batches.received_lines if ASK_POSITIONS.form.matches_text(line.text)
+                ]
                 if len(reply_lines) >= 2 and ASK_STATUS.form.matches_text(reply_lines[0].text):
-                    self._received_lines.clear()
+                    self.batches.received_lines.clear()
                     self.blocked = any(
                         state_bits & StatusBits.BLOCKED for state_bits in parse_states(reply_lines[0].text).values()
                     )
                     return reply_lines[0], reply_lines[1]
                 if self._clock.now_ns() >= until_ns:
-                    raise self._no_answer(f"{ASK_STATUS.text} and {ASK_POSITIONS.text}")
+                    raise self.batches.no_answer_fault(f"{ASK_STATUS.text} and {ASK_POSITIONS.text}")
         finally:
             timer.cancel()
             self._plain = None
-
-    def _handle_timeout(self, pending: PendingBatch) -> None:
-        if self._pending.pop(pending.token, None) is None:
-            return
-        self._lost.add(pending.token)
-        self._out_of_step = True
-        first = pending.data.decode().split(EOL, 1)[0]
-        pending.answer.set_failure(self._no_answer(f"the lines from {first!r}"))
-
-    def _no_answer(self, what: str) -> ControllerFault:
-        return ControllerFault(
-            "no-answer",
-            f"no reply to {what} on {self.link.endpoint}",
-            "check power and cable; a controller that is shutting down or shows a dialogue does not answer",
-        )
-
-    def _require_open(self) -> None:
-        if self._closed is not None:
-            raise self._closed
 
     async def _read_lines(self) -> None:
         try:
@@ -338,72 +223,18 @@ class PpSmcSession:
         except LinkClosed as error:
             self._handle_link_loss(error)
 
-    def _handle_link_loss(self, error: LinkClosed) -> None:
-        self._closed = error
-        for pending in list(self._pending.values()):
-            pending.answer.set_failure(error)
-        self._pending.clear()
-        if self._plain is not None:
-            self._plain.set()
-
     def _handle_line(self, line: PpSmcLine) -> None:
-        if self._out_of_step and not self.greeting and line.text.lower().startswith("smc "):
+        if self.batches.out_of_step and not self.greeting and line.text.lower().startswith("smc "):
             self.greeting = line.text
             return
-        pending = self._pending.pop(line.text, None)
-        if pending is not None:
-            self._assign_answers(pending)
-            self._received_lines.clear()
-        elif line.text in self._lost:
-            # The end of a lost batch; or the present answer to `?us`, because that batch was executed after all.
-            self._lost.discard(line.text)
-            self._received_lines = [line]
-        else:
-            self._received_lines.append(line)
-            del self._received_lines[:-_MOST_LINES]
+        self.batches.take_line(line)
         if self._plain is not None:
             self._plain.set()
 
-    def _assign_answers(self, pending: PendingBatch) -> None:
-        """Assign the lines before the token to the queries; a line that matches none is a message (echo, L1824)."""
-        answers: dict[str, list[PpSmcLine]] = {}
-        lines_left, received_lines = list(self._received_lines), list(self._received_lines)
-        for query in (*pending.queries, ASK_USER_STATUS):
-            query_lines: list[PpSmcLine] = []
-            while lines_left:
-                if not query.form.matches_text(lines_left[0].text):
-                    if query_lines:
-                        break
-                    lines_left.pop(0)
-                    continue
-                query_lines.append(lines_left.pop(0))
-                if not query.form.many:
-                    break
-            if not query_lines and not query.form.many:
-                self._out_of_step = True
-                received_text = "; ".join(line.text for line in self._received_lines) or "nothing"
-                pending.answer.set_failure(
-                    ControllerFault(
-                        "garbage",
-                        f"asked {query.text!r} on {self.link.endpoint}, expected {query.form.words}, "
-                        f"received {received_text[:200]!r}",
-                        "check cable and ground; is the option installed that the query concerns?",
-                    )
-                )
-                return
-            answers[query.text] = query_lines
-        if answers[ASK_USER_STATUS.text][0].text == "0":
-            self.restarted = self.restarted or self._known
-        self._known = True
-        pending.answer.set_reply(TokenReply(answers, pending.written_ns, received_lines))
-
-
-def _blocked_fault(place: str) -> ControllerFault:
-    return ControllerFault(
-        "blocked",
-        f"the controller at {place} is blocked: a client has sent `block`",
-        "ensure that it may move, then unblock it with `tutti reset` (it sends `unblock`)",
-    )
+    def _handle_link_loss(self, error: LinkClosed) -> None:
+        self.batches.close(error)
+        if self._plain is not None:
+            self._plain.set()
 
 
 def as_refusal(error: ControllerFault) -> Refusal:

@@ -3,10 +3,11 @@
 import asyncio
 
 from adapters.contract import HostInterval, WriteResult
+from adapters.ppsmc.batches import EOL, PendingBatch
 from adapters.ppsmc.lowering import PpSmcAxisMove
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import ASK_POSITIONS, ASK_STATUS, StatusBits
-from adapters.ppsmc.session import EOL, PendingBatch, PpSmcSession
+from adapters.ppsmc.session import PpSmcSession
 from adapters.ppsmc.step import LoadedMove
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
 from adapters.toolkit.wired_points import WiredInput
@@ -63,7 +64,7 @@ class PpSmcStarts:
     def _require_not_restarted(self) -> None:
         """Check for a restart: a controller that was power-cycled reports another position, and is not ready at
         first."""
-        if self._session.restarted:
+        if self._session.batches.restarted:
             raise ControllerFault("not-started", "the controller restarted before its start", "home it, and try again")
 
     @staticmethod

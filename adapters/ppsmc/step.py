@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from adapters.contract import HostInterval, TimedWrite
+from adapters.ppsmc.batches import PendingBatch
 from adapters.ppsmc.lowering import PpSmcLowered
 from adapters.ppsmc.output import PpSmcOutput
-from adapters.ppsmc.session import PendingBatch
 from adapters.toolkit.driven_output import DrivenOutput
 
 

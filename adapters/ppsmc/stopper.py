@@ -3,7 +3,7 @@ concurrently."""
 
 import asyncio
 
-from adapters.ppsmc.session import EOL
+from adapters.ppsmc.batches import EOL
 from orchestrator.link.base import Link, LinkClosed, LinkRefused, OpenLink
 
 

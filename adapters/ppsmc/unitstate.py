@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from adapters.ppsmc import fleetaxes
+from adapters.ppsmc.batches import PpSmcLine
 from adapters.ppsmc.replies import (
     ASK_ERRORS,
     ASK_POSITIONS,
@@ -16,7 +17,7 @@ from adapters.ppsmc.replies import (
     parse_errors,
     parse_states,
 )
-from adapters.ppsmc.session import PpSmcLine, PpSmcSession
+from adapters.ppsmc.session import PpSmcSession
 from adapters.ppsmc.stopper import StopConnection
 from adapters.toolkit.stop_counter import StopCounter, send_or_brake
 from orchestrator.link.base import LinkClosed
@@ -163,7 +164,7 @@ class PpSmcState:
 
         def check_can_begin() -> None:
             self.stops.require_no_stop(axis, motor, since)
-            if self.session.restarted:
+            if self.session.batches.restarted:
                 raise Refusal("not-started", f"the unit was restarted before axis {axis} began", "home it first")
 
         await send_or_brake(

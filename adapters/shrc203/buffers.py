@@ -5,9 +5,9 @@ must never be cancelled before the move queued after it is overwritten, because 
 L219).
 """
 
-from adapters.shrc203.session import ShrcSession
-from adapters.shrc203.status import ERRORS
 from adapters.shrc203.wire.replies import NOT_SET, STATUS, axis_argument, parse_entries, parse_status, pulse_list
+from adapters.shrc203.wire.session import ShrcSession
+from adapters.shrc203.wire.status import ERRORS
 from orchestrator.model.errors import ControllerFault
 
 _TRIES = 2

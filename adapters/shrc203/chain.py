@@ -6,45 +6,31 @@ is written there. Every boundary is a full stop. A load that comes too late find
 in place of `OK_D` (L235): this underrun is reported, and the waiting move is started again.
 """
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from math import ceil
 
-from adapters.shrc203.fleetaxes import axis_bounds, motor_number
-from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcLine
-from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid
-from adapters.shrc203.status import ERRORS, stop_reason
+from adapters.shrc203.chain_axis import ChainAxis, ChainMove, check_chain, is_answered
+from adapters.shrc203.chain_readback import LoadReadback
+from adapters.shrc203.fleetaxes import motor_number
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import (
-    COMMAND,
     DONE,
     READY,
     REFUSALS,
     STATUS,
     AxisStatus,
     axis_argument,
-    parse_entries,
     parse_status,
-    pulse_list,
 )
+from adapters.shrc203.wire.status import ERRORS, stop_reason
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Axis, Controller
+from orchestrator.model.fleet import Controller
 
 _POLL_NS = 50 * NS_PER_MS
 _DEFERRED = "OK_D"
-_ROOM = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class ChainMove:
-    """One move of a chain. distance: pulses, signed. shape: the trapezoid that the controller executes."""
-
-    distance: int
-    shape: ShrcTrapezoid
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,48 +57,6 @@ class ChainReport:
     reason: str = ""
 
 
-@dataclass(slots=True)
-class _ChainAxis:
-    """One axis of a chain.
-
-    loaded, done: number of moves that have been written, and that have ended.
-    load: the reply to the last load command, which is `command`.
-    speeds: the speeds of that command.
-    due_ns: the latest end of the running move.
-    free: a completion line has shown that the prebuffer is free."""
-
-    name: str
-    motor: int
-    start: int
-    moves: Sequence[ChainMove]
-    loaded: int = 0
-    done: int = 0
-    speeds: str = ""
-    load: "asyncio.Future[ShrcLine] | None" = None
-    command: str = ""
-    due_ns: int = 0
-    free: bool = False
-
-    @property
-    def has_ended(self) -> bool:
-        return self.done == len(self.moves)
-
-    def next_load_command(self) -> str:
-        """Return the command that loads the next move. Speeds are omitted where they equal those of the previous move,
-        which runs or has run with them: an omitted triple means the present one (L3098), and every move sets it
-        (L3100)."""
-        move = self.moves[self.loaded]
-        speeds = f"S{move.shape.s}F{move.shape.f}R{move.shape.r}"
-        speeds_text = f",{speeds}" if speeds != self.speeds else ""
-        self.speeds = speeds
-        self.loaded += 1
-        return f"MP:{self.motor}{'-' if move.distance < 0 else '+'}P{abs(move.distance)}{speeds_text}"
-
-    def position_after(self, done: int) -> int:
-        """Return the position of the axis after `done` moves."""
-        return self.start + sum(move.distance for move in self.moves[:done])
-
-
 class MoveChain:
     """A chain on one connection, whose controller is marked as `chaining` until it has run. report_underrun: called
     with the text of every underrun. clock_ppm: largest error of the controller's crystal."""
@@ -130,7 +74,8 @@ class MoveChain:
         self._unit = unit
         self._slow = 1 + clock_ppm * 1e-6
         self._report_underrun = report_underrun
-        self._axes: dict[int, _ChainAxis] = {}
+        self._axes: dict[int, ChainAxis] = {}
+        self._readback = LoadReadback(unit.session, unit.controllable, self._axes, self._halt_chain)
         self._underruns: list[ChainUnderrun] = []
         self._least_ahead_ns: int | None = None
         self._reason = ""
@@ -157,7 +102,7 @@ class MoveChain:
                     unit.brake_motors(self._axes)
             raise
         finally:
-            unit.session.expect_no_completion()
+            unit.session.completions.expect_none()
             unit.chaining = False
         await self._check_end()
         return ChainReport(
@@ -180,7 +125,7 @@ class MoveChain:
             if states[number].word & ERRORS:
                 raise Refusal("fault", stop_reason(name, states[number]), "clear it with `tutti reset`")
             check_chain(name, axis, states[number].counts, axis_moves)
-            self._axes[number] = _ChainAxis(name, number, states[number].counts, axis_moves)
+            self._axes[number] = ChainAxis(name, number, states[number].counts, axis_moves)
         unit.jogging_motors -= set(self._axes)
         await unit.make_harmless()
         await session.send_setting(f"GC:{axis_argument(self._axes)}")
@@ -194,15 +139,15 @@ class MoveChain:
                 text = await session.set_and_echo(line)
                 if text != line:
                     raise Refusal("load-garbled", f"sent {line!r}, the controller has understood {text!r}", "try again")
-            session.expect_completions(set(self._axes), self._handle_completion)
+            session.completions.expect(set(self._axes), self._handle_completion)
             await session.send_setting(f"G:{axis_argument(self._axes)}", self._require_no_stop)
         except Refusal:
-            session.expect_no_completion()
+            session.completions.expect_none()
             await self._unit.make_harmless()
             raise
         now_ns = self._clock.now_ns()
         for thread in self._axes.values():
-            self._expect_end(thread, now_ns)
+            thread.expect_end(now_ns, self._slow)
             if thread.loaded == 1:  # a completion line may have arrived first
                 self._load_next(thread)
 
@@ -223,78 +168,35 @@ class MoveChain:
             return
         thread.done += 1
         self._record_ahead(thread, at_ns)
-        self._expect_end(thread, at_ns)
+        thread.expect_end(at_ns, self._slow)
         thread.free = True
         self._continue_loading(thread)
 
-    def _record_ahead(self, thread: _ChainAxis, at_ns: int) -> None:
+    def _record_ahead(self, thread: ChainAxis, at_ns: int) -> None:
         if thread.has_ended or thread.load is None:
             return
-        ahead_ns = at_ns - thread.load.result().at_ns if _is_answered(thread.load) else 0
+        ahead_ns = at_ns - thread.load.result().at_ns if is_answered(thread.load) else 0
         self._least_ahead_ns = ahead_ns if self._least_ahead_ns is None else min(self._least_ahead_ns, ahead_ns)
 
-    def _expect_end(self, thread: _ChainAxis, begun_ns: int) -> None:
-        if not thread.has_ended:
-            duration_s = thread.moves[thread.done].shape.duration_s
-            thread.due_ns = begun_ns + ceil(duration_s * NS_PER_S * self._slow) + COMPLETION_LATE_NS
-
-    def _load_next(self, thread: _ChainAxis) -> None:
+    def _load_next(self, thread: ChainAxis) -> None:
         """Write the next move, if there is one, without waiting for anything."""
         thread.free = False
         if thread.loaded < len(thread.moves) and not (self._is_stopped or self._reason):
             thread.command = thread.next_load_command()
             thread.load = self._unit.session.send_command(thread.command, DONE)
             thread.load.add_done_callback(lambda _: self._continue_loading(thread))
-            self._read_back(thread)
-
-    def _read_back(self, thread: _ChainAxis) -> None:
-        """Query the contents of the last loads, after the last of them; the reply arrives before the moves begin, or
-        soon after. Only distances are queried: a command with its speeds would take too long to transmit."""
-        if len(self._unit.controllable) == 1:
-            # There a distance of a few pulses would read like a completion line.
-            # of the present load: the next one may be written before the reply
-            name, command = thread.name, thread.command
-            self._unit.session.send_command("?:CMD", COMMAND).add_done_callback(
-                lambda reply: self._compare_line(reply, name, command)
-            )
-        elif all(
-            other_thread.load is None or _is_answered(other_thread.load)
-            for other_thread in self._axes.values()
-            if other_thread is not thread
-        ):
-            distances = {
-                number: axis_thread.moves[axis_thread.loaded - 1].distance for number, axis_thread in self._axes.items()
-            }
-            self._unit.session.send_command("?:MPW", pulse_list(len(self._unit.controllable))).add_done_callback(
-                lambda reply: self._compare_distances(reply, distances)
-            )
-
-    def _compare_line(self, reply: "asyncio.Future[ShrcLine]", name: str, command: str) -> None:
-        if _has_reply(reply) and reply.result().text.upper() != command:
-            self._halt_chain(f"axis {name}: sent {command!r}, the controller has understood {reply.result().text!r}")
-
-    def _compare_distances(self, reply: "asyncio.Future[ShrcLine]", meant: Mapping[int, int]) -> None:
-        """Compare the loaded distances. A move that has already begun, and left the prebuffer, is checked by its final
-        position."""
-        if not _has_reply(reply):
-            return
-        entries = dict(zip(self._unit.controllable, parse_entries(reply.result().text), strict=True))
-        for number, distance in meant.items():
-            if entries[number] not in (None, distance):
-                self._halt_chain(
-                    f"axis {self._axes[number].name}: {entries[number]} pulses are loaded instead of {distance}"
-                )
+            self._readback.query_loads(thread)
 
     def _halt_chain(self, reason: str) -> None:
         self._break_chain(reason)
         self._unit.brake_motors(self._axes)
         self._unit.session.changed.set()
 
-    def _continue_loading(self, thread: _ChainAxis) -> None:
+    def _continue_loading(self, thread: ChainAxis) -> None:
         """Load the next move when the prebuffer is free. This requires a completion line, and that the last load came
         in time: a load without a running move stays in the prebuffer, and must not be overwritten."""
         self._unit.session.changed.set()
-        is_taken = thread.load is None or (_is_answered(thread.load) and thread.load.result().text == _DEFERRED)
+        is_taken = thread.load is None or (is_answered(thread.load) and thread.load.result().text == _DEFERRED)
         if is_taken and thread.free:
             self._load_next(thread)
 
@@ -313,7 +215,7 @@ class MoveChain:
         elif self._reason:
             self._unit.brake_motors(self._axes)
 
-    async def _handle_unusual_reply(self, thread: _ChainAxis) -> None:
+    async def _handle_unusual_reply(self, thread: ChainAxis) -> None:
         """Handle an unusual reply to the last load."""
         load = thread.load
         if load is None or not load.done():
@@ -325,7 +227,7 @@ class MoveChain:
         elif load.result().text != _DEFERRED:
             await self._handle_underrun(thread)
 
-    async def _handle_underrun(self, thread: _ChainAxis) -> None:
+    async def _handle_underrun(self, thread: ChainAxis) -> None:
         """Handle an `OK`: no move was running when the load came. Controllers that always answer so are still busy."""
         if not await self._is_busy(thread):
             await self._restart_load(thread)
@@ -333,7 +235,7 @@ class MoveChain:
             thread.load = None
             self._continue_loading(thread)
 
-    async def _check_overdue(self, thread: _ChainAxis) -> None:
+    async def _check_overdue(self, thread: ChainAxis) -> None:
         """Check an overdue completion line: it may have been lost; the position of the axis shows that."""
         if await self._is_busy(thread):
             self._break_chain(f"axis {thread.name} exceeds the longest duration of move {thread.done + 1}")
@@ -343,20 +245,20 @@ class MoveChain:
             (n for n in range(thread.done, thread.loaded + 1) if thread.position_after(n) == state.counts), None
         )
         if done_count is None or state.word & ERRORS:
-            self._break_chain(self._stray_text(thread, state))
+            self._break_chain(thread.stray_text(state))
         elif done_count < thread.loaded:
             self._break_chain(f"axis {thread.name} does not continue, although move {thread.loaded} is loaded")
         else:
             thread.done, thread.free = done_count, True
-            self._expect_end(thread, self._clock.now_ns())
+            thread.expect_end(self._clock.now_ns(), self._slow)
             self._continue_loading(thread)
 
-    async def _restart_load(self, thread: _ChainAxis) -> None:
+    async def _restart_load(self, thread: ChainAxis) -> None:
         """Start the last load, if its axis has completed all moves before it."""
         load_number = thread.loaded
         state = await self._read_axis(thread)
         if state.counts != thread.position_after(load_number - 1) or state.word & ERRORS:
-            self._break_chain(self._stray_text(thread, state))
+            self._break_chain(thread.stray_text(state))
             return
         thread.done = load_number - 1
         self._underruns.append(ChainUnderrun(thread.name, thread.done, self._clock.now_ns()))
@@ -369,19 +271,14 @@ class MoveChain:
         except Refusal as error:
             self._break_chain(f"axis {thread.name}: {error}")
             return
-        self._expect_end(thread, self._clock.now_ns())
+        thread.expect_end(self._clock.now_ns(), self._slow)
         thread.load = None
         self._load_next(thread)
 
-    async def _read_axis(self, thread: _ChainAxis) -> AxisStatus:
+    async def _read_axis(self, thread: ChainAxis) -> AxisStatus:
         return parse_status(await self._unit.session.send_query("Q:SPC", STATUS), self._unit.controllable)[thread.motor]
 
-    def _stray_text(self, thread: _ChainAxis, now: AxisStatus) -> str:
-        return stop_reason(thread.name, now) or (
-            f"axis {thread.name} is at {now.counts}, between the positions of its chain"
-        )
-
-    async def _is_busy(self, thread: _ChainAxis) -> bool:
+    async def _is_busy(self, thread: ChainAxis) -> bool:
         return await self._unit.session.send_query(f"!:{thread.motor}S", READY) == "B"
 
     def _break_chain(self, reason: str) -> None:
@@ -409,32 +306,12 @@ class MoveChain:
             await unit.make_harmless()
 
 
-def _is_answered(load: "asyncio.Future[ShrcLine]") -> bool:
-    return load.done() and load.exception() is None
-
-
-def _has_reply(query: "asyncio.Future[ShrcLine]") -> bool:
-    """Return whether a reply has arrived; a query that was garbled in transit is refused."""
-    return _is_answered(query) and query.result().text not in REFUSALS
-
-
-def check_chain(name: str, axis: Axis, start: int, moves: Sequence[ChainMove]) -> None:
-    """Raise `Refusal` for a chain with an empty move or a move that exceeds the axis's limits."""
-    limits, soft = axis_bounds(axis), axis.soft_limits_counts
-    position = start
-    for number, move in enumerate(moves, 1):
-        shape = move.shape
-        if move.distance == 0 or abs(move.distance) != shape.distance:
-            raise Refusal(
-                "bad-move", f"axis {name}, move {number}: {move.distance} pulses with a shape of {shape.distance}"
-            )
-        if shape.peak_speed > limits.speed * (1 + _ROOM) or not limits.start_min <= shape.s <= limits.start_max:
-            raise Refusal("velocity-limit", f"axis {name}, move {number}: {shape} exceeds its speed or start rate")
-        if shape.acceleration > limits.acceleration * (1 + _ROOM):
-            raise Refusal("acceleration-limit", f"axis {name}, move {number}: {shape} exceeds its acceleration")
-        position += move.distance
-        if soft is not None and not soft[0] <= position <= soft[1]:
-            raise Refusal(
-                "soft-limit",
-                f"axis {name}, move {number} ends at {position} pulses; its soft limits are {soft[0]} to {soft[1]}",
-            )
+def require_axes(config: Controller, moves: Mapping[str, Sequence[ChainMove]]) -> None:
+    """Raise `Refusal` for an axis that the fleet file does not have, or that has no moves."""
+    wrong = [name for name, axis_moves in moves.items() if name not in config.axes or not axis_moves]
+    if wrong or not moves:
+        raise Refusal(
+            "bad-chain",
+            f"axis {wrong[0]} is unknown, or has no moves" if wrong else "a chain without axes",
+            f"give moves for some of {', '.join(config.axes)}",
+        )

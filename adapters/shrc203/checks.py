@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
-from adapters.shrc203.status import ERRORS, stop_reason
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import STATUS, axis_argument, parse_status
+from adapters.shrc203.wire.status import ERRORS, stop_reason
 from orchestrator.model.errors import Refusal
 
 
@@ -62,3 +62,11 @@ def compare_moves(lowered: ShrcLowered, found: Mapping[int, int | None]) -> None
                 f"axis {first_move.name}: {found[first_move.motor]} pulses are loaded instead of {first_move.distance}",
                 "arm it again; was the controller switched off?",
             )
+
+
+async def check_prebuffers(unit: ShrcState, lowered: ShrcLowered) -> None:
+    """Check that the prebuffers still hold the move. Raises `Refusal`."""
+    if lowered.straight is not None:
+        compare_path(lowered.straight.loaded_reply, await unit.prebuffers.read_interpolation())
+    else:
+        compare_moves(lowered, await unit.prebuffers.read_moves())

@@ -1,7 +1,7 @@
 """Upper bounds of arming, disarming and stopping, from transmitted characters and the controller's decoding time."""
 
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.session import COMPLETION_LATE_NS
+from adapters.shrc203.wire.session import COMPLETION_LATE_NS
 from adapters.toolkit.host_start import withdrawable_costs
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.state import StepCosts

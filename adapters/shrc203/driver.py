@@ -1,6 +1,5 @@
 """The driver of one SHRC-203."""
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -16,21 +15,23 @@ from adapters.contract import (
     SwitchedOutput,
 )
 from adapters.shrc203 import fleetaxes, startup
-from adapters.shrc203.chain import ChainMove, ChainReport, MoveChain
+from adapters.shrc203.chain import ChainReport, MoveChain, require_axes
+from adapters.shrc203.chain_axis import ChainMove
 from adapters.shrc203.costs import step_costs
 from adapters.shrc203.homing import home_axes
 from adapters.shrc203.jogging import ShrcJogging
 from adapters.shrc203.lowering import ConnectionTraits, ShrcLowered, lower_step
 from adapters.shrc203.moves import ShrcMover
 from adapters.shrc203.options import ShrcOptions
+from adapters.shrc203.output import ManualOutputs
 from adapters.shrc203.polling import PositionKind, ShrcPoller, read_registered
 from adapters.shrc203.pulses import require_trigger
-from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.standby import can_wait_at_rest
 from adapters.shrc203.triggers import add_trigger
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.watch import ShrcWatch
-from adapters.shrc203.wire.replies import BITS, axis_argument, flag_list
+from adapters.shrc203.wire.replies import axis_argument, flag_list
+from adapters.shrc203.wire.session import ShrcSession
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
 from adapters.toolkit.refusals import log_refusals
@@ -72,7 +73,7 @@ class ShrcDriver(
         self._char_ns = _char_ns(setup, options)
         self._costs = step_costs(options, self._char_ns)
         self._line_costs = step_costs(options, self._char_ns, line=True)
-        self._outputs = asyncio.Lock()
+        self._outputs = ManualOutputs()
         # These outlive a connection: they describe the controller that still has the sentinel.
         self._crystal = options.unread_clock()
         self._sentinel: tuple[str, str] | None = None
@@ -200,8 +201,7 @@ class ShrcDriver(
     async def stop(self, *, abort: bool) -> None:
         """Stop by `L:E`, which is never refused; or by `L:` to the axes whose motors are on, and then to each axis
         singly, because `L:` is refused for all where one motor is off (L2988)."""
-        unit = self.connection.state
-        mover = self.connection.mover
+        unit, mover = self.connection.state, self.connection.mover
         unit.stops.record_stop((1, 2, 3))
         if abort:
             lines = ["L:E"]
@@ -252,13 +252,7 @@ class ShrcDriver(
         Raises `Refusal`; then nothing has moved. report_underrun: called with the text of every underrun.
         """
         unit = self.connection.state
-        wrong = [name for name, axis_moves in moves.items() if name not in self._config.axes or not axis_moves]
-        if wrong or not moves:
-            raise Refusal(
-                "bad-chain",
-                f"axis {wrong[0]} is unknown, or has no moves" if wrong else "a chain without axes",
-                f"give moves for some of {', '.join(self._config.axes)}",
-            )
+        require_axes(self._config, moves)
         async with unit.loading:
             if self.connection.mover.is_busy:
                 raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
@@ -272,16 +266,7 @@ class ShrcDriver(
         unit = self.connection.state
         if number == fleetaxes.TRIGGER_NUMBER:
             raise Refusal("trigger-output", "the trigger output gives pulses only", "name it in `triggers` of a step")
-        if unit.session.expected_completions:
-            raise Refusal("moving", "outputs cannot be read back while an axis moves", "wait for the end of the motion")
-        if unit.driving:
-            raise Refusal(
-                "busy", "a step drives an output, and all outputs are written together", "wait for the end of the step"
-            )
-        async with self._outputs:
-            levels, bit = int(await unit.session.send_query("?:O", BITS)), 1 << (number - 1)
-            unit.outputs = levels | bit if on else levels & ~bit
-            await unit.session.send_setting(f"O:{unit.outputs}")
+        await self._outputs.set_output(unit, number, on=on)
 
     async def clear_faults(self) -> None:
         """Clear limit error, overflow error and emergency stop (L2452-L2454). The motors do not change."""
@@ -304,7 +289,7 @@ class ShrcDriver(
         session = self.connection.state.session
         if not command.isascii() or not command.isprintable():
             raise Refusal("raw-line", "a raw command is one line of printable ASCII", "send one line")
-        if session.expected_completions and command.upper().startswith(_DIGIT_QUERIES):
+        if session.completions.expected and command.upper().startswith(_DIGIT_QUERIES):
             raise Refusal(
                 "moving",
                 f"the reply to {command!r} could not be distinguished from a completion line",

@@ -5,10 +5,11 @@ from math import ceil
 from adapters.contract import HostInterval
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcAxisMove
-from adapters.shrc203.session import EOL, ShrcSession
 from adapters.shrc203.shapes.pair import TwoPartMove
-from adapters.shrc203.status import ERRORS
 from adapters.shrc203.timing import ShrcTiming
+from adapters.shrc203.wire.reply_queue import EOL
+from adapters.shrc203.wire.session import ShrcSession
+from adapters.shrc203.wire.status import ERRORS
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.inferred import InferredClock
 from orchestrator.clock.timed import MIN_POLLED_DURATION_S
@@ -53,7 +54,7 @@ class ShrcEndTimes:
         session = self._session
         least_ns, most_ns = self.duration_bounds_ns(timing.axis)
         begin_ns = move.start.earliest_ns + least_ns - timing.timed.end_poll_lead_ns
-        while timing.axis.motor in session.expected_completions and move.stopped_ns is None:
+        while timing.axis.motor in session.completions.expected and move.stopped_ns is None:
             if self._clock.now_ns() < begin_ns:
                 await session.wait_changed(begin_ns)
             elif self._clock.now_ns() > move.start.latest_ns + most_ns or not await timing.still_moves():

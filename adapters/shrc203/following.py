@@ -6,12 +6,12 @@ from adapters.contract import MoveOutcome
 from adapters.shrc203.ending import ShrcEndTimes
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
-from adapters.shrc203.session import COMPLETION_LATE_NS, ShrcSession
-from adapters.shrc203.status import ERRORS, UNSETTLED, stop_reason
 from adapters.shrc203.timing import ShrcTiming
 from adapters.shrc203.timing import make_timing as timing_of
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import STATUS, parse_status
+from adapters.shrc203.wire.session import COMPLETION_LATE_NS, ShrcSession
+from adapters.shrc203.wire.status import ERRORS, UNSETTLED, stop_reason
 from adapters.toolkit.host_start import MoverTools, moved_outcome, resting_intervals
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -47,8 +47,8 @@ class ShrcFollower:
         session = self._session
         await self._wait_for_completions(move, timing)
         rest_ns = await self._wait_for_rest(move, self._clock.now_ns() + self._settle_ns)
-        completions_ns = dict(session.completed)
-        session.expect_no_completion()
+        completions_ns = dict(session.completions.completed)
+        session.completions.expect_none()
         if timing is not None and not unloaded:
             self._end_times.learn_crystal(move, timing, completions_ns.get(timing.axis.motor), rest_ns)
         end_spans = resting_intervals(move.lowered.durations_s, move.t0_ns)
@@ -82,10 +82,10 @@ class ShrcFollower:
         self._discard_early_completions(move)
         if timing is not None:
             await self._end_times.observe_end(move, timing)
-        while session.expected_completions:
+        while session.completions.expected:
             await session.wait_changed(look_ns)
             self._discard_early_completions(move)
-            if session.expected_completions and (move.stopped_ns is not None or await self._is_at_rest(move)):
+            if session.completions.expected and (move.stopped_ns is not None or await self._is_at_rest(move)):
                 break
             if self._clock.now_ns() > give_up_ns:
                 break
@@ -114,8 +114,8 @@ class ShrcFollower:
             return
         for axis_move in move.lowered.moves:
             ended_ns = move.start.earliest_ns + self._end_times.duration_bounds_ns(axis_move)[0]
-            if self._session.completed.get(axis_move.motor, ended_ns) < ended_ns:
-                self._session.expect_again(axis_move.motor)
+            if self._session.completions.completed.get(axis_move.motor, ended_ns) < ended_ns:
+                self._session.completions.expect_again(axis_move.motor)
 
     async def _is_at_rest(self, move: ArmedMove) -> bool:
         line = await self._session.query_line("Q:SPC", STATUS)
@@ -133,11 +133,19 @@ class ShrcFollower:
 _TRIES = 2  # a command that was garbled in transit is overwritten by a repetition
 
 
-async def load_followup_moves(unit: ShrcState, lowered: ShrcLowered, before_send: Callable[[], None]) -> str:
-    """Load the follow-up moves of a step and read them back; return why they will not run as planned, "" if they will.
+async def load_followup_moves(unit: ShrcState, move: ArmedMove) -> str:
+    """Load the follow-up moves of a step and read them back; return why they will not run as planned, "" if they will,
+    or if the step is stopped meanwhile."""
 
-    before_send: called before anything is sent; raises `Refusal` when the step is stopped.
-    """
+    def check_not_stopped() -> None:
+        if move.stopped_ns is not None:
+            raise Refusal("stopped", "stopped before its follow-up move was loaded", "")
+
+    wrong = await _try_followup_moves(unit, move.lowered, check_not_stopped)
+    return "" if move.stopped_ns is not None else wrong
+
+
+async def _try_followup_moves(unit: ShrcState, lowered: ShrcLowered, before_send: Callable[[], None]) -> str:
     wrong = ""
     for _ in range(_TRIES):
         try:

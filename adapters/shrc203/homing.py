@@ -5,9 +5,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from adapters.shrc203 import fleetaxes
-from adapters.shrc203.status import ERRORS, MECHANICAL_RETURN, stop_reason
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import STATUS, STOPS, parse_limit_stops, parse_status
+from adapters.shrc203.wire.status import ERRORS, MECHANICAL_RETURN, stop_reason
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal
@@ -39,7 +39,7 @@ async def home_axes(
     failures: dict[str, Refusal] = {}
     has_begun = False
     begun_searches: list[_OriginSearch] = []
-    session.expect_completions(set())
+    session.completions.expect(set())
     try:
         while pending_searches:
             refused_searches: list[_OriginSearch] = []
@@ -69,9 +69,9 @@ async def home_axes(
         # After a cancellation nothing waits for the searching axes or their completion lines.
         with suppress(LinkClosed):
             unit.brake_motors(search.motor for search in begun_searches)
-        session.abandon_completions()
+        session.completions.abandon()
         raise
-    session.expect_no_completion()
+    session.completions.expect_none()
     if failures and not has_begun:
         first = next(iter(failures.values()))
         raise Refusal(first.code, "; ".join(str(error) for error in failures.values()), first.remedy)
@@ -91,11 +91,11 @@ async def _begin_search(unit: ShrcState, search: _OriginSearch) -> None:
         raise Refusal("not-enabled", f"axis {search.axis} is not enabled", f"enable {search.axis} first")
     await session.send_setting(f"GC:{motor}")
     unit.jogging_motors.discard(motor)
-    session.expect_completions(session.expected_completions | {motor})
+    session.completions.expect(session.completions.expected | {motor})
     try:
         await unit.start_motion(search.command, search.axis, motor, search.stops)
     except Refusal:
-        session.expect_completions(session.expected_completions - {motor})
+        session.completions.expect(session.completions.expected - {motor})
         raise
 
 

@@ -15,9 +15,9 @@ from adapters.contract import JogMove
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.moves import ShrcMover
 from adapters.shrc203.shapes.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, SPEED_MAX, ShrcBounds
-from adapters.shrc203.status import ERRORS, stop_reason
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import READY, STATUS, AxisStatus, parse_entries, parse_status, pulse_list, speed_list
+from adapters.shrc203.wire.status import ERRORS, stop_reason
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from adapters.contract import HostInterval, TimedWrite
 from adapters.shrc203.lowering import ShrcLowered
 from adapters.shrc203.output import ShrcOutput
-from adapters.shrc203.session import ShrcPending
 from adapters.shrc203.wire.replies import AxisStatus
+from adapters.shrc203.wire.reply_queue import ShrcPending
 from adapters.toolkit.driven_output import DrivenOutput
 
 
@@ -57,3 +57,14 @@ class ArmedMove:
     def waits_for_input(self) -> bool:
         """Whether an input starts it."""
         return self.lowered.wait is not None and bool(self.lowered.moves)
+
+    @property
+    def off_commands(self) -> list[str]:
+        """The commands that make its output passive, from `go` on."""
+        return [] if self.output is None or not self.released else [self.output.port.off_command]
+
+    @property
+    def start_commands(self) -> list[str]:
+        """The commands that are written at its start; axes that wait for an input need none."""
+        commands = [self.lowered.start] if self.lowered.moves and not self.waits_for_input else []
+        return commands if self.output is None else [*commands, self.output.port.on_command]

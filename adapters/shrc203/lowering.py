@@ -133,6 +133,46 @@ def lower_step(
     start_options: StartOptions,
 ) -> ShrcLowered:
     """Lower all axes of a step. Raises `Refusal`."""
+    wait, drive = _resolve_points(config, traits, start_options)
+    moves, straight = _make_moves(config, options, traits, profiles, start_options)
+    real_moves = tuple(move for move in moves if move.shape is not None)
+    commands = _make_commands(real_moves, straight)
+    rate, lead_ns = traits.known.rate, traits.known.latency.usual_ns
+    durations_s = {move.name: move.shape.duration_s / rate.clock_factor if move.shape else 0.0 for move in moves}
+    behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * traits.char_ns if real_moves and wait is None else 0
+    costs = traits.costs
+    if wait is not None or drive is not None:
+        costs = traits.line_costs
+    elif start_options.follows:
+        costs = following_costs(options, traits.char_ns, commands.load, costs)
+    return ShrcLowered(
+        start_class="host" if wait is None else "line",
+        durations_s=durations_s,
+        path_error_counts={move.name: _path_error(profiles[move.name], move, rate.clock_factor) for move in moves},
+        terms=start_terms(options, traits.known.latency) if wait is None else _line_start_terms(options, wait),
+        tick_ns=0.0,
+        clock_ppm=traits.known.bound_ppm(max(durations_s.values(), default=0.0)),
+        costs=costs,
+        commands=(*_display_commands(real_moves, commands, wait, drive), *commands.followup_lines),
+        edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
+        can_advance=True,
+        lead_ns=lead_ns,
+        moves=real_moves,
+        first_moves=commands.firsts,
+        followup_moves=commands.followups,
+        load=commands.load,
+        load_followup=commands.load_followup,
+        start=commands.start,
+        wait=wait,
+        drive=drive,
+        straight=straight,
+    )
+
+
+def _resolve_points(
+    config: Controller, traits: ConnectionTraits, start_options: StartOptions
+) -> tuple[WiredInput | None, WiredOutput | None]:
+    """Return the input that the step waits for, and the output that it drives. Raises `Refusal`."""
     if start_options.wait is not None and traits.line_starts:
         require_start_class(start_options, ("host", "line"), "")
     else:
@@ -149,40 +189,34 @@ def lower_step(
         raise Refusal(
             "start-class", f"output {drive.name} is the trigger output, which gives pulses only", "use OUT1 to 6"
         )
-    moves, straight = _make_moves(config, options, traits, profiles, start_options)
-    real_moves = tuple(move for move in moves if move.shape is not None)
+    return wait, drive
+
+
+@dataclass(frozen=True, slots=True)
+class _StepCommands:
+    """The moves of a step that are begun by its start, and those that follow by themselves; with their commands."""
+
+    firsts: tuple[ShrcAxisMove, ...]
+    followups: tuple[ShrcAxisMove, ...]
+    load: str
+    load_followup: str
+    start: str
+
+    @property
+    def followup_lines(self) -> tuple[str, ...]:
+        return (self.load_followup,) if self.followups else ()
+
+
+def _make_commands(real_moves: tuple[ShrcAxisMove, ...], straight: StraightPath | None) -> _StepCommands:
     firsts = tuple(move.executed_moves[0] for move in real_moves)
-    seconds = tuple(piece for move in real_moves for piece in move.executed_moves[1:])
+    followups = tuple(piece for move in real_moves for piece in move.executed_moves[1:])
     load = straight.load_command if straight is not None else load_line(firsts) if real_moves else ""
-    load_second = load_line(seconds) if seconds else ""
-    go = start_line(real_moves) if real_moves else ""
-    rate, lead_ns = traits.known.rate, traits.known.latency.usual_ns
-    durations_s = {move.name: move.shape.duration_s / rate.clock_factor if move.shape else 0.0 for move in moves}
-    behind_ns = (len(f"O:{max(OUTPUT_VALUES)}") + 2) * traits.char_ns if real_moves and wait is None else 0
-    costs = traits.line_costs if wait is not None or drive is not None else traits.costs
-    if start_options.follows and wait is None and drive is None:
-        costs = following_costs(options, traits.char_ns, load, costs)
-    return ShrcLowered(
-        start_class="host" if wait is None else "line",
-        durations_s=durations_s,
-        path_error_counts={move.name: _path_error(profiles[move.name], move, rate.clock_factor) for move in moves},
-        terms=start_terms(options, traits.known.latency) if wait is None else _line_start_terms(options, wait),
-        tick_ns=0.0,
-        clock_ppm=traits.known.bound_ppm(max(durations_s.values(), default=0.0)),
-        costs=costs,
-        commands=(*_display_commands(real_moves, load, go, wait, drive), *([load_second] if seconds else [])),
-        edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
-        can_advance=True,
-        lead_ns=lead_ns,
-        moves=real_moves,
-        first_moves=firsts,
-        followup_moves=seconds,
+    return _StepCommands(
+        firsts=firsts,
+        followups=followups,
         load=load,
-        load_followup=load_second,
-        start=go,
-        wait=wait,
-        drive=drive,
-        straight=straight,
+        load_followup=load_line(followups) if followups else "",
+        start=start_line(real_moves) if real_moves else "",
     )
 
 
@@ -241,18 +275,18 @@ def _interpolated_axes(line: StraightPath, moves: tuple[ShrcAxisMove, ...]) -> t
 
 
 def _display_commands(
-    running: tuple[ShrcAxisMove, ...], load: str, go: str, wait: WiredInput | None, drive: WiredOutput | None
+    running: tuple[ShrcAxisMove, ...], commands: _StepCommands, wait: WiredInput | None, drive: WiredOutput | None
 ) -> tuple[str, ...]:
     """Return the commands for display. The other inputs and outputs keep their states at that time."""
     switch = () if drive is None else (f"O: with OUT{drive.number} {'on' if drive.active else 'off'}",)
     if not running:
         return switch
     if wait is None:
-        return (load, go, *switch)
+        return (commands.load, commands.start, *switch)
     pattern = (
         f"WI:{axis_argument(move.motor for move in running)}, with IN{wait.number} {'on' if wait.active else 'off'}"
     )
-    return (pattern, go, load, *switch)
+    return (pattern, commands.start, commands.load, *switch)
 
 
 def start_terms(options: ShrcOptions, start: StartLatency) -> tuple[BudgetTerm, ...]:

@@ -3,23 +3,23 @@ end."""
 
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 
-from adapters.contract import HostInterval, MoveOutcome, TimedWrite, WriteResult
+from adapters.contract import HostInterval, MoveOutcome
 from adapters.shrc203 import checks
 from adapters.shrc203.following import ShrcFollower, load_followup_moves
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.lowering import ShrcLowered
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.output import ShrcOutput
-from adapters.shrc203.session import EOL, ShrcSession
 from adapters.shrc203.standby import InputWait
+from adapters.shrc203.start_write import ShrcStartWrite
 from adapters.shrc203.starting import ShrcStarts
 from adapters.shrc203.triggers import ShrcTriggers
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.driven_output import DrivenOutput
-from adapters.toolkit.firing import missed_write_fault
-from adapters.toolkit.host_start import MoverTools, moving_intervals, require_time_left, unmoved_outcome, wait_for_write
+from adapters.toolkit.host_start import MoverTools, moving_intervals, unmoved_outcome
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
 
@@ -30,10 +30,10 @@ class ShrcMover:
     """Arm, start and follow the moves of one connection. settle_ns: how long axes may stay BUSY after their end."""
 
     def __init__(self, options: ShrcOptions, tools: MoverTools, unit: ShrcState, settle_ns: int) -> None:
-        self._options = options
         self._clock = tools.clock
-        self._timed_writer = tools.timed_writer
+        self._start_write = ShrcStartWrite(options, tools, unit.session)
         self._unit = unit
+        self._session = unit.session
         self._starts = ShrcStarts(options, tools.clock, unit, self._clear_move)
         self._follower = ShrcFollower(tools, unit, settle_ns)
         self._input_wait = InputWait(unit, tools.clock)
@@ -42,10 +42,6 @@ class ShrcMover:
         self.move: ArmedMove | None = None
         self._rests: dict[int, int] = {}
         """Where the last move has left the motors, counts; only until anything else may have moved them."""
-
-    @property
-    def _session(self) -> ShrcSession:
-        return self._unit.session
 
     # Before the start
 
@@ -95,8 +91,7 @@ class ShrcMover:
         else:
             await checks.check_rest(self._unit, lowered.moves)
             await checks.check_loaded(self._unit, lowered)
-        if self.move is not move:
-            raise Refusal("stopped", "a stop came while arming", "")
+        self._require_present(move)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
     async def load_behind(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
@@ -114,12 +109,8 @@ class ShrcMover:
             move = self.move = ArmedMove(lowered, t0_ns)
             self._unit.jogging_motors -= move.motor_numbers
 
-            def require_not_stopped() -> None:
-                if self.move is not move:
-                    raise Refusal("stopped", "a stop came while arming", "")
-
-            text = await self._session.set_and_echo(lowered.load, require_not_stopped)
-            require_not_stopped()
+            text = await self._session.set_and_echo(lowered.load, partial(self._require_present, move))
+            self._require_present(move)
             _require_same(lowered.load, text)
             move.read_back_ns = self._clock.now_ns()
             return {"wire": move.read_back_ns - began_ns}
@@ -138,10 +129,7 @@ class ShrcMover:
             await self._input_wait.check_wait(move.lowered.wait)
         else:
             await checks.check_rest(self._unit, move.lowered.moves)
-        if move.lowered.straight is not None:
-            checks.compare_path(move.lowered.straight.loaded_reply, await self._unit.prebuffers.read_interpolation())
-        else:
-            checks.compare_moves(move.lowered, await self._unit.prebuffers.read_moves())
+        await checks.check_prebuffers(self._unit, move.lowered)
 
     async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
         """Schedule the starting command, or the one that switches the output, so that its end reaches the controller
@@ -149,37 +137,19 @@ class ShrcMover:
         wait for an input need no command."""
         move = self._require_move()
         move.t0_ns -= advance_ns
-        lines = [move.lowered.start] if move.lowered.moves and not move.waits_for_input else []
-        if move.output is not None:
-            lines.append(move.output.port.on_command)
-        if lines:
-            self._schedule_writes(move, lines, start_tolerance_ns)
+        if move.start_commands:
+            self._start_write.schedule_lines(move, move.start_commands, start_tolerance_ns)
         if move.lowered.moves:
-            self._session.expect_completions(
+            self._session.completions.expect(
                 move.motor_numbers, before=(followup_move.motor for followup_move in move.lowered.followup_moves)
             )
         move.released = True
-
-    def _schedule_writes(self, move: ArmedMove, lines: list[str], start_tolerance_ns: int) -> None:
-        data = "".join(line + EOL for line in lines).encode()
-        at_ns = move.t0_ns - self._session.wire_ns(len(lines[0] + EOL)) - move.lowered.lead_ns
-        latest_ns = self._options.latest_write_ns(at_ns, start_tolerance_ns)
-        require_time_left(self._clock.now_ns(), at_ns)
-        self._session.keep_quiet(latest_ns, at_ns)
-        promised_ns = self._options.latest_write_ns(at_ns, 0)
-        places = [self._session.expect_reply(line, promised_ns, latest_ns) for line in lines]
-        move.order = self._timed_writer.schedule_write(self._session.link, data, at_ns, latest_ns)
-        if move.output is not None:
-            move.switching = places.pop()
-            edge_ns = move.lowered.edge_window_ns[1]
-            move.output.follow_write(move.order, move.t0_ns + edge_ns + move.output.port.drive.active_ns)
-        move.pending = places[0] if places else None
 
     async def unload_move(self) -> None:
         """Cancel the timed write, then overwrite the queued moves. Never starts a move."""
         move, self.move = self.move, None
         if move is not None:
-            self._cancel_start(move)
+            self._start_write.cancel_start(move)
         async with self._unit.loading:
             if not self._unit.chaining:
                 await self._overwrite_queued()
@@ -222,8 +192,7 @@ class ShrcMover:
 
     def commands_after_stop(self) -> list[str]:
         """Return the commands after a stop: they make the output that a step drives passive."""
-        move = self.move
-        return [move.output.port.off_command] if move is not None and move.output is not None and move.released else []
+        return [] if self.move is None else self.move.off_commands
 
     def record_stop(self, at_ns: int) -> None:
         """Record a stop that was written at that instant."""
@@ -236,22 +205,8 @@ class ShrcMover:
         move.stopped_ns = at_ns
         if move.output is not None:
             move.output.drop_output()
-        if self._cancel_start(move) or not move.released:
+        if self._start_write.cancel_start(move) or not move.released:
             self.move = None
-
-    def _cancel_start(self, move: ArmedMove) -> bool:
-        """Cancel the timed write; return whether no axis has started or will start."""
-        if move.waits_for_input and move.released:
-            self._session.expect_no_completion()
-        if move.order is None or not move.order.cancel_write():
-            return False
-        move.cancelled = True
-        for pending in move.expected_replies:
-            self._session.remove_expected(pending)
-        self._session.end_quiet()
-        if not move.waits_for_input:
-            self._session.expect_no_completion()
-        return not move.waits_for_input
 
     # After the start
 
@@ -264,7 +219,7 @@ class ShrcMover:
         `start_after_ok_us`.
         """
         move = self._require_move()
-        write = None if move.order is None else await self._wait_for_write(move, move.order)
+        write = None if move.order is None else await self._start_write.wait_for_write(move, move.order)
         if move.lowered.moves and move.lowered.wait is not None:
             start = await self._starts.line_start(move, move.lowered.wait)
         elif write is not None and move.pending is not None:
@@ -276,18 +231,6 @@ class ShrcMover:
         move.started = start
         return moving_intervals(move.lowered.durations_s, start, move.t0_ns)
 
-    async def _wait_for_write(self, move: ArmedMove, order: TimedWrite) -> WriteResult:
-        write = await wait_for_write(order, lambda: move.cancelled)
-        if write.late:
-            for pending in move.expected_replies:
-                self._session.remove_expected(pending)
-            self._session.expect_no_completion()
-            raise missed_write_fault("the starting command", self._session.link, write)
-        for pending in move.expected_replies:
-            self._session.record_write(pending, write.written_ns)
-        self._session.end_quiet()
-        return write
-
     async def wait_for_end(self) -> MoveOutcome:
         """Load the follow-up moves, if any; wait for the completion lines; query the controller when they do not
         arrive, or after a stop."""
@@ -295,8 +238,7 @@ class ShrcMover:
         if not move.lowered.moves or move.started is None:
             wrong = await move.output.wait_until_passive() if move.output is not None else ""
             self._forget_move(move)
-            is_stopped = move.stopped_ns is not None
-            return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=is_stopped)
+            return unmoved_outcome(move.lowered.durations_s, move.t0_ns, wrong, stopped=move.stopped_ns is not None)
         unloaded_text = await self._load_followup(move) if move.lowered.followup_moves else ""
         outcome = await self._follower.follow_to_end(move, unloaded_text, lambda: self._forget_move(move))
         if move.lowered.trigger is not None:
@@ -309,20 +251,10 @@ class ShrcMover:
     async def _load_followup(self, move: ArmedMove) -> str:
         """Load the follow-up moves; return why they will not run, "" if they will. On a failure all axes are stopped
         here."""
-
-        def check_not_stopped() -> None:
-            if move.stopped_ns is not None:
-                raise Refusal("stopped", "stopped before its follow-up move was loaded", "")
-
-        wrong = await load_followup_moves(self._unit, move.lowered, check_not_stopped)
-        if move.stopped_ns is not None:
-            return ""
+        wrong = await load_followup_moves(self._unit, move)
         if wrong:
-            self.record_stop(
-                self._session.write_at_once(
-                    *self.commands_before_stop(), *(f"L:{motor}" for motor in move.motor_numbers)
-                )
-            )
+            motors = (f"L:{motor}" for motor in move.motor_numbers)
+            self.record_stop(self._session.write_at_once(*self.commands_before_stop(), *motors))
         return wrong
 
     # Internals
@@ -333,6 +265,10 @@ class ShrcMover:
 
     def _clear_move(self) -> None:
         self.move = None
+
+    def _require_present(self, move: ArmedMove) -> None:
+        if self.move is not move:
+            raise Refusal("stopped", "a stop came while arming", "")
 
     def _require_move(self) -> ArmedMove:
         if self.move is None:

@@ -2,9 +2,9 @@
 
 import asyncio
 
-from adapters.shrc203.session import ShrcPending
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import BITS, REFUSALS
+from adapters.shrc203.wire.reply_queue import ShrcPending
 from adapters.toolkit.wired_points import WiredOutput
 from orchestrator.model.errors import ControllerFault, Refusal
 
@@ -22,7 +22,7 @@ class ShrcOutput:
 
     async def read_and_check(self) -> None:
         """Read all outputs; raise `Refusal`, code `line-level`, when this one is already active."""
-        if self._unit.session.expected_completions:
+        if self._unit.session.completions.expected:
             raise Refusal("busy", "a completion line is still outstanding", "try again")
         self._unit.outputs = int(await self._unit.session.send_query("?:O", BITS))
         if self.drive.is_active(self._unit.outputs):
@@ -49,7 +49,7 @@ class ShrcOutput:
             line = await asyncio.shield(pending.answer.future)
         except ControllerFault:
             # The reply was lost. While a completion is outstanding, no query with a digit as its answer is possible.
-            if session.expected_completions or self.drive.is_active(int(await session.send_query("?:O", BITS))):
+            if session.completions.expected or self.drive.is_active(int(await session.send_query("?:O", BITS))):
                 return
         else:
             if line.text not in REFUSALS:
@@ -69,3 +69,23 @@ class ShrcOutput:
 
     def set_driving(self, *, driving: bool) -> None:
         self._unit.driving = driving
+
+
+class ManualOutputs:
+    """The outputs of one controller, switched one at a time: all of them are written together."""
+
+    def __init__(self) -> None:
+        self._turn = asyncio.Lock()
+
+    async def set_output(self, unit: ShrcState, number: int, *, on: bool) -> None:
+        """Switch one output. Raises `Refusal` while an axis moves, or a step drives one."""
+        if unit.session.completions.expected:
+            raise Refusal("moving", "outputs cannot be read back while an axis moves", "wait for the end of the motion")
+        if unit.driving:
+            raise Refusal(
+                "busy", "a step drives an output, and all outputs are written together", "wait for the end of the step"
+            )
+        async with self._turn:
+            levels, bit = int(await unit.session.send_query("?:O", BITS)), 1 << (number - 1)
+            unit.outputs = levels | bit if on else levels & ~bit
+            await unit.session.send_setting(f"O:{unit.outputs}")

@@ -9,10 +9,10 @@ from typing import Literal
 from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.session import ShrcSession
-from adapters.shrc203.status import ERRORS, is_position_lost, status_faults
 from adapters.shrc203.unitstate import CountsReading, ShrcState
 from adapters.shrc203.wire.replies import BITS, STATUS, AxisStatus, flag_list, parse_status, pulse_list
+from adapters.shrc203.wire.session import ShrcSession
+from adapters.shrc203.wire.status import ERRORS, is_position_lost, status_faults
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
@@ -82,7 +82,7 @@ class ShrcPoller:
             faults += status_faults(name, axis.word)
         unit.sound = not any(state.word & ERRORS for state in states.values())
         self._last, self._last_ns = states, line.at_ns
-        if session.expected_completions - busy:
+        if session.completions.expected - busy:
             session.changed.set()  # at rest without a completion line: wake the waiting task, which then queries
         return ControllerReading(
             at_ns=line.at_ns,
@@ -95,12 +95,12 @@ class ShrcPoller:
     def _drop_completions(self, busy: set[int], at_ns: int) -> None:
         """Drop outstanding completions that no task awaits, once their axes have been at rest."""
         session = self._unit.session
-        if not session.abandoned or session.expected_completions & busy:
+        if not session.completions.abandoned or session.completions.expected & busy:
             self._rest_ns = None
         elif self._rest_ns is None:
             self._rest_ns = at_ns
         elif at_ns - self._rest_ns > _COMPLETION_LATE_NS:
-            session.expect_no_completion()
+            session.completions.expect_none()
 
     async def _query_digits(self) -> None:
         unit = self._unit
@@ -135,7 +135,7 @@ async def read_registered(session: ShrcSession, kind: PositionKind) -> dict[int,
 
     Raises `Refusal` while a completion line is outstanding, `ControllerFault`.
     """
-    if session.expected_completions:
+    if session.completions.expected:
         raise Refusal("moving", "registered positions are read at rest only", "wait for the end of the move")
     records: dict[int, tuple[int, int, int]] = {}
     for number in NUMBERS:

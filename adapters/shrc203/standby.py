@@ -4,10 +4,10 @@ The controller compares all six inputs at once (L2674), so the levels of the oth
 the pattern. Ending a wait starts the move queued after it (L219): that move is overwritten, and verified, first.
 """
 
-from adapters.shrc203.session import COMPLETION_LATE_NS
-from adapters.shrc203.status import ERRORS
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import BITS, STATUS, axis_argument, parse_status
+from adapters.shrc203.wire.session import COMPLETION_LATE_NS
+from adapters.shrc203.wire.status import ERRORS
 from adapters.toolkit.wired_points import WiredInput
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -42,7 +42,7 @@ class InputWait:
         Raises `Refusal`, code `line-level` when the input is already active.
         """
         unit, session = self._unit, self._unit.session
-        if session.expected_completions:
+        if session.completions.expected:
             raise Refusal("busy", "a completion line is still outstanding", "try again")
         self._levels = await self._read_inputs()
         if wait.is_active(self._levels):
@@ -122,11 +122,11 @@ class InputWait:
                 "keep the input passive and switch the controller off and on",
             )
         # The ended waits run a move of no distance, which may still send a completion line.
-        session.expect_completions(motors)
+        session.completions.expect(motors)
         for motor in sorted(motors):
             await session.try_setting(f"WI:{motor},C")
         await self._wait_for_rest(motors)
-        session.expect_no_completion()
+        session.completions.expect_none()
         unit.waiting = {}
 
     async def _wait_for_rest(self, motors: set[int]) -> None:
@@ -140,7 +140,7 @@ class InputWait:
                     "switch the controller off and on",
                 )
         late_ns = self._clock.now_ns() + COMPLETION_LATE_NS
-        while session.expected_completions and self._clock.now_ns() < late_ns:
+        while session.completions.expected and self._clock.now_ns() < late_ns:
             await session.wait_changed(late_ns)
 
     async def _any_busy(self, motors: set[int]) -> bool:

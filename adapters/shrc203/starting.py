@@ -5,9 +5,10 @@ from collections.abc import Callable
 from adapters.contract import HostInterval, WriteResult
 from adapters.shrc203.loaded import ArmedMove
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.session import EOL, ShrcPending, ShrcSession
 from adapters.shrc203.unitstate import ShrcState
 from adapters.shrc203.wire.replies import REFUSALS, STATUS, parse_entries, parse_status, pulse_list
+from adapters.shrc203.wire.reply_queue import EOL, ShrcPending
+from adapters.shrc203.wire.session import ShrcSession
 from adapters.toolkit.wired_points import WiredInput
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, Clock
 from orchestrator.model.errors import ControllerFault
@@ -39,7 +40,7 @@ class ShrcStarts:
             latest_ns = await self._wait_for_motion(move, error)
         else:
             if line.text in REFUSALS:
-                self._session.expect_no_completion()
+                self._session.completions.expect_none()
                 raise ControllerFault(
                     "not-started", f"the controller answered NG to {move.lowered.start!r}", "see its display"
                 )
@@ -97,8 +98,8 @@ class ShrcStarts:
 
     async def _wait_for_motion(self, move: ArmedMove, error: ControllerFault) -> int:
         """Return when the axes moved, by other evidence: the reply to the starting command was lost."""
-        if self._session.completed:
-            return min(self._session.completed.values())
+        if self._session.completions.completed:
+            return min(self._session.completions.completed.values())
         line = await self._session.query_line("Q:SPC", STATUS)
         states = parse_status(line.text, self._unit.controllable)
         if all(

@@ -4,7 +4,6 @@ from adapters.contract import ControllerIdentity
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.buffers import PrebufferControl
 from adapters.shrc203.options import ShrcOptions
-from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.wire.replies import (
     AXES_BY_CODE,
     CONTROLLABLE,
@@ -20,6 +19,7 @@ from adapters.shrc203.wire.replies import (
     size_list,
     speed_list,
 )
+from adapters.shrc203.wire.session import ShrcSession
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 
 from adapters.contract import HostInterval
 from adapters.shrc203.lowering import ShrcAxisMove, ShrcLowered
-from adapters.shrc203.session import EOL, ShrcLine, ShrcSession
 from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid
 from adapters.shrc203.wire.replies import READY, AxisStatus
+from adapters.shrc203.wire.reply_queue import EOL, ShrcLine
+from adapters.shrc203.wire.session import ShrcSession
 from orchestrator.clock.timed import TimedMove
 
 _GRAIN = 1.0  # pulses: the manual does not state whether the counter rounds

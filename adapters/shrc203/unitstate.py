@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from adapters.shrc203.buffers import PrebufferControl
-from adapters.shrc203.session import ShrcSession
 from adapters.shrc203.timing import ShrcTiming
 from adapters.shrc203.wire.replies import speed_list
+from adapters.shrc203.wire.session import ShrcSession
 from adapters.toolkit.stop_counter import StopCounter, send_or_brake
 
 

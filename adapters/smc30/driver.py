@@ -24,10 +24,11 @@ from adapters.smc30.lowering import (
     lower_step,
     make_slot_schedule,
 )
-from adapters.smc30.mover import Smc30Mover, passive_commands
+from adapters.smc30.mover import Smc30Mover
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.polling import Smc30Poller
 from adapters.smc30.session import ControllerBusy, Smc30Session
+from adapters.smc30.step import passive_commands
 from adapters.smc30.unitaxis import line_address, only_axis
 from adapters.smc30.unitstate import Smc30State
 from adapters.toolkit.connection import ConnectedDriver

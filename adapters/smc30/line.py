@@ -13,9 +13,10 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
 from adapters.smc30.frames import ReceivedReply, ReplyReader
+from adapters.smc30.slots import StartSlots, controller_name
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed, OpenLink
-from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
+from orchestrator.model.errors import ControllerFault, TuttiError
 
 SHARED = "smc30 line"
 """The key of the line in `DriverSetup.shared`."""
@@ -25,34 +26,6 @@ _STRAYS = 3  # this number of duplicate answers is not an accident
 
 class ExchangeDisturbed(TuttiError):
     """A stop was written while a reply was outstanding: the sender of the next replies is unknown."""
-
-
-@dataclass(slots=True)
-class StartSlot:
-    """A slot for one command that is written at `begin_ns`, takes `wire_ns`, and is answered within `each_ns` after
-    that.
-
-    late_ns: the largest delay beyond the guarantee; once the command was written, its real delay.
-    answer: its answer; None: none has arrived, or it cannot be assigned.
-    """
-
-    unit: int | None
-    begin_ns: int
-    wire_ns: int
-    each_ns: int
-    late_ns: int = 0
-    answer: "asyncio.Future[ReceivedReply | None]" = field(
-        default_factory=lambda: asyncio.get_running_loop().create_future(), repr=False
-    )
-
-    @property
-    def end_ns(self) -> int:
-        """The end of the slot for other traffic: a late host gets one more slot."""
-        return self.begin_ns + self.wire_ns + 2 * self.each_ns + self.late_ns
-
-    def set_answer(self, reply: ReceivedReply | None) -> None:
-        if not self.answer.done():
-            self.answer.set_result(reply)
 
 
 @dataclass(slots=True)
@@ -73,6 +46,7 @@ class Smc30Line:
         self.units: set[int | None] = set()
         self.with_checksum = with_checksum
         self.stops = 0
+        self.slots = StartSlots(clock)
         self._clock = clock
         self._answer_ns = answer_ns
         self._turn = asyncio.Lock()
@@ -84,8 +58,6 @@ class Smc30Line:
         self._reading: asyncio.Task[None] | None = None
         self._users: set[int | None] = set()
         self._waiting: _PendingExchange | None = None
-        self._slots: list[StartSlot] = []
-        self._answers: list[ReceivedReply] = []
         self._settled_ns = 0
         self._last: int | None = None
         self._strays: Counter[int | None] = Counter()
@@ -218,10 +190,7 @@ class Smc30Line:
         usual_ns = self.wire_ns(characters) + 10 * NS_PER_MS
         while True:
             now_ns = self._clock.now_ns()
-            until_ns = self._settled_ns
-            for shot in self._slots:
-                if shot.begin_ns - usual_ns <= now_ns < shot.end_ns:
-                    until_ns = max(until_ns, shot.end_ns)
+            until_ns = self.slots.find_gap_ns(usual_ns, self._settled_ns)
             if until_ns <= now_ns:
                 return
             await sleep_until_ns(self._clock, until_ns)
@@ -232,7 +201,7 @@ class Smc30Line:
         self._strays[unit] = 0
         raise ControllerFault(
             "two-answers",
-            f"{self.link.endpoint}: {_controller_name(unit)} gives more answers than requested",
+            f"{self.link.endpoint}: {controller_name(unit)} gives more answers than requested",
             "do two controllers have the same address? Is another program on the line?",
         )
 
@@ -249,45 +218,6 @@ class Smc30Line:
         self._leave_idle(len(data) + LONGEST_REPLY)
         return at_ns
 
-    def reserve_slot(self, slot: StartSlot) -> None:
-        """Reserve a slot. Raises `Refusal` when another one overlaps it."""
-        for other_slot in self._slots:
-            if abs(slot.begin_ns - other_slot.begin_ns) < max(slot.each_ns, other_slot.each_ns):
-                raise Refusal(
-                    "line-busy",
-                    f"{_controller_name(slot.unit)}: the line starts {_controller_name(other_slot.unit)} "
-                    "at that instant",
-                    "start controllers of one line in one step, or at least a second apart",
-                )
-        self._slots.append(slot)
-        self._clock.call_at_ns(slot.end_ns, self._assign_answers)
-
-    def record_write(self, slot: StartSlot, late_ns: int) -> None:
-        """Record that its command was written, with this delay beyond the guarantee: the slot is shortened to that."""
-        slot.late_ns = late_ns
-        self._clock.call_at_ns(slot.end_ns, self._assign_answers)
-
-    def free_slot(self, slot: StartSlot) -> None:
-        """Free a slot whose command was not and will not be written."""
-        slot.set_answer(None)
-        if slot in self._slots:
-            self._slots.remove(slot)
-
-    def _assign_answers(self) -> None:
-        """Assign the answers of adjacent slots in the order of the slots, because the delay of a late host makes their
-        instants ambiguous. If an answer is missing, none of them can be assigned."""
-        now_ns = self._clock.now_ns()
-        started_slots = sorted(
-            (shot for shot in self._slots if shot.begin_ns <= now_ns), key=lambda shot: shot.begin_ns
-        )
-        if any(shot.end_ns > now_ns for shot in started_slots):
-            return
-        answers, self._answers = self._answers, []
-        sure = len(answers) == len(started_slots)
-        for number, shot in enumerate(started_slots):
-            shot.set_answer(answers[number] if sure else None)
-            self._slots.remove(shot)
-
     # Reception
 
     async def _read_replies(self, link: Link) -> None:
@@ -300,8 +230,7 @@ class Smc30Line:
             self._handle_link_loss(link, error)
 
     def _handle_reply(self, reply: ReceivedReply) -> None:
-        if any(shot.begin_ns + shot.wire_ns <= reply.at_ns <= shot.end_ns for shot in self._slots):
-            self._answers.append(reply)
+        if self.slots.take_answer(reply):
             return
         exchange = self._waiting
         if exchange is not None and reply.at_ns >= exchange.first_ns:
@@ -324,11 +253,4 @@ class Smc30Line:
             self._users.clear()
         if self._waiting is not None:
             self._waiting.replies.put_nowait(error)
-        for shot in self._slots:
-            shot.set_answer(None)
-        self._slots.clear()
-        self._answers.clear()
-
-
-def _controller_name(unit: int | None) -> str:
-    return "the controller" if unit is None else f"unit {unit}"
+        self.slots.free_all()

@@ -6,9 +6,10 @@ Otherwise the position is taken from the profile.
 
 from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
 from adapters.smc30.hand import Smc30ManualMotion
-from adapters.smc30.mover import LoadedStep, Smc30Mover
+from adapters.smc30.mover import Smc30Mover
 from adapters.smc30.ramp import Smc30Ramp, Smc30Shape
 from adapters.smc30.session import ControllerBusy
+from adapters.smc30.step import LoadedStep
 from adapters.smc30.unitstate import ActivityReading, Smc30State
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.fleet import Controller

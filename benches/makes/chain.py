@@ -8,7 +8,7 @@ from random import Random
 from typing import NamedTuple
 
 from adapters.contract import DriverSetup
-from adapters.shrc203.chain import ChainMove
+from adapters.shrc203.chain_axis import ChainMove
 from adapters.shrc203.driver import ShrcDriver
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid

@@ -23,9 +23,9 @@ from adapters.controller.state.next_step import PreparedMove
 from adapters.controller.stops import ControllerStops
 from adapters.shrc203.moves import ShrcMover
 from adapters.yaskawa.common import device
-from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.program import EDGE_THREAD, OUTPUT_PASSIVE
+from adapters.yaskawa.shapes.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario

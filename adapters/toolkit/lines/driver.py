@@ -1,13 +1,10 @@
 """The driver of a controller with text lines."""
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from adapters.abilities import ManualDriver, OutputDriver
 from adapters.contract import (
-    AxisReading,
     ControllerIdentity,
     ControllerReading,
     ControllerRestarted,
@@ -16,32 +13,29 @@ from adapters.contract import (
     JogMove,
 )
 from adapters.toolkit.connection import ConnectedDriver
-from adapters.toolkit.lines.dialect import LineDialect, LineStep, LineTarget
+from adapters.toolkit.lines.dialect import LineDialect, LineStep
+from adapters.toolkit.lines.homing import ReferenceSearch
+from adapters.toolkit.lines.jogging import LineJogging
 from adapters.toolkit.lines.lowering import (
     CountScale,
     LineLowered,
-    axis_acceleration,
     lower_step,
     make_lowered,
     step_costs,
 )
 from adapters.toolkit.lines.mover import LineMover
 from adapters.toolkit.lines.options import LineOptions
+from adapters.toolkit.lines.reading import LineReader
 from adapters.toolkit.lines.session import LineSession
-from adapters.toolkit.lines.unit import LineTools, LineUnit, LineUnitState
-from adapters.toolkit.stop_counter import send_or_brake
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from adapters.toolkit.lines.unit import LineTools, LineUnit
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import FaultReport, StepCosts
+from orchestrator.model.state import StepCosts
 
 _MOST_NUMBERS = 99
-_JOG_AHEAD_S = 600.0  # a jog without an end goes this far; it is stopped long before
-_POLL_NS = 20 * NS_PER_MS
-_REST_NS = 2 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +66,14 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         self._enabled = set(setup.config.axes)
         self._number = 0
         self._restarted = False
-        self._jogs: dict[str, JogMove] = {}
-        self._was_sound = False
-        self._has_alarm = False
-        """An alarm came while it was connected; one that it has from the beginning is its lock after power-up, where
-        enabling its axes unlocks it."""
-        self._position_lost = False
-        self._last: ControllerReading | None = None
+        self._jogging = LineJogging(setup.config, dialect, scales)
+        self._reader = LineReader(setup.config, dialect)
 
     # Connection
 
     async def connect(self) -> ControllerIdentity:
         await self.close()
-        self._was_sound = False
+        self._reader.was_sound = False
         session = LineSession(
             await self._setup.open_link(), self._dialect, self._clock, self._options.answer_ms * NS_PER_MS, self._log
         )
@@ -168,51 +157,15 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
 
     async def poll(self) -> ControllerReading:
         unit = self.connection.unit
-        if unit.is_searching and not self._dialect.traits.answers_while_homing and self._last is not None:
-            axes = {name: replace(axis, moving=True) for name, axis in self._last.axes.items()}
-            return replace(self._last, at_ns=self._clock.now_ns(), axes=axes, restarted=False)
+        if unit.is_searching and not self._dialect.traits.answers_while_homing:
+            reading = self._reader.repeat_moving(self._clock.now_ns())
+            if reading is not None:
+                return reading
         state = await unit.read_state()
         if await unit.is_restarted(state):
             raise ControllerRestarted
         is_restarted, self._restarted = self._restarted, False
-        self._note_alarm(state)
-        self._last = self._make_reading(state, restarted=is_restarted)
-        return self._last
-
-    def _note_alarm(self, state: LineUnitState) -> None:
-        """Note an alarm: it may have stopped the motors dead."""
-        is_alarm = state.status.state == "alarm"
-        if is_alarm and (self._was_sound or not self._dialect.traits.switches_motors):
-            self._has_alarm = self._position_lost = True
-        self._was_sound = not is_alarm
-        self._has_alarm = self._has_alarm and is_alarm
-
-    def _make_reading(self, state: LineUnitState, *, restarted: bool) -> ControllerReading:
-        at_ns = (state.reply.sent_ns + state.reply.at_ns) // 2
-        is_locked = state.status.state == "alarm" and self._dialect.traits.switches_motors
-        axes: dict[str, AxisReading] = {}
-        for name, axis in self._config.axes.items():
-            status, counts = state.status.axes[axis.motors[0]], state.counts[name]
-            is_moving = status.moving and state.status.state == "moving"
-            axes[name] = AxisReading(
-                commanded_counts=counts,
-                actual_counts=float(counts),
-                velocity_counts_s=self._estimate_velocity(name, counts, at_ns) if is_moving else 0.0,
-                moving=is_moving,
-                enabled=name in self._enabled and not is_locked,
-                position_lost=self._position_lost,
-                limit=status.limit,
-            )
-        faults: list[FaultReport] = []
-        if self._has_alarm:
-            faults.append(FaultReport(code="alarm", text=state.status.alarm, remedy="clear it with `tutti reset`"))
-        return ControllerReading(at_ns, axes, faults=faults, restarted=restarted)
-
-    def _estimate_velocity(self, axis: str, counts: int, at_ns: int) -> float:
-        """Return the mean velocity since the last poll: the controller reports none."""
-        if self._last is None or at_ns <= self._last.at_ns:
-            return 0.0
-        return (counts - self._last.axes[axis].commanded_counts) * NS_PER_S / (at_ns - self._last.at_ns)
+        return self._reader.make_reading(state, self._enabled, restarted=is_restarted)
 
     # Steps
 
@@ -260,7 +213,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             await unit.require_ready(axes)
             motors = [self._config.axes[name].motors[0] for name in axes]
             timeout_s = max(self._config.axes[name].homing.timeout_s for name in axes)
-            failure = await self._search(self._dialect.search_reference(motors, timeout_s), stop_count)
+            failure = await ReferenceSearch(unit).search(self._dialect.search_reference(motors, timeout_s), stop_count)
             await unit.wait_until_tidy()
         counts = (await unit.read_state()).counts
         failures: dict[str, Refusal] = {}
@@ -272,136 +225,18 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             else:
                 found(name)
         if not failures and set(axes) == set(self._config.axes):
-            self._position_lost = False
+            self._reader.position_lost = False
         return failures
-
-    async def _search(self, steps: Sequence[LineStep], since: int) -> str:
-        """Run a search; return why it failed, or "". A search that is not waited for any more is stopped."""
-        unit = self.connection.unit
-
-        def check() -> None:
-            unit.require_no_stop(since)
-            unit.is_searching = True
-
-        asking: asyncio.Task[None] | None = None
-        if not self._dialect.traits.answers_while_homing:
-            asking = asyncio.get_running_loop().create_task(self._ask_during_search())
-            steps = [self._accept_status(step) for step in steps]
-        try:
-            for number, step in enumerate(steps):
-                if number == 0:
-                    await unit.session.run_once(step, check)
-                elif step.data:
-                    await unit.session.run_step(step)
-                if step.until:
-                    await unit.session.wait_for_state(step)
-        except (Refusal, ControllerFault) as error:
-            if not unit.is_searching or (isinstance(error, ControllerFault) and unit.stops == since):
-                raise
-            return error.text
-        except BaseException:
-            if unit.is_searching:
-                with suppress(LinkClosed):
-                    unit.write_stop()
-            raise
-        finally:
-            unit.is_searching = False
-            if asking is not None:
-                asking.cancel()
-                unit.session.disturb()
-        return "it was stopped" if unit.stops != since else ""
-
-    def _accept_status(self, step: LineStep) -> LineStep:
-        """Return a step of a search that also ends with a status at rest: the reply of its end may be lost."""
-        is_done = step.is_done
-        if is_done is None:
-            return step
-
-        def is_over(line: str) -> bool:
-            status = self._dialect.read_status([line])
-            return is_done(line) or (status is not None and status.state != "moving")
-
-        return replace(step, is_done=is_over)
-
-    async def _ask_during_search(self) -> None:
-        """Ask for the status now and then. A controller that searches does not answer; one that has ended does."""
-        session, question = self.connection.unit.session, self._dialect.ask_status().data
-        with suppress(LinkClosed):
-            while True:
-                await sleep_ns(self._clock, NS_PER_S)
-                session.write_at_once(question)
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
         unit = self.connection.unit
         stop_count = unit.stops
         self._require_free()
         async with unit.commanding:
-            await unit.wait_until_tidy()
-            state = await unit.read_state()
-            motor = self._config.axes[axis].motors[0]
-            if state.status.state != "moving":
-                self._jogs.clear()
-            joint = self._dialect.traits.joint
-            if state.status.state == "moving" and joint and axis not in self._jogs:
-                raise Refusal("busy", "another axis moves; this controller jogs one at a time", "stop it first")
-            if state.status.state == "moving" and state.status.axes[motor].moving:
-                if self._jogs.get(axis) == move:
-                    return
-                self.connection.unit.session.write_at_once(self._dialect.stop_jog(motor))
-                state = await self._wait_for_rest(motor)
-            if axis not in self._enabled:
-                raise Refusal("not-enabled", f"axis {axis} is not enabled", f"enable {axis} first")
-            if state.status.state in ("held", "alarm") or await unit.is_restarted(state):
-                raise Refusal("not-ready", f"the controller is {state.status.state}", "see `tutti status`")
-            target = self._make_jog_target(axis, move, state.counts[axis])
-            (first, *later_steps) = self._dialect.begin_jog(target)
-
-            async def send(check: Callable[[], None]) -> None:
-                await unit.session.run_once(first, check)
-                await unit.session.run_procedure(later_steps)
-
-            await send_or_brake(
-                send,
-                lambda: unit.require_no_stop(stop_count),
-                lambda: unit.session.write_at_once(self._dialect.stop_jog(motor)),
-            )
-            self._jogs[axis] = move
-
-    def _make_jog_target(self, axis: str, move: JogMove, here: int) -> LineTarget:
-        """Return the target of a jog. Raises `Refusal`."""
-        scale, config = self._scales[axis], self._config.axes[axis]
-        end = move.end_counts
-        if end is None:
-            end = here + round(move.velocity_counts_s * _JOG_AHEAD_S)
-        if (end - here) * move.velocity_counts_s <= 0:
-            raise Refusal("at-end", f"axis {axis} is at {here}; its range in this direction ends at {end}", "jog back")
-        ramp = axis_acceleration(config) if self._dialect.traits.fixed_acceleration else move.ramp_counts_s2
-        return LineTarget(
-            config.motors[0],
-            scale.to_position(end),
-            (end - here) / scale.counts_per_unit,
-            abs(move.velocity_counts_s) / scale.counts_per_unit,
-            ramp / scale.counts_per_unit,
-        )
-
-    async def _wait_for_rest(self, motor: str) -> LineUnitState:
-        """Wait until a jog that was stopped has come to rest. Raises `ControllerFault`."""
-        unit = self.connection.unit
-        limit_ns = self._clock.now_ns() + round(self._ramp_s * NS_PER_S) + _REST_NS
-        while True:
-            state = await unit.read_state()
-            if state.status.state != "moving" or not state.status.axes[motor].moving:
-                return state
-            if self._clock.now_ns() > limit_ns:
-                raise ControllerFault("not-stopping", f"{motor} does not stop", "stop it at the controller")
-            await sleep_ns(self._clock, _POLL_NS)
+            await self._jogging.jog_axis(unit, axis, move, stop_count)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        unit = self.connection.unit
-        for name in axes:
-            self._jogs.pop(name, None)
-            unit.session.write_at_once(self._dialect.stop_jog(self._config.axes[name].motors[0]))
-        unit.stops += bool(axes)
+        self._jogging.stop_axes(self.connection.unit, axes)
 
     async def set_output(self, number: int, *, on: bool) -> None:
         await self.connection.unit.read_state()

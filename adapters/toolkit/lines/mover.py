@@ -4,13 +4,13 @@ end."""
 import asyncio
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from math import ceil, floor
 
-from adapters.contract import HostInterval, MoveOutcome, TimedWrite, WriteResult
+from adapters.contract import HostInterval, MoveOutcome, WriteResult
 from adapters.toolkit.firing import missed_write_fault
 from adapters.toolkit.host_start import moved_outcome, moving_intervals, require_time_left, resting_intervals
 from adapters.toolkit.lines.lowering import LineLowered
+from adapters.toolkit.lines.move import LineMove
 from adapters.toolkit.lines.options import LineOptions
 from adapters.toolkit.lines.session import ExpectedReply, LineReply
 from adapters.toolkit.lines.unit import LineUnit
@@ -23,18 +23,6 @@ _QUIET_CHARACTERS = 150
 _POLL_NS = 20 * NS_PER_MS
 _OVERDUE_NS = 3 * NS_PER_S
 _LOOKS = 3  # of a controller that has not begun to move, before it is taken for one that does not
-
-
-@dataclass(slots=True)
-class LineMove:
-    """The loaded move. order: its timed write. started: the interval of its start."""
-
-    lowered: LineLowered
-    t0_ns: int
-    stopped: bool = False
-    running: "asyncio.Task[tuple[WriteResult, LineReply | None]] | None" = None
-    order: TimedWrite | None = None
-    started: HostInterval | None = None
 
 
 class LineMover:
@@ -251,7 +239,7 @@ class LineMover:
                 await self._unit.wait_until_tidy()
                 state = await self._unit.read_state()
                 reason = "the move does not end: it was stopped"
-                return MoveOutcome("fault", self._rough_ends(move, state.reply.at_ns), reason)
+                return MoveOutcome("fault", move.rough_ends(state.reply.at_ns), reason)
             end_ns = start_span.earliest_ns + floor(longest_s * NS_PER_S)
             before_ns = end_ns - self._clock.now_ns() - 2 * _POLL_NS
             await sleep_ns(self._clock, min(max(_POLL_NS, before_ns), 5 * _POLL_NS))
@@ -268,31 +256,14 @@ class LineMover:
             reasons = reasons or ["at the target already"]
             if state.status.state == "alarm" or await self._unit.is_restarted(state):
                 reasons.append(state.status.alarm or "the controller has restarted")
-                return MoveOutcome("fault", self._rough_ends(move, now_ns), "; ".join(reasons))
-            return moved_outcome(self._rough_ends(move, now_ns), reasons, stopped=move.stopped, failed=False)
+                return MoveOutcome("fault", move.rough_ends(now_ns), "; ".join(reasons))
+            return moved_outcome(move.rough_ends(now_ns), reasons, stopped=move.stopped, failed=False)
         end_spans = {
-            axis_move.name: self._end_interval(move, axis_move.duration_s, now_ns)
+            axis_move.name: move.end_interval(self._options, axis_move.duration_s, now_ns)
             for axis_move in move.lowered.moves
             if axis_move.distance
         }
         return MoveOutcome("done", {**resting, **end_spans})
-
-    def _rough_ends(self, move: LineMove, now_ns: int) -> dict[str, HostInterval]:
-        earliest_ns = move.t0_ns if move.started is None else move.started.earliest_ns
-        span = HostInterval(min(earliest_ns, now_ns), now_ns)
-        return dict.fromkeys(move.lowered.durations_s, span)
-
-    def _end_interval(self, move: LineMove, duration_s: float, idle_ns: int) -> HostInterval:
-        """Return the interval of an axis's end: its start and duration within the error of the crystal, and before the
-        status that shows it at rest."""
-        start_span = move.started
-        assert start_span is not None
-        margin = self._options.clock_ppm * 1e-6
-        spread_ns = self._options.end_spread_us * NS_PER_US
-        earliest_ns = start_span.earliest_ns + floor(duration_s * NS_PER_S * (1 - margin)) - spread_ns
-        latest_ns = start_span.latest_ns + ceil(duration_s * NS_PER_S * (1 + margin)) + spread_ns
-        latest_ns = min(latest_ns, idle_ns)
-        return HostInterval(min(earliest_ns, latest_ns), latest_ns)
 
     def _finish_move(self, move: LineMove) -> None:
         if self.move is move:

@@ -7,8 +7,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from adapters.yaskawa.common.program import TAIL, array_name
-from adapters.yaskawa.common.record import RECORD_LETTERS
-from adapters.yaskawa.common.session import MAX_PACKET, CommandSession, SmcCommandRefused
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.record import RECORD_LETTERS
+from adapters.yaskawa.wire.session import MAX_PACKET, CommandSession
 from orchestrator.model.errors import Refusal
 
 ARRAY_NAMES = (*(array_name(index) for index in range(len(RECORD_LETTERS))), TAIL)

@@ -10,9 +10,9 @@ whose value the controller itself computes from what it plays at that moment: to
 from collections.abc import Mapping, Sequence
 
 from adapters.yaskawa.common import arrays
-from adapters.yaskawa.common.course_records import SPARE_RECORDS, ChunkRecords, RingRoom
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.program import TAIL, TAIL_LENGTH, array_name
+from adapters.yaskawa.shapes.course_records import SPARE_RECORDS, ChunkRecords, RingRoom
 from orchestrator.model.errors import Refusal
 
 AT_ONCE = 24  # elements in one turn

@@ -1,42 +1,32 @@
 """The controller on its two handles: connection, identification, installation of its resident program, and polls of one
 record."""
 
-import asyncio
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 
 from adapters.contract import NULL_LOG, ControllerIdentity, ControllerRestarted
-from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.gate import GateTiming
-from adapters.yaskawa.common.handles import HandleCleaner
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
     EDGE_THREAD,
     OUTPUT_PASSIVE,
     STEP_THREADS,
-    VARIABLES,
     WATCHDOG_THREAD,
-    axis_letters,
     program_lines,
 )
-from adapters.yaskawa.common.record import AXIS_LETTERS, DataRecord, RecordFormat
-from adapters.yaskawa.common.session import (
-    CommandSession,
-    SmcCommandRefused,
-    print_command,
-    session_tag,
-)
-from adapters.yaskawa.common.stops import SharedStops, StopHandle
+from adapters.yaskawa.common.resident import ResidentProgram
+from adapters.yaskawa.common.stop_counts import StopCounts
 from adapters.yaskawa.common.ticks import SampleClock
 from adapters.yaskawa.language.numbers import parse_numbers
-from orchestrator.clock.base import NS_PER_US, Clock, sleep_ns
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.handles import HandleCleaner
+from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord, RecordFormat
+from adapters.yaskawa.wire.session import CommandSession, print_command, session_tag
+from adapters.yaskawa.wire.stops import SharedStops, StopHandle
+from orchestrator.clock.base import NS_PER_US, Clock
 from orchestrator.link.base import Link, LinkClosed, OpenLink
-from orchestrator.model.errors import ControllerFault, Refusal
-
-THREADS = 8  # L12258
-CONTOURING = 1 << 5  # of TB (L10224)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,24 +72,20 @@ class SmcDevice:
     ) -> None:
         self.log = NULL_LOG
         self._clock = clock
-        self._shared = handles.shared
-        self._goodbye = handles.goodbye
+        self._traits = handles
         self._open_link = open_link
         self._options = options
         self._axes_needed = axes_needed
         self._connection: SmcConnection | None = None
         self._format: RecordFormat | None = None
-        self._resident_program: tuple[str, ...] = ()
+        self.resident = ResidentProgram(options, self.STEP_THREADS)
         self.gate = GateTiming.for_options(options, self.BESIDE, self.SINGLE)
         # It outlives the links: only then a power cycle differs from a broken cable.
-        late_ns = (options.decode_us - options.decode_min_us) * NS_PER_US
-        self.samples = SampleClock(options.tick_ns, late_ns)
+        self.samples = SampleClock(options.tick_ns, (options.decode_us - options.decode_min_us) * NS_PER_US)
         self._restarted = False
         self._handles = HandleCleaner()
         self._reconnect_required = False
-        # Number of stops of each axis: a command that was under way at a stop must not begin a motion after it.
-        self._stop_counts = [0] * len(AXIS_LETTERS)
-        self._all_stopped = asyncio.Event()
+        self.stop_counts = StopCounts(clock)
 
     @property
     def sharing_count(self) -> int:
@@ -118,7 +104,7 @@ class SmcDevice:
         session.log = self.log
         # Until there is a second handle, the one port carries stops too, bypassing other traffic.
         connection = self._connection = SmcConnection(link, session, SharedStops(session))
-        if self._shared:
+        if self._traits.shared:
             await session.send_command("EO 0")  # it may echo (L4833)
         else:
             self._handles.log = self.log
@@ -130,13 +116,7 @@ class SmcDevice:
         await session.send_command("CFS")
         revision = await session.read_revision()
         self._format = await self._find_format(session, revision)
-        if self._format.axes < self._axes_needed:
-            raise ControllerFault(
-                "config-mismatch",
-                f"the fleet file uses motor {AXIS_LETTERS[self._axes_needed - 1]}; the controller has "
-                f"{self._format.axes} axes",
-                "correct `motors` in the fleet file, or the address of the controller",
-            )
+        self._format.require_axes(self._axes_needed)
         return await self._load_and_identify(revision)
 
     async def _find_format(self, session: CommandSession, revision: str) -> RecordFormat:
@@ -160,79 +140,26 @@ class SmcDevice:
         """Close both handles; the controller stays as it is."""
         old_connection, self._connection = self._connection, None
         if old_connection is not None:
-            await old_connection.stops.close(self._goodbye)
+            await old_connection.stops.close(self._traits.goodbye)
             await self._close_handle(old_connection.link)
 
     async def _close_handle(self, link: Link) -> None:
-        if self._goodbye:
+        if self._traits.goodbye:
             with suppress(LinkClosed):
-                link.write(self._goodbye)
+                link.write(self._traits.goodbye)
         await link.close()
 
     async def install_program(self) -> None:
         """Install the resident program if the controller does not have it. Raises `ControllerFault`."""
-        session, program = self.session, self._make_program()
-        self._resident_program = program
-        present = [line.rstrip() for line in await session.query_all("UL")]
-        if present == list(program):
-            # The adapter's own program may still wait for a start that will never be released, or play a contour to its
-            # end.
-            (status,), _ = await session.read_numbers("_TB")
-            if int(status) & CONTOURING:
-                self.log.warning("a contour of an earlier session is in progress; it is stopped by its ramps")
-                # Without its program a contour would stop abruptly (L13968): stop it by its ramps.
-                await session.send_command(f"ST{axis_letters((1 << self.record_format.axes) - 1)}")
-            await self.unload_program()
-        else:
-            await self._require_replaceable(present)
-            self.log.info("installing the resident program", lines=len(program), replaced=len(present))
-            try:
-                await session.download_program(program)
-            except SmcCommandRefused as refusal:
-                raise ControllerFault(
-                    "program-refused",
-                    f"the controller does not accept its program: {refusal}",
-                    "is its program memory locked (LC), or is a download active on another of its ports?",
-                ) from None
-            if [line.rstrip() for line in await session.query_all("UL")] != list(program):
-                raise ControllerFault(
-                    "program-differs", "the program read back is not the one that was sent", "check the link; try again"
-                )
-        await session.send_settings(f"{name}=0" for name in VARIABLES)
-        await arrays.free_arrays(session)
-
-    @property
-    def resident_program(self) -> tuple[str, ...]:
-        """The lines of the resident program; none before it was installed."""
-        return self._resident_program
-
-    async def list_program_lines(self, first: int, last: int) -> list[str]:
-        """Return lines of the program by their numbers (LS, L7093), as far as it has them."""
-        return [line.partition(" ")[2].rstrip() for line in await self.session.query_all(f"LS {first},{last}")]
+        await self.resident.install(self.session, self._make_program(), self.record_format.axes)
 
     async def unload_program(self) -> None:
         """Halt the resident program and leave contour mode: nothing starts, now or later."""
-        threads = dict.fromkeys((*self.STEP_THREADS, WATCHDOG_THREAD, EDGE_THREAD))
-        # Outside contour mode, or without a driven trigger line, the controller refuses the respective command.
-        with suppress(SmcCommandRefused):
-            await self.session.send_settings((*(f"HX{thread}" for thread in threads), *LEAVE_CONTOUR, OUTPUT_PASSIVE))
+        await self.resident.unload(self.session)
 
-    async def _require_replaceable(self, present: list[str]) -> None:
-        thread_states, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4)))
-        more, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(4, THREADS)))
-        threads = [str(thread) for thread, state in enumerate(thread_states + more) if state]
-        if threads:
-            raise ControllerFault(
-                "other-program",
-                f"another program runs in the controller (thread {', '.join(threads)})",
-                "stop it with HX, and its #AUTO start with it, if this controller belongs to the fleet",
-            )
-        if present and not self._options.replace_program:
-            raise ControllerFault(
-                "other-program",
-                f"the controller holds another program of {len(present)} lines, which may not be replaced",
-                "save it, then set `replace_program: true` in the controller's options",
-            )
+    async def list_program_lines(self, first: int, last: int) -> list[str]:
+        """Return lines of the program by their numbers (LS, L7093), as far as it has them."""
+        return await self.resident.list_lines(self.session, first, last)
 
     # Communication
 
@@ -267,8 +194,7 @@ class SmcDevice:
 
     async def read_record(self) -> DataRecord:
         """Return the whole changing state in one exchange; it also updates the clock estimate."""
-        record, _, _ = await self._read_record()
-        return record
+        return (await self._read_record())[0]
 
     async def read_record_with(self, *operands: str) -> tuple[DataRecord, list[float]]:
         """Return a record, and values as `Session.read_numbers` returns them, in one exchange where possible."""
@@ -317,15 +243,6 @@ class SmcDevice:
         """Return a context in which exchanges of this task are not interleaved with others on a shared link."""
         return nullcontext()
 
-    def stop_count(self, index: int) -> int:
-        """Return a number that every stop of this axis increments."""
-        return self._stop_counts[index]
-
-    def require_no_stop(self, axis: str, index: int, since: int) -> None:
-        """Raise `Refusal` when a stop has come since `stop_count` returned `since`."""
-        if self._stop_counts[index] != since:
-            raise Refusal("stopped", f"axis {axis} was stopped meanwhile", "")
-
     async def wait_for_stops(self) -> None:
         """Wait until no stop is under way: it would halt a motion that begins now. Raises `ControllerFault`,
         `LinkClosed`."""
@@ -342,12 +259,12 @@ class SmcDevice:
 
         def check_no_stop() -> None:
             nonlocal is_sent
-            self.require_no_stop(axis, index, since)
+            self.stop_counts.require_no_stop(axis, index, since)
             is_sent = True
 
         try:
             await self.session.send_command(f"BG{AXIS_LETTERS[index]}", check_no_stop)
-            self.require_no_stop(axis, index, since)
+            self.stop_counts.require_no_stop(axis, index, since)
         except SmcCommandRefused:
             raise
         except BaseException:
@@ -362,7 +279,7 @@ class SmcDevice:
         """Stop these axes by their ramps, now, without waiting for any reply; no command under way begins them."""
         axis_indices = list(indices)
         for index in axis_indices:
-            self._stop_counts[index] += 1
+            self.stop_counts.count_axis(index)
         self.brake_axes(axis_indices)
 
     def brake_axes(self, indices: Iterable[int]) -> None:
@@ -373,26 +290,8 @@ class SmcDevice:
 
     def stop_all(self, *, abort: bool) -> None:
         """Stop everything, now, without waiting for any reply."""
-        self._count_stop()
+        self.stop_counts.count_all()
         self._write_stop(*stop_commands(abort=abort))
-
-    def _count_stop(self) -> None:
-        """Count a stop of all axes."""
-        self._stop_counts = [stop_count + 1 for stop_count in self._stop_counts]
-        self._all_stopped.set()
-        self._all_stopped = asyncio.Event()
-
-    async def sleep_to_stop(self, span_ns: int) -> bool:
-        """Sleep for `span_ns`, or until all axes are stopped; return whether they were stopped."""
-        all_stopped = self._all_stopped
-        sleeping = asyncio.ensure_future(sleep_ns(self._clock, span_ns))
-        stopping = asyncio.ensure_future(all_stopped.wait())
-        try:
-            await asyncio.wait([sleeping, stopping], return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            sleeping.cancel()
-            stopping.cancel()
-        return all_stopped.is_set()
 
     def _write_stop(self, *commands: str) -> None:
         """Write to the handle for stops, bypassing everything that is under way on the other handle."""

@@ -30,7 +30,6 @@ from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common import homing
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.jogging import YaskawaJogging
-from adapters.yaskawa.common.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from adapters.yaskawa.common.sampling import DeviceSampling
 from adapters.yaskawa.common.settings import load_soft_limits
 from adapters.yaskawa.common.slots import SampleMover, make_slots
@@ -38,6 +37,7 @@ from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SettingsWatch
 from adapters.yaskawa.language.dialect import send_raw
 from adapters.yaskawa.language.words import STOP_CODES
+from adapters.yaskawa.wire.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.state import FaultReport

@@ -13,10 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.model import SMC4000
-from adapters.yaskawa.common.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.common.registers import ramp_register, speed_register
 from adapters.yaskawa.language.words import stop_code_meaning
+from adapters.yaskawa.shapes.model import SMC4000
+from adapters.yaskawa.wire.record import AXIS_LETTERS, AxisRecord
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal
@@ -40,7 +40,7 @@ async def home_axes(
 
     Raises `Refusal` when no axis began.
     """
-    stop_counts = {index: device.stop_count(index) for _, index, _ in axes}
+    stop_counts = {index: device.stop_counts.stop_count(index) for _, index, _ in axes}
     searching: list[HomingAxis] = []
     try:
         failures = await _begin_homing(device, axes, stop_counts, searching)

@@ -13,9 +13,9 @@ from functools import partial
 
 from adapters.contract import JogMove
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.model import RAMP_UNIT, SPEED_UNIT
-from adapters.yaskawa.common.record import AXIS_LETTERS, AxisRecord
 from adapters.yaskawa.common.registers import exact_ramp, exact_speed
+from adapters.yaskawa.shapes.model import RAMP_UNIT, SPEED_UNIT
+from adapters.yaskawa.wire.record import AXIS_LETTERS, AxisRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.estimator import MAX_PPM
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -60,9 +60,9 @@ class YaskawaJogging:
     async def start_jog(self, axis: str, move: JogMove) -> None:
         """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
         index = self._motors[axis]
-        stop_count = self._device.stop_count(index)
+        stop_count = self._device.stop_counts.stop_count(index)
         async with self._turns[index]:
-            self._device.require_no_stop(axis, index, stop_count)
+            self._device.stop_counts.require_no_stop(axis, index, stop_count)
             wanted_run = self._in_registers(axis, move, stop_count)
             async with self._device.exclusive_turn():
                 state = await self._read_axis(index)
@@ -98,14 +98,14 @@ class YaskawaJogging:
         itself."""
         if now.is_stopping or held.stops != wanted.stops or not held.can_change_to(wanted):
             return False
-        check = partial(self._device.require_no_stop, axis, index, wanted.stops)
+        check = partial(self._device.stop_counts.require_no_stop, axis, index, wanted.stops)
         await self._device.session.send_settings(_change_commands(AXIS_LETTERS[index], held, wanted), check)
         self._runs[index] = wanted
-        if self._device.stop_count(index) != wanted.stops:
+        if self._device.stop_counts.stop_count(index) != wanted.stops:
             # Both commands may have crossed: the manual does not exclude that a speed given to a stopping axis restarts
             # it.
             self._device.brake_axes([index])
-            self._device.require_no_stop(axis, index, wanted.stops)
+            self._device.stop_counts.require_no_stop(axis, index, wanted.stops)
         now = await self._read_axis(index)
         return now.is_moving and not now.is_stopping
 
@@ -129,7 +129,7 @@ class YaskawaJogging:
         self._runs.pop(index, None)
         commands = _begin_commands(AXIS_LETTERS[index], wanted, now.commanded)
         async with self._device.exclusive_turn():
-            check = partial(self._device.require_no_stop, axis, index, wanted.stops)
+            check = partial(self._device.stop_counts.require_no_stop, axis, index, wanted.stops)
             await self._device.session.send_settings(commands, check)
             self._runs[index] = wanted
             await self._device.begin_motion(axis, index, wanted.stops)

@@ -6,12 +6,12 @@ from typing import NamedTuple, Protocol
 
 from adapters.contract import Lowered, PathChunk
 from adapters.yaskawa.common import arrays, lines
-from adapters.yaskawa.common.contour import Contour, axis_increments
-from adapters.yaskawa.common.course_records import ChunkRecords, RecordMaker, RingRoom
-from adapters.yaskawa.common.model import RAMP_UNIT, SPEED_UNIT
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import TAIL, array_name, axis_letters, entry_label
-from adapters.yaskawa.common.trapezoid import RegisterTrapezoid
+from adapters.yaskawa.shapes.contour import Contour, axis_increments
+from adapters.yaskawa.shapes.course_records import ChunkRecords, RecordMaker, RingRoom
+from adapters.yaskawa.shapes.model import RAMP_UNIT, SPEED_UNIT
+from adapters.yaskawa.shapes.trapezoid import RegisterTrapezoid
 from orchestrator.model.profile import Profile
 
 CONTOUR_EXCHANGES = 8  # DC, XN, XM, XDT, their verification and the short array, in addition to an independent move

@@ -12,19 +12,6 @@ from dataclasses import dataclass, replace
 
 from adapters.contract import PathChunk, require_start_class
 from adapters.yaskawa.common import arrays, lines
-from adapters.yaskawa.common.contour import (
-    Contour,
-    ContourLimits,
-    fit_contour,
-    least_interval,
-    require_record_range,
-    require_speed_range,
-)
-from adapters.yaskawa.common.course_records import (
-    RecordMaker,
-    find_chunk_s,
-    find_room,
-)
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.loads import (
     ContourLoad,
@@ -34,11 +21,24 @@ from adapters.yaskawa.common.loads import (
     YaskawaAxisMove,
     YaskawaLowered,
 )
-from adapters.yaskawa.common.model import SMC4000, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import LOOP_COMMANDS, TAIL_LENGTH
 from adapters.yaskawa.common.registers import exact_ramp
-from adapters.yaskawa.common.trapezoid import RegisterTrapezoid, SampleAlignment, YaskawaBounds, fit_registers
+from adapters.yaskawa.shapes.contour import (
+    Contour,
+    ContourLimits,
+    fit_contour,
+    least_interval,
+    require_record_range,
+    require_speed_range,
+)
+from adapters.yaskawa.shapes.course_records import (
+    RecordMaker,
+    find_chunk_s,
+    find_room,
+)
+from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
+from adapters.yaskawa.shapes.trapezoid import RegisterTrapezoid, SampleAlignment, YaskawaBounds, fit_registers
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

@@ -57,7 +57,7 @@ from adapters.yaskawa.common.gate import (
     STEP_TICKS,
     GateTiming,
 )
-from adapters.yaskawa.common.record import AXIS_LETTERS
+from adapters.yaskawa.wire.record import AXIS_LETTERS
 
 STEP_THREAD = 0
 WATCHDOG_THREAD = 1

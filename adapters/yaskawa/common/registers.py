@@ -4,7 +4,7 @@ The controller counts in samples, so that the meaning of a register in host time
 (L10749-10763).
 """
 
-from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT, ModelTraits
+from adapters.yaskawa.shapes.model import RAMP_UNIT, SMC4000, SPEED_UNIT, ModelTraits
 from orchestrator.model.errors import Refusal
 
 

@@ -12,8 +12,8 @@ from math import ceil, floor, log2
 from adapters.contract import SampledPositions, SamplingPlan
 from adapters.yaskawa.common.arrays import ArrayTransfer, free_arrays, read_elements
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.record import AXIS_LETTERS
-from adapters.yaskawa.common.session import SmcCommandRefused
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.record import AXIS_LETTERS
 from adapters.yaskawa.common.watch import SettingsWatch
+from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
 

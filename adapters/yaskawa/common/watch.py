@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 from adapters.contract import SettingDifference
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
-from adapters.yaskawa.common.record import AXIS_LETTERS
-from adapters.yaskawa.common.session import SmcCommandRefused, pack_operands
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.record import AXIS_LETTERS
+from adapters.yaskawa.wire.session import pack_operands
 from orchestrator.model.errors import ControllerFault
 
 LABELS = "DL"  # number of free labels: another program has others
@@ -187,7 +188,7 @@ class SettingsWatch:
         return [other_items[at : at + size] for at in range(0, len(other_items), size)]
 
     def _split_program(self) -> list[range]:
-        count, size = len(self._device.resident_program), SLOW_LINES_AT_ONCE if self._slow else LINES_AT_ONCE
+        count, size = len(self._device.resident.lines), SLOW_LINES_AT_ONCE if self._slow else LINES_AT_ONCE
         return [range(at, min(at + size, count)) for at in range(0, count, size)]
 
     # Checks
@@ -274,7 +275,7 @@ class SettingsWatch:
         return dict(zip(operands, values, strict=True))
 
     async def _compare_program(self, lines: range) -> list[SettingDifference]:
-        wanted_lines = self._device.resident_program[lines.start : lines.stop]
+        wanted_lines = self._device.resident.lines[lines.start : lines.stop]
         held_lines = await self._device.list_program_lines(lines.start, lines.stop - 1)
         for number, line in zip(lines, wanted_lines, strict=True):
             text = held_lines[number - lines.start] if number - lines.start < len(held_lines) else ""

@@ -9,9 +9,18 @@ from adapters.contract import ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.gate import SINGLE_CONDITIONS
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import OUTPUT_PASSIVE, TABLE
-from adapters.yaskawa.common.record import (
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.smc2000 import program as smc2000_program
+from adapters.yaskawa.smc2000.exchange import LineTiming
+from adapters.yaskawa.smc2000.line import SharedSerialLine
+from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
+from adapters.yaskawa.smc2000.polls import PolledSession
+from adapters.yaskawa.smc2000.program import AXIS_VALUES
+from adapters.yaskawa.smc2000.resident import SerialResidentProgram
+from adapters.yaskawa.smc2000.selection import ADDRESS
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.record import (
     MOTOR_OFF,
     MOVING,
     OFF_ON_ERROR,
@@ -20,21 +29,11 @@ from adapters.yaskawa.common.record import (
     AxisRecord,
     DataRecord,
 )
-from adapters.yaskawa.common.session import SmcCommandRefused
-from adapters.yaskawa.smc2000 import program as smc2000_program
-from adapters.yaskawa.smc2000.line import SharedSerialLine
-from adapters.yaskawa.smc2000.options import Smc2000DriverOptions
-from adapters.yaskawa.smc2000.polls import PolledSession
-from adapters.yaskawa.smc2000.program import AXIS_VALUES
-from adapters.yaskawa.smc2000.session import ADDRESS, LineTiming
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_ns
 from orchestrator.link.base import LinkClosed, OpenLink
 from orchestrator.model.errors import ControllerFault
 
-THREADS = 4  # L3405
 STOP_SEND_NS = 50 * NS_PER_MS  # for a stop's bytes to be sent before the port may be closed
-AROUND_LISTED = 6  # characters of a listed line besides its text: number, blank, CR LF
-LISTING_CHARACTERS = 8000  # longest program; a controller may send its listing with a delay
 STOPPING_CODES = (2, 3, 4)  # of SC: by a limit or ST, while it still decelerates (L11427-11493)
 
 # Bits of TS (L12128-12165)
@@ -78,6 +77,7 @@ class SerialDevice(SmcDevice):
     ) -> None:
         super().__init__(clock, open_link, options, polled.axes[-1] + 1)
         self._serial_options = options
+        self.resident = self._serial_resident = SerialResidentProgram(options, chained=where.unit is not None)
         self._line = where.line
         self._unit = where.unit
         self._axes = polled.axes
@@ -128,25 +128,7 @@ class SerialDevice(SmcDevice):
         program = smc2000_program.program_lines(
             self._axes, chained=is_chained, inputs=self._inputs, outputs=self._outputs, gate=self.gate
         )
-        self._resident_program = program
-        await self._unload_own_program()
-        if not await self._holds_program(program):
-            await self._require_no_other_program()
-            self.log.info("installing the resident program", lines=len(program))
-            try:
-                await session.download_program(program)
-            except SmcCommandRefused as refusal:
-                raise ControllerFault(
-                    "program-refused",
-                    f"the controller does not accept its program: {refusal}",
-                    "is its program memory locked (LC)?",
-                ) from None
-            if not await self._holds_program(program):
-                raise ControllerFault(
-                    "program-differs",
-                    "the program read back is not the one that was sent",
-                    "check the cable; the adapter keeps retrying",
-                )
+        await self._serial_resident.install_lines(session, program)
         for name in smc2000_program.program_variables(self._axes, chained=is_chained):
             await session.send_command(f"{name}=0")
         if is_chained:
@@ -154,61 +136,8 @@ class SerialDevice(SmcDevice):
             session.verify_address()
         await arrays.free_arrays(session, (*smc2000_program.contour_arrays(self._axes), TABLE))
 
-    async def _unload_own_program(self) -> None:
-        """Unload the adapter's own program: it may still wait for a start that will never be released. Its first line
-        identifies it, long before all of it is read."""
-        if any(smc2000_program.HEADING in line for line in await self._list_lines(0, 0)):
-            await self.unload_program()
-
-    async def _holds_program(self, wanted: tuple[str, ...]) -> bool:
-        """Return whether `wanted` is the controller's program."""
-        if self._unit is None:
-            return await self._list_program() == list(wanted)
-        at = 0
-        for part in self.session.split_program(wanted):
-            # The controller may send its listing with a delay.
-            characters = sum(len(line) + AROUND_LISTED for line in part)
-            if await self._list_lines(at, at + len(part) - 1, characters) != list(part):
-                return False
-            at += len(part)
-        return not await self._list_lines(at, at)
-
     async def list_program_lines(self, first: int, last: int) -> list[str]:
-        characters = sum(len(line) + AROUND_LISTED for line in self._resident_program[first : last + 1])
-        return await self._list_lines(first, last, characters)
-
-    async def _list_lines(self, first: int, last: int, characters: int = 0) -> list[str]:
-        """Return lines of the program by their numbers (LS, L10135); none where it has none, or does not list them."""
-        try:
-            listing = await self.session.query_all(f"LS {first},{last}", characters)
-        except SmcCommandRefused:
-            return []
-        return [line.partition(" ")[2].rstrip() for line in listing]
-
-    async def _list_program(self) -> list[str]:
-        try:
-            return [line.rstrip() for line in await self.session.query_all("UL", LISTING_CHARACTERS)]
-        except SmcCommandRefused as refusal:
-            raise ControllerFault(
-                "program-refused", f"the controller does not list its program: {refusal}", "unlock it (LC password,0)"
-            ) from None
-
-    async def _require_no_other_program(self) -> None:
-        thread_states, _ = await self.session.read_numbers(*(f"_HX{thread}" for thread in range(THREADS)))
-        threads = [str(thread) for thread, state in enumerate(thread_states) if state]
-        if threads:
-            raise ControllerFault(
-                "other-program",
-                f"another program runs in the controller (thread {', '.join(threads)})",
-                "stop it with HX, and its #AUTO start with it, if this controller belongs to the fleet",
-            )
-        present = await self._list_program()
-        if present and not self._serial_options.replace_program:
-            raise ControllerFault(
-                "other-program",
-                f"the controller holds another program of {len(present)} lines, which may not be replaced",
-                "save it, then set `replace_program: true` in the controller's options",
-            )
+        return await self._serial_resident.list_own_lines(self.session, first, last)
 
     @property
     def is_chained(self) -> bool:
@@ -326,7 +255,7 @@ class SerialDevice(SmcDevice):
         """Do nothing: the controller executes later commands of the line later."""
 
     def stop_all(self, *, abort: bool) -> None:
-        self._count_stop()
+        self.stop_counts.count_all()
         self._write_stop(*stop_commands(abort=abort))
 
     def _write_stop(self, *commands: str) -> None:

@@ -30,14 +30,13 @@ from adapters.yaskawa.common.lowering import (
     LoweringContext,
     lower_moves,
 )
-from adapters.yaskawa.common.model import SMC2000
 from adapters.yaskawa.common.program import PULSE_LABEL
-from adapters.yaskawa.common.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.slots import SampleMover
 from adapters.yaskawa.common.watch import SMC2000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
+from adapters.yaskawa.shapes.model import SMC2000
 from adapters.yaskawa.smc2000 import program as smc2000_program
 from adapters.yaskawa.smc2000.device import LineAddress, PolledPoints, SerialDevice, stop_commands
 from adapters.yaskawa.smc2000.line import SHARED, SharedSerialLine
@@ -49,6 +48,7 @@ from adapters.yaskawa.smc2000.start import SerialStart
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, add_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import TriggerTraits
+from adapters.yaskawa.wire.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

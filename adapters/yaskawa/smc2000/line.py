@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol
 
-from adapters.yaskawa.common.session import session_tag
+from adapters.yaskawa.wire.session import session_tag
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 
 SHARED = "yaskawa serial line"

@@ -9,10 +9,11 @@ controller, and a poll that overlapped with a disturbance is repeated alone.
 import asyncio
 from dataclasses import dataclass, replace
 
-from adapters.yaskawa.common.session import SmcCommandRefused
 from adapters.yaskawa.language.numbers import parse_numbers
+from adapters.yaskawa.smc2000.exchange import LineTiming
 from adapters.yaskawa.smc2000.line import EarlyPoll, LineTurn, SharedSerialLine, address_command
-from adapters.yaskawa.smc2000.session import LineTiming, SerialCommandSession
+from adapters.yaskawa.smc2000.session import SerialCommandSession
+from adapters.yaskawa.wire.exchange import SmcCommandRefused, garbage_fault
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_until_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault
@@ -82,7 +83,7 @@ class PolledSession(SerialCommandSession):
         self._quiet = (from_ns, until_ns)
 
     def poll_ahead(self) -> str | None:
-        if self._is_suspended() or not self._settled or not self._length:
+        if self._is_suspended() or not self._serial.settled or not self._length:
             return None
         return f"{address_command(self._unit)}{self._poll_command}\r"
 
@@ -100,33 +101,33 @@ class PolledSession(SerialCommandSession):
         request_ahead, line.ahead = line.ahead, None
         if request_ahead is not None and request_ahead.poller is self:
             self._overlapped = True
-            self._reset_buffer(request_ahead.plain, request_ahead.marked)
-            self._at_ns = max(self._at_ns, request_ahead.at_ns)
+            self._serial.reset_buffer(request_ahead.plain, request_ahead.marked)
+            self._serial.at_ns = max(self._serial.at_ns, request_ahead.at_ns)
             prefix, sent_ns = address_command(self._unit), request_ahead.sent_ns
         else:
             if request_ahead is not None:
                 line.mark_out_of_step()
-            if line.half_line or not (line.in_step and self._settled):
+            if line.half_line or not (line.in_step and self._serial.settled):
                 await self._select_controller()
             prefix = "" if line.selected == self._unit else address_command(self._unit)
-            self._reset_buffer()
+            self._serial.reset_buffer()
             sent_ns = self._link.write(f"{prefix}{command}\r".encode("ascii"))
         stops, line.in_step, line.selected = line.stops, False, self._unit
         written_ns = sent_ns + (len(prefix) + len(command) + 1) * self._link.char_ns
         text = await self._poll_reply(command, written_ns, alone=alone)
         values = [int(value) for value in parse_numbers(text, count, command)]
         if self._unit is not None and values[0] != self._unit:
-            raise self._garbage_fault(command, f"an answer of unit {self._unit}", f"one of unit {values[0]}")
+            raise garbage_fault(self._link, command, f"an answer of unit {self._unit}", f"one of unit {values[0]}")
         self._length = len(text) + AROUND_LINE
         if line.stops != stops:
             line.mark_out_of_step()
         elif line.ahead is not None:
-            buffers = {"plain": bytes(self._plain), "marked": bytes(self._marked)}
-            line.ahead = replace(line.ahead, at_ns=self._at_ns, **buffers)
+            buffers = {"plain": bytes(self._serial.plain), "marked": bytes(self._serial.marked)}
+            line.ahead = replace(line.ahead, at_ns=self._serial.at_ns, **buffers)
         else:
             line.in_step = True
-        begun_ns = self._begun_ns(sent_ns, len(prefix) + len(command) + 1)
-        return PrintedStatus(values, begun_ns, self._emitted_ns(len(text) + 2), self._at_ns)
+        begun_ns = self._serial.begun_ns(sent_ns, len(prefix) + len(command) + 1)
+        return PrintedStatus(values, begun_ns, self._serial.emitted_ns(len(text) + 2), self._serial.at_ns)
 
     async def _poll_reply(self, command: str, written_ns: int, *, alone: bool) -> str:
         """Return the line that the program prints. When it must have been transmitted, even if it has not arrived yet,
@@ -144,18 +145,18 @@ class PolledSession(SerialCommandSession):
             if leads and now_ns >= over_ns:
                 leads = False
                 self._let_next_begin()
-            silence_ns = self._hold_ns + OVERLAPPED_NS if self._overlapped else self._silence_ns
-            give_up_ns = max(quiet_ns, self._at_ns) + silence_ns
+            silence_ns = self._serial.hold_ns + OVERLAPPED_NS if self._overlapped else self._serial.silence_ns
+            give_up_ns = max(quiet_ns, self._serial.at_ns) + silence_ns
             if now_ns >= give_up_ns:
-                raise self._silence_fault(command)
+                raise self._serial.silence_fault(command)
             until_ns = min(give_up_ns, over_ns) if leads else give_up_ns
             try:
                 async with asyncio.timeout((until_ns - now_ns) / NS_PER_S):
                     chunk = await self._link.read()
             except TimeoutError:
                 continue
-            self._plain += chunk.data
-            self._at_ns = chunk.at_ns
+            self._serial.plain += chunk.data
+            self._serial.at_ns = chunk.at_ns
 
     def _let_next_begin(self) -> None:
         line = self._line
@@ -171,15 +172,15 @@ class PolledSession(SerialCommandSession):
         Another program's report of an error is printed as well, whichever controller is being polled (`?005 BGX`,
         L3473), also between two of the commands that print the line.
         """
-        self._separate_output()
-        if b"?" in self._plain:
+        self._serial.separate_output()
+        if b"?" in self._serial.plain:
             self._line.mark_out_of_step()
-            self._settled = False
+            self._serial.settled = False
             raise SmcCommandRefused(command, 0, "its resident program is missing")
-        while (end := self._marked.find(b"\r\n")) >= 0:
-            text = self._marked[:end].decode("ascii")
+        while (end := self._serial.marked.find(b"\r\n")) >= 0:
+            text = self._serial.marked[:end].decode("ascii")
             printed_text, mark, report = text.partition("?")
-            self._marked[: end + 2] = printed_text.encode() if mark else b""
+            self._serial.marked[: end + 2] = printed_text.encode() if mark else b""
             if not mark:
                 return text
             self.unsolicited.append(mark + report)

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 from adapters.yaskawa.common.gate import BEGIN_TICKS, FOLLOWING_STEP_TICKS, LAST_LOOK_TICKS, STEP_TICKS, GateTiming
-from adapters.yaskawa.common.model import LEAVE_CONTOUR
 from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
     CONTOUR_VARIABLES,
@@ -38,7 +37,8 @@ from adapters.yaskawa.common.program import (
     sum_of_distances,
     take_lines,
 )
-from adapters.yaskawa.smc2000.session import ADDRESS
+from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
+from adapters.yaskawa.smc2000.selection import ADDRESS
 
 LETTERS = "XYZWEFGH"  # L1044-1048
 INTERLEAVED_COMMANDS = 9  # commands: two more in a check of the gate, and commands of other threads on a serial line
@@ -60,6 +60,7 @@ TRIGGER_BESIDE = 4  # threads alternate command by command: one of each other th
 AXIS_VALUES = 4  # RP, TE, TS, SC
 INPUTS_OF_WORD = 8  # L11879
 OUTPUTS_OF_WORD = 16  # L13420
+_PART_CHARACTERS = 240  # of a program per turn: other controllers of a chain wait an eighth of a second for their turn
 
 
 def program_variables(axes: Sequence[int], *, chained: bool) -> tuple[str, ...]:
@@ -206,3 +207,13 @@ def _print_lines(axes: Sequence[int], first: Sequence[str]) -> Iterable[str]:
         values = ',",",'.join(f"{value}{{F10.0}}" for value in group)
         # The end of the line is sent once, with the last of them.
         yield f"MG {comma}{values}" + (";EN" if number == len(groups) - 1 else "{N}")
+
+
+def split_program(lines: tuple[str, ...]) -> list[tuple[str, ...]]:
+    """Split a program's lines into parts between which other controllers of a chain get their turns."""
+    parts: list[tuple[str, ...]] = [()]
+    for line in lines:
+        if sum(map(len, (*parts[-1], line))) > _PART_CHARACTERS:
+            parts.append(())
+        parts[-1] += (line,)
+    return parts

@@ -31,9 +31,19 @@ from adapters.yaskawa.common.lowering import (
     find_chunk_times,
     lower_moves,
 )
-from adapters.yaskawa.common.model import SMC4000, ModelTraits
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.record import (
+from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
+from adapters.yaskawa.common.settings import configure_controller
+from adapters.yaskawa.common.start import SampleStart
+from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
+from adapters.yaskawa.language.dialect import motor_indices
+from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
+from adapters.yaskawa.triggers.latch import PositionLatch
+from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_needs
+from adapters.yaskawa.triggers.table import TriggerPlayer
+from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
+from adapters.yaskawa.wire.exchange import parse_reply
+from adapters.yaskawa.wire.record import (
     AXIS_LETTERS,
     FORWARD_SWITCH,
     RECORD_LETTERS,
@@ -41,16 +51,7 @@ from adapters.yaskawa.common.record import (
     VELOCITY_SCALE,
     AxisRecord,
 )
-from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
-from adapters.yaskawa.common.session import pack_operands, parse_reply
-from adapters.yaskawa.common.settings import configure_controller
-from adapters.yaskawa.common.start import SampleStart
-from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
-from adapters.yaskawa.language.dialect import motor_indices
-from adapters.yaskawa.triggers.latch import PositionLatch
-from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_needs
-from adapters.yaskawa.triggers.table import TriggerPlayer
-from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
+from adapters.yaskawa.wire.session import pack_operands
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink

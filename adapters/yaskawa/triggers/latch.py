@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from adapters.contract import HostInterval, LatchedPosition
 from adapters.yaskawa.common.device import SmcDevice
-from adapters.yaskawa.common.record import AXIS_LETTERS
+from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
@@ -42,7 +42,7 @@ class PositionLatch:
             if self._clock.now_ns() >= until_ns:
                 text = f"the latch of axis {axis} has captured nothing within {format_ns(within_ns)}"
                 raise Refusal("latch-timeout", text, "check the signal and its wire, or allow more with `timeout`")
-            if await self._device.sleep_to_stop(min(LOOK_NS, until_ns - self._clock.now_ns())):
+            if await self._device.stop_counts.sleep_to_stop(min(LOOK_NS, until_ns - self._clock.now_ns())):
                 raise Refusal("stopped", f"a stop came while the latch of axis {axis} was armed", "")
 
     async def _require_input(self, axis: str, index: int, point: DigitalInput) -> None:

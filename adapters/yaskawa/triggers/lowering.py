@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from adapters.yaskawa.common import lines
-from adapters.yaskawa.common.contour import Contour
 from adapters.yaskawa.common.loads import YaskawaLowered
 from adapters.yaskawa.common.lowering import LOOP_COMMANDS, LoweringContext
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import TABLE
+from adapters.yaskawa.shapes.contour import Contour
 from adapters.yaskawa.triggers.table import STAMP_DIGITS
 from adapters.yaskawa.triggers.traits import TriggerTraits
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US

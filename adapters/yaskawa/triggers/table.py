@@ -9,8 +9,8 @@ from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.lines import LoadedStep, ProgramTriggers
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import EDGE_THREAD, TABLE
-from adapters.yaskawa.common.session import SmcCommandRefused
 from adapters.yaskawa.triggers.traits import TriggerTraits
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

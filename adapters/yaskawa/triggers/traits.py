@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from adapters.yaskawa.common.program import LEVEL_LABEL, PULSE_LABEL, TABLE
-from adapters.yaskawa.common.session import MAX_PACKET
+from adapters.yaskawa.wire.session import MAX_PACKET
 
 UPLOAD_ELEMENTS = 100  # at once, over a network
 

@@ -12,7 +12,7 @@ from unit.adapters.cia402_bench import Drives, config, profiles, run
 from unit.adapters.test_cia402_stream import SMOOTH, another, followed, released, smooth
 
 from adapters.cia402 import MAKE
-from adapters.cia402.words import ABORTS, abort_text
+from adapters.cia402.canopen.words import ABORTS, abort_text
 from adapters.contract import DriverSetup, JogMove
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns

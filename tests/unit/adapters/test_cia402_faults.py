@@ -7,7 +7,7 @@ import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
-from adapters.cia402.bus import SHARED
+from adapters.cia402.canopen.bus import SHARED
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import ERROR_BUS_OFF, ERROR_RESTARTED, FRAME_BYTES, CanFrame, decode_frames, encode_frames
 from orchestrator.model.errors import ControllerFault, Refusal

@@ -7,11 +7,11 @@ import pytest
 from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, config, profiles
 
 from adapters.cia402 import MAKE
-from adapters.cia402.bus import SHARED
+from adapters.cia402.canopen.bus import SHARED
+from adapters.cia402.canopen.states import DriveState, drive_state_of
+from adapters.cia402.canopen.words import abort_text, emergency_text
 from adapters.cia402.driver import Cia402Driver
-from adapters.cia402.shape import DriveBounds, DriveUnits, fit_trapezoid
-from adapters.cia402.states import DriveState, drive_state_of
-from adapters.cia402.words import abort_text, emergency_text
+from adapters.cia402.shapes.trapezoid import DriveBounds, DriveUnits, fit_trapezoid
 from adapters.contract import DriverSetup
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.queue import EventQueue

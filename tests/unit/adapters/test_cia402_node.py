@@ -2,8 +2,8 @@
 
 import asyncio
 
-from adapters.cia402.bus import Cia402Bus
-from adapters.cia402.node import BusDrive
+from adapters.cia402.canopen.bus import Cia402Bus
+from adapters.cia402.canopen.node import BusDrive
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 

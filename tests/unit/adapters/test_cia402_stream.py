@@ -8,8 +8,8 @@ import pytest
 from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, config, profiles, run
 
 from adapters.cia402 import MAKE
-from adapters.cia402.bus import SHARED
-from adapters.cia402.course import SetpointTrajectory
+from adapters.cia402.canopen.bus import SHARED
+from adapters.cia402.shapes.course import SetpointTrajectory
 from adapters.contract import DriverSetup, HostInterval, JogMove, MoveOutcome
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S

@@ -7,7 +7,7 @@ import pytest
 from unit.adapters.cia402_bench import ACCELERATION, Drives, run
 from unit.adapters.test_cia402_stream import SMOOTH, another, followed, smooth
 
-from adapters.cia402.bus import RPDO
+from adapters.cia402.canopen.bus import RPDO
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import CanFrame, encode_frames
 from orchestrator.model.errors import Refusal

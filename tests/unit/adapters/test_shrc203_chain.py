@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from unit.adapters.test_shrc203_driver import NAMES, Bench, controller, run
 
-from adapters.shrc203.chain import ChainMove, ChainReport
+from adapters.shrc203.chain import ChainReport
+from adapters.shrc203.chain_axis import ChainMove
 from adapters.shrc203.fleetaxes import axis_bounds
 from adapters.shrc203.shapes.trapezoid import ShrcTrapezoid, fit_trapezoid
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns

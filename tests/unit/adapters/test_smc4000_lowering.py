@@ -9,11 +9,11 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, trapezoid
 from unit.random_rounds import share_with_nightly
 
-from adapters.yaskawa.common.contour import FEWEST_RECORDS, ContourLimits, axis_increments, fit_contour, least_interval
 from adapters.yaskawa.common.lowering import ContourLoad, LoweringContext, RegisterLoad, YaskawaLowered, lower_moves
-from adapters.yaskawa.common.model import SMC4000
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.trapezoid import YaskawaBounds, fit_registers
+from adapters.yaskawa.shapes.contour import FEWEST_RECORDS, ContourLimits, axis_increments, fit_contour, least_interval
+from adapters.yaskawa.shapes.model import SMC4000
+from adapters.yaskawa.shapes.trapezoid import YaskawaBounds, fit_registers
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller

@@ -9,14 +9,14 @@ import pytest
 from unit.adapters.test_smc4000_bench import FLEET, LIMITS, World, run, trapezoid
 
 from adapters.yaskawa.common.gate import GateTiming
-from adapters.yaskawa.common.model import RAMP_UNIT, SMC4000, SPEED_UNIT
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import TABLE, TAIL, VARIABLES, array_name, following_lines, program_lines
-from adapters.yaskawa.common.record import AXIS_LETTERS
-from adapters.yaskawa.common.session import parse_reply
-from adapters.yaskawa.common.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.language.dialect import MAX_LINE
+from adapters.yaskawa.shapes.model import RAMP_UNIT, SMC4000, SPEED_UNIT
+from adapters.yaskawa.shapes.trapezoid import SampleAlignment, YaskawaBounds, fit_registers
 from adapters.yaskawa.smc4000.driver import MAKE
+from adapters.yaskawa.wire.exchange import parse_reply
+from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller

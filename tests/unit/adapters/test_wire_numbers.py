@@ -9,9 +9,9 @@ from adapters.controller.state.readings import require_sound_reading
 from adapters.ppsmc.replies import ASK_INPUTS, ASK_POSITIONS, ASK_STATUS, leading_number, parse_setting
 from adapters.shrc203.wire.replies import STATUS, parse_entries, parse_status, pulse_list, speed_list
 from adapters.smc30.unitstate import POSITION
-from adapters.yaskawa.common.handles import HandleCleaner
-from adapters.yaskawa.common.record import RecordFormat
 from adapters.yaskawa.language.numbers import parse_error_code, parse_numbers, parse_sizes
+from adapters.yaskawa.wire.handles import HandleCleaner
+from adapters.yaskawa.wire.record import RecordFormat
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import ControllerFault
 

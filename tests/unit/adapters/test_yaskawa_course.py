@@ -5,7 +5,7 @@ from random import Random
 import pytest
 
 from adapters.contract import PathChunk
-from adapters.yaskawa.common.course_records import (
+from adapters.yaskawa.shapes.course_records import (
     MOST_CORRECTION,
     BegunPath,
     ChunkRecords,
@@ -14,7 +14,7 @@ from adapters.yaskawa.common.course_records import (
     find_chunk_s,
     find_room,
 )
-from adapters.yaskawa.common.model import SMC4000
+from adapters.yaskawa.shapes.model import SMC4000
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile

@@ -5,7 +5,8 @@ from typing import Any
 
 from unit.adapters.test_smc4000_bench import World, run, trapezoid
 
-from adapters.yaskawa.common.session import CommandSession, SmcCommandRefused, session_tag
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.session import CommandSession, session_tag
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import ReceivedBytes
 

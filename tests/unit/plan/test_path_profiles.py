@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from adapters.cia402.course import SetpointTrajectory
-from adapters.yaskawa.common.contour import ContourLimits, axis_increments, fit_contour
-from adapters.yaskawa.common.model import SMC4000
+from adapters.cia402.shapes.course import SetpointTrajectory
+from adapters.yaskawa.shapes.contour import ContourLimits, axis_increments, fit_contour
+from adapters.yaskawa.shapes.model import SMC4000
 from orchestrator.model.profile import Profile
 from orchestrator.plan.path_profiles import FIT_SHARE, Array, FittedAxis, FittedPath, PathStates, fit_profiles
 from orchestrator.plan.shape import PlanError

@@ -3,9 +3,9 @@
 import asyncio
 from collections import deque
 
-from adapters.cia402.bus import SDO_REQUEST, Cia402Bus
-from adapters.cia402.objects import DictionaryObject
-from adapters.cia402.words import TIMED_OUT, abort_text
+from adapters.cia402.canopen.bus import SDO_REQUEST, Cia402Bus
+from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.words import TIMED_OUT, abort_text
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.can import CanFrame
 from orchestrator.model.errors import ControllerFault

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from adapters.yaskawa.common.model import SPEED_UNIT, ModelTraits
+from adapters.yaskawa.shapes.model import SPEED_UNIT, ModelTraits
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
 

@@ -3,7 +3,7 @@
 import asyncio
 from contextlib import suppress
 
-from adapters.yaskawa.common.session import CommandSession, write_each
+from adapters.yaskawa.wire.session import CommandSession, write_each
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault
 

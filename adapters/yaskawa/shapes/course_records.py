@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from adapters.contract import ChunkFit, PathChunk
-from adapters.yaskawa.common.model import ModelTraits
+from adapters.yaskawa.shapes.model import ModelTraits
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal

@@ -16,11 +16,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple, Protocol
 
-from adapters.cia402 import states
-from adapters.cia402.bus import SYNC, Cia402Bus
-from adapters.cia402.course import SetpointTrajectory
-from adapters.cia402.node import BusDrive, SyncAnswer
-from adapters.cia402.switching import EdgeLog, OutputSchedule
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.bus import SYNC, Cia402Bus
+from adapters.cia402.canopen.node import BusDrive, SyncAnswer
+from adapters.cia402.shapes.course import SetpointTrajectory
+from adapters.cia402.shapes.switching import EdgeLog, OutputSchedule
 from adapters.contract import TimedWrite, TimedWriter
 from orchestrator.clock.base import NS_PER_MS, sleep_until_ns
 from orchestrator.link.base import LinkClosed

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from adapters.cia402.bus import SYNC, Cia402Bus
-from adapters.cia402.stream import PositionStream, StreamFollower
+from adapters.cia402.canopen.bus import SYNC, Cia402Bus
+from adapters.cia402.sync.stream import PositionStream, StreamFollower
 from adapters.contract import TimedWrite, TimedWriter, WriteResult
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed

@@ -8,18 +8,16 @@ before a reply and is kept apart.
 """
 
 import asyncio
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from adapters.contract import NULL_LOG
 from adapters.yaskawa.language.dialect import MAX_LINE
-from adapters.yaskawa.language.numbers import parse_error_code, parse_numbers
-from adapters.yaskawa.language.words import REMEDIES
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from adapters.yaskawa.language.numbers import parse_numbers
+from adapters.yaskawa.wire.exchange import END_OF_DATA, PacketExchange, ParsedReply, parse_reply
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import Link
-from orchestrator.model.errors import ControllerFault, Refusal
 
 MAX_PACKET = 470  # bytes (L1735)
 OPERANDS_OF_LINE = (MAX_LINE - len("MG ")) // len('_SPX{F10.0},",",')
@@ -28,18 +26,9 @@ TAG_CHARACTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 FRACTIONS = ("_IT", "_MT", "_PF", "_GR", "_KP", "_KI", "_KD", "_KS", "_FA", "_OF", "_TL", "_TK", "_IL", "_PL", "_NF")
 DOWNLOAD_REFUSED_S = 0.25  # the latest time of a refusal of a download
 PACKET_PAUSE_S = 0.02  # a download is not acknowledged packet by packet
-END_OF_DATA = "\x1a"  # control Z, of programs and arrays (L4134, L8552, L9116)
 _REVISION = "\x12\x15\r"  # control R control U (L9721)
 
 T = TypeVar("T")
-
-
-class SmcCommandRefused(Refusal):
-    """The controller answered a command with `?`. `number` is its error code (TC)."""
-
-    def __init__(self, command: str, number: int, words: str) -> None:
-        super().__init__("refused", f"the controller refuses {command!r}: {words}", REMEDIES.get(number, ""))
-        self.number = number
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,32 +41,16 @@ class CommandReply:
     received_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Parsed:
-    """A complete reply at the start of a buffer, `used` bytes of it."""
-
-    lines: list[str]
-    refused: bool
-    used: int
-
-
 class CommandSession:
     """Exchanges over one link, one at a time."""
 
     def __init__(self, link: Link, timeout_s: float, tag: str = "") -> None:
         """tag: of the markers, see `session_tag`."""
         self.log = NULL_LOG
-        self._tag = tag
         self._link = link
-        self._timeout_s = timeout_s
-        self._buffer = bytearray()
+        self._exchange = PacketExchange(link, timeout_s, tag)
         self._turn = asyncio.Lock()
-        self._at_ns = 0
-        self._markers = 0
-        # Until a marker has come back, replies to an earlier client's command may be under way.
-        self._in_step = False
-        self._written_at_once = False
-        self.unsolicited: deque[str] = deque(maxlen=20)
+        self.unsolicited = self._exchange.unsolicited
 
     async def send_command(self, command: str, before_send: Callable[[], None] | None = None) -> None:
         """Send a command without data in its reply. Raises `SmcCommandRefused`."""
@@ -144,25 +117,25 @@ class CommandSession:
             if before_send is not None:
                 before_send()
             for packet in _group_packets(commands):
-                replies: list[_Parsed] = []
+                replies: list[ParsedReply] = []
 
-                def all_replies(packet: list[str] = packet, replies: list[_Parsed] = replies) -> _Parsed | None:
+                def all_replies(packet: list[str] = packet, replies: list[ParsedReply] = replies) -> ParsedReply | None:
                     replies.clear()
                     used = 0
                     for _ in packet:
-                        reply = parse_reply(self._buffer[used:])
+                        reply = parse_reply(self._exchange.buffer[used:])
                         if reply is None:
                             return None
                         replies.append(reply)
                         used += reply.used
                     lines = [line for reply in replies for line in reply.lines]
-                    return _Parsed(lines, any(reply.refused for reply in replies), used)
+                    return ParsedReply(lines, any(reply.refused for reply in replies), used)
 
-                _, sent_ns = await self._run_exchange("\r".join(packet), all_replies)
+                _, sent_ns = await self._exchange.run("\r".join(packet), all_replies)
                 refused_commands = [command for command, reply in zip(packet, replies, strict=True) if reply.refused]
                 if refused_commands:
-                    raise await self._read_refusal(refused_commands[-1])
-                self._in_step = True
+                    raise await self._exchange.read_refusal(refused_commands[-1])
+                self._exchange.in_step = True
                 answers += (reply.lines for reply in replies)
         return answers, sent_ns
 
@@ -178,15 +151,15 @@ class CommandSession:
             await self._resynchronise()
             if before_send is not None:
                 before_send()
-            reply, sent_ns = await self._run_exchange(command, lambda: parse_reply(self._buffer))
+            reply, sent_ns = await self._exchange.run(command, self._exchange.find_reply)
             if reply.refused:
-                raise await self._read_refusal(command)
-            self._in_step = True
+                raise await self._exchange.read_refusal(command)
+            self._exchange.in_step = True
             if len(reply.lines) < lines:
-                raise self._garbage_fault(command, f"{lines} lines", repr(reply.lines))
+                raise self._exchange.make_garbage_fault(command, f"{lines} lines", repr(reply.lines))
             split = len(reply.lines) - lines
             self.unsolicited.extend(reply.lines[:split])
-            return CommandReply(reply.lines[split:], b"", sent_ns, self._at_ns)
+            return CommandReply(reply.lines[split:], b"", sent_ns, self._exchange.at_ns)
 
     async def query_all(self, command: str) -> list[str]:
         """Send a command whose reply has any number of data lines. On a serial port, where a listing takes seconds,
@@ -194,10 +167,10 @@ class CommandSession:
         async with self._turn:
             await self._resynchronise()
             by_silence = bool(self._link.char_ns)
-            reply, _ = await self._run_exchange(command, lambda: parse_reply(self._buffer), by_silence=by_silence)
+            reply, _ = await self._exchange.run(command, self._exchange.find_reply, by_silence=by_silence)
             if reply.refused:
-                raise await self._read_refusal(command)
-            self._in_step = True
+                raise await self._exchange.read_refusal(command)
+            self._exchange.in_step = True
             return reply.lines
 
     async def read_revision(self) -> str:
@@ -205,10 +178,10 @@ class CommandSession:
         own, with another prompt (the manual is silent): the next exchange discards it."""
         async with self._turn:
             await self._resynchronise()
-            reply, _ = await self._run_exchange(_REVISION, lambda: parse_reply(self._buffer), terminated=True)
+            reply, _ = await self._exchange.run(_REVISION, self._exchange.find_reply, terminated=True)
             if reply.refused:
-                raise await self._read_refusal("control R control U")
-            self._buffer.clear()
+                raise await self._exchange.read_refusal("control R control U")
+            self._exchange.buffer.clear()
             return " ".join(reply.lines)
 
     async def query_record(self, command: str, header: bytes, length: int, also: str = "") -> CommandReply:
@@ -221,75 +194,53 @@ class CommandSession:
             record: bytes | None = None
             received_ns = 0
 
-            def find_whole_reply() -> _Parsed | None:
+            def find_whole_reply() -> ParsedReply | None:
                 nonlocal record, received_ns
                 if record is None:
-                    record, received_ns = self._take_record(command, header, length), self._at_ns
+                    record, received_ns = self._exchange.take_record(command, header, length), self._exchange.at_ns
                     if record is None:
                         return None
-                return parse_reply(self._buffer) if also else _Parsed([], refused=False, used=0)
+                return parse_reply(self._exchange.buffer) if also else ParsedReply([], refused=False, used=0)
 
-            reply, sent_ns = await self._run_exchange(f"{command}\r{also}" if also else command, find_whole_reply)
+            reply, sent_ns = await self._exchange.run(f"{command}\r{also}" if also else command, find_whole_reply)
             if not record:
-                raise await self._read_refusal(command)
+                raise await self._exchange.read_refusal(command)
             if reply.refused:
-                raise await self._read_refusal(also)
-            self._in_step = True
+                raise await self._exchange.read_refusal(also)
+            self._exchange.in_step = True
             return CommandReply(reply.lines, record, sent_ns, received_ns)
-
-    def _take_record(self, command: str, header: bytes, length: int) -> bytes | None:
-        """Take the record from the buffer and return it; None: it is not complete; b"": the command was refused."""
-        at = self._buffer.find(header)
-        if at < 0:
-            text = bytes(self._buffer).lstrip(b"\r\n")
-            if text[:1] == b"?" and not text[1:2].isdigit():
-                self._buffer[:] = text[1:]
-                return b""
-            if len(text) >= length:
-                raise self._garbage_fault(command, f"a record that begins with {header.hex(' ')}", text[:16].hex(" "))
-            return None
-        if len(self._buffer) <= at + length:
-            return None
-        if self._buffer[at + length] != ord(":"):
-            end = bytes(self._buffer[at + length :])
-            raise self._garbage_fault(command, f"`:` after {length} bytes", repr(end[:16]))
-        record = bytes(self._buffer[at : at + length])
-        if at:
-            self.unsolicited.append(self._buffer[:at].decode("latin-1").strip())
-        del self._buffer[: at + length + 1]
-        return record
 
     def write_at_once(self, *commands: str) -> None:
         """Write at once, whatever is under way, each command in a packet of its own; the replies are assigned later."""
-        self._written_at_once = True
+        self._exchange.written_at_once = True
         write_each(self._link, commands)
 
     async def download_program(self, lines: tuple[str, ...]) -> None:
         """Replace the program (DL, L4128): no prompt until control Z ends it."""
         async with self._turn:
             await self._resynchronise()
-            self._in_step = False
+            self._exchange.in_step = False
             self._link.write(b"DL\r")
             # A refused download must be detected before its lines are sent: they would be executed as commands.
-            if await self._anything_within(DOWNLOAD_REFUSED_S):
-                raise await self._read_refusal("DL")
+            if await self._exchange.anything_within(DOWNLOAD_REFUSED_S):
+                raise await self._exchange.read_refusal("DL")
             packet = b""
             for line in lines:
                 data = line.encode("ascii") + b"\r"
                 if len(packet) + len(data) > MAX_PACKET:
                     self._link.write(packet)
                     # On a serial port the packets must not pile up: they would delay everything else by seconds.
-                    if await self._anything_within(PACKET_PAUSE_S + self._wire_s(packet)):
+                    if await self._exchange.anything_within(PACKET_PAUSE_S + self._exchange.wire_s(packet)):
                         self._link.write(b"\x1a")
-                        raise await self._read_refusal("DL")
+                        raise await self._exchange.read_refusal("DL")
                     packet = b""
                 packet += data
             self._link.write(packet)
-            await self._anything_within(self._wire_s(packet))
-            reply, _ = await self._run_exchange(END_OF_DATA, lambda: parse_reply(self._buffer))
+            await self._exchange.anything_within(self._exchange.wire_s(packet))
+            reply, _ = await self._exchange.run(END_OF_DATA, self._exchange.find_reply)
             if reply.refused:
-                raise await self._read_refusal("DL")
-            self._in_step = True
+                raise await self._exchange.read_refusal("DL")
+            self._exchange.in_step = True
 
     async def load_array(self, name: str, first: int, values: Sequence[int]) -> None:
         """Fill elements of an array from `first` on (QD, L8545). Command and elements must fit into one packet, in
@@ -301,134 +252,43 @@ class CommandSession:
             await self._resynchronise()
             command = f"QD {name}[],{first},{first + len(values) - 1}"
             data = f"{command}\r" + "\r\n".join(map(str, values)) + END_OF_DATA
-            reply, _ = await self._run_exchange(data, lambda: parse_reply(self._buffer), terminated=True)
+            reply, _ = await self._exchange.run(data, self._exchange.find_reply, terminated=True)
             if reply.refused:
-                raise await self._read_refusal(command)
-            self._in_step = True
+                raise await self._exchange.read_refusal(command)
+            self._exchange.in_step = True
 
     async def read_array(self, name: str, first: int, last: int) -> list[int]:
         """Return elements of an array, as whole numbers (QU, L9105): separated by commas, followed by a control Z and
         the prompt."""
 
         def find_whole_reply() -> str | None:
-            text = bytes(self._buffer).decode("latin-1")
+            text = bytes(self._exchange.buffer).decode("latin-1")
             body, end, remainder = text.partition(END_OF_DATA)
             if not end:
                 return "?" if text.strip() == "?" else None
             if not remainder.endswith(":"):
                 return None
-            self._buffer.clear()
+            self._exchange.buffer.clear()
             return body
 
         async with self._turn:
             await self._resynchronise()
             command = f"QU {name}[],{first},{last},1"
-            body, _ = await self._run_exchange(command, find_whole_reply)
+            body, _ = await self._exchange.run(command, find_whole_reply)
             if body == "?":
-                raise await self._read_refusal(command)
-            self._in_step = True
+                raise await self._exchange.read_refusal(command)
+            self._exchange.in_step = True
             return [int(value) for value in parse_numbers(body, last - first + 1, command)]
-
-    def _wire_s(self, data: bytes) -> float:
-        """Return how long data is on the wire of a serial port, s."""
-        return len(data) * self._link.char_ns / NS_PER_S
-
-    async def _anything_within(self, seconds: float) -> bool:
-        try:
-            async with asyncio.timeout(seconds):
-                self._buffer += (await self._link.read()).data
-        except TimeoutError:
-            return False
-        return True
-
-    async def _run_exchange(
-        self, command: str, whole: Callable[[], T | None], *, terminated: bool = False, by_silence: bool = False
-    ) -> tuple[T, int]:
-        """Write a command and read until `whole` finds its complete reply; return it with the instant of writing.
-
-        terminated: the command includes its terminator, and needs no carriage return. by_silence: the timeout begins
-        again with each piece of the reply.
-        """
-        self._in_step = False
-        if self._buffer:
-            self.unsolicited.append(self._buffer.decode("latin-1").strip())
-            self._buffer.clear()
-        data = command.encode("latin-1")
-        if not terminated and command != END_OF_DATA:
-            data += b"\r"
-        sent_ns = self._link.write(data)
-        try:
-            async with asyncio.timeout(self._timeout_s + self._wire_s(data)) as limit:
-                while True:
-                    chunk = await self._link.read()
-                    self._buffer += chunk.data
-                    self._at_ns = chunk.at_ns
-                    if by_silence:
-                        limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
-                    reply = whole()
-                    if reply is not None:
-                        if isinstance(reply, _Parsed):
-                            del self._buffer[: reply.used]
-                            self._check_text(command, reply.lines)
-                        return reply, sent_ns
-        except TimeoutError:
-            received_text = f"only {bytes(self._buffer)!r}" if self._buffer else "nothing"
-            raise ControllerFault(
-                "no-answer",
-                f"{self._link.endpoint}: {received_text} came within {self._timeout_s:g} s after {command!r}",
-                "check power and cable; does another program occupy the controller's interpreter?",
-            ) from None
-
-    async def _read_refusal(self, command: str) -> SmcCommandRefused:
-        """Query the reason of a refusal (TC1, L10254): code and text."""
-        reply, _ = await self._run_exchange("TC1", lambda: parse_reply(self._buffer))
-        words = reply.lines[-1] if reply.lines and not reply.refused else ""
-        code = parse_error_code(words)
-        if code is None:
-            raise self._garbage_fault("TC1", "an error code with its text", repr(words))
-        self._in_step = True
-        return SmcCommandRefused(command, code, words if code else "no reason given")
-
-    async def _resynchronise(self) -> None:
-        """Flush a half-typed command, and discard everything up to the reply of a marker that is new each time."""
-        if self._in_step and not self._written_at_once:
-            return
-        self._written_at_once = False
-        self._markers += 1
-        marker = f"<{self._tag}{self._markers}>"
-        end = marker.encode() + b"\r\n:"
-
-        def find_marker() -> bool | None:
-            at = self._buffer.find(end)
-            if at < 0:
-                return None
-            del self._buffer[: at + len(end)]
-            return True
-
-        self._link.write(b"\\\r")
-        await self._run_exchange(f'MG "{marker}"', find_marker)
-        self._buffer.clear()
-        self._in_step = True
-        self.log.info("the session is synchronised", place=self._link.endpoint)
-
-    def _check_text(self, command: str, lines: list[str]) -> None:
-        for line in lines:
-            if not (line.isascii() and line.isprintable()):
-                raise self._garbage_fault(command, "a line of text", repr(line))
-
-    def _garbage_fault(self, command: str, expected: str, got: str) -> ControllerFault:
-        self._in_step = False
-        return ControllerFault(
-            "garbage",
-            f"{self._link.endpoint}: after {command!r} expected {expected}, got {got}",
-            "check cable and address: is this an SMC controller, and is this port free of other clients?",
-        )
 
     async def read_numbers(self, *operands: str) -> tuple[list[float], CommandReply]:
         """Return the values of operands, variables or expressions, read in one command, with up to four decimals."""
         command = print_command(operands)
         answer = await self.query_lines(command)
         return parse_numbers(answer.lines[0], len(operands), command), answer
+
+    async def _resynchronise(self) -> None:
+        if await self._exchange.resynchronise():
+            self.log.info("the session is synchronised", place=self._link.endpoint)
 
 
 def session_tag(now_ns: int) -> str:
@@ -467,31 +327,6 @@ def pack_texts(texts: Sequence[str], length: Callable[[Sequence[str]], int]) -> 
             lines.append([])
         lines[-1].append(text)
     return lines
-
-
-def parse_reply(buffer: bytes | bytearray) -> _Parsed | None:
-    """Return the first complete reply in `buffer`, or None.
-
-    A stray CR LF at the start of a line (some firmware sends one after `?`) and the control Z that ends a listing are
-    skipped. `?` and a digit is not a prompt but the report of a program's error.
-    """
-    lines: list[str] = []
-    at, size = 0, len(buffer)
-    while at < size:
-        first = buffer[at]
-        if first in b"\r\n\x1a":
-            at += 1
-        elif first == 0x3A:
-            return _Parsed(lines, refused=False, used=at + 1)
-        elif first == 0x3F and not buffer[at + 1 : at + 2].isdigit():
-            return _Parsed(lines, refused=True, used=at + 1)
-        else:
-            end = buffer.find(b"\r\n", at)
-            if end < 0:
-                return None
-            lines.append(buffer[at:end].decode("latin-1").strip())
-            at = end + 2
-    return None
 
 
 def _group_packets(commands: Iterable[str]) -> Iterator[list[str]]:

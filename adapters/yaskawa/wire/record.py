@@ -95,6 +95,15 @@ class RecordFormat:
         blocks = f"{_GENERAL}{general - _GENERAL_BYTES}x", f"{_AXIS}{axis - _AXIS_BYTES}x"
         return cls.from_blocks(axes, blocks, struct.pack("<H", mask))
 
+    def require_axes(self, count: int) -> None:
+        """Raise `ControllerFault` for a controller with fewer axes than the fleet file uses."""
+        if self.axes < count:
+            raise ControllerFault(
+                "config-mismatch",
+                f"the fleet file uses motor {AXIS_LETTERS[count - 1]}; the controller has {self.axes} axes",
+                "correct `motors` in the fleet file, or the address of the controller",
+            )
+
     @classmethod
     def from_blocks(cls, axes: int, blocks: tuple[str, str], mask: bytes) -> "RecordFormat":
         """Build the format from the layouts of the general block (five values, as in `DataRecord`) and of an axis block

@@ -6,53 +6,24 @@ replies have their place in the same queue.
 """
 
 import asyncio
-from collections import deque
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
 
 from adapters.contract import NULL_LOG
+from adapters.shrc203.wire.completions import COMPLETIONS, Completions
 from adapters.shrc203.wire.replies import ANYTHING, COMMAND, DONE, MODE, REFUSALS, ShrcReplyFormat, refusal_of
-from adapters.toolkit.pending_reply import PendingReply
+from adapters.shrc203.wire.reply_queue import EOL, LONGEST_REPLY, ReplyQueue, ShrcLine
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 
-EOL = "\r\n"
-COMPLETIONS = ("1", "2", "3")
 PROGRAM_EVENTS = ("COMP", "TRIG")
 COMPLETION_LATE_NS = 100 * NS_PER_MS  # a completion line is considered lost after this time
-LONGEST_REPLY = 128  # characters that a reply may take to arrive, beyond the time allowed for answering
 _QUIET_NS = 30 * NS_PER_MS  # silence for this long: no late reply is under way
 _TRIES = 3
 
 
-@dataclass(frozen=True, slots=True)
-class ShrcLine:
-    """A received line.
-
-    at_ns: host time when its end was taken from the operating system.
-    command_ns: when the command that it answers was written, 0 for an unsolicited line."""
-
-    text: str
-    at_ns: int
-    command_ns: int = 0
-
-
 class _CompletionOutstanding(TuttiError):
     """A completion is outstanding: a bare digit is ambiguous."""
-
-
-@dataclass(slots=True, eq=False)
-class ShrcPending:
-    """A command whose reply is outstanding."""
-
-    command: str
-    form: ShrcReplyFormat
-    written_ns: int
-    answer: PendingReply[ShrcLine] = field(default_factory=PendingReply[ShrcLine])
-
-    def set_reply(self, line: ShrcLine) -> None:
-        self.answer.set_reply(replace(line, command_ns=self.written_ns))
 
 
 class ShrcSession:
@@ -65,20 +36,13 @@ class ShrcSession:
         self._clock = clock
         self._answer_ns = answer_ns
         self._turn = asyncio.Lock()
-        self._queue: deque[ShrcPending] = deque()
+        self.replies = ReplyQueue(link, clock, char_ns, answer_ns)
         self._partial_line = b""
-        self._out_of_step = True  # the previous traffic is unknown
         self._searching = False
-        self._closed: LinkClosed | None = None
         self._quiet = (0, 0)
         self._reader = asyncio.get_running_loop().create_task(self._read_lines())
-        self.expected_completions: set[int] = set()
-        self._expected_since_ns = 0
-        self._on_completion: Callable[[int, int], None] | None = None
-        self.abandoned = False
-        self._before: set[int] = set()
-        self.completed: dict[int, int] = {}
         self.changed = asyncio.Event()
+        self.completions = Completions(clock, self.changed)
 
     async def close(self) -> None:
         self._reader.cancel()
@@ -96,7 +60,7 @@ class ShrcSession:
         """Like `send_query`, for queries whose answer may be a bare digit; None while a completion is outstanding."""
 
         def require_no_completion() -> None:
-            if self.expected_completions:
+            if self.completions.expected:
                 raise _CompletionOutstanding
 
         try:
@@ -114,7 +78,7 @@ class ShrcSession:
                 return line
             self.log.info(f"{command!r} was refused; the query is repeated", answer=line.text)
         except ControllerFault as error:
-            self._out_of_step = True
+            self.replies.out_of_step = True
             self.log.warning(f"the query {command!r} is repeated: {error.text}", code=error.code)
         line = await self._run_exchange(command, form, before_send)
         if line.text in REFUSALS:
@@ -132,7 +96,7 @@ class ShrcSession:
         try:
             line = await self._run_exchange(command, form)
         except ControllerFault as error:
-            self._out_of_step = True
+            self.replies.out_of_step = True
             self.log.info(f"the query {command!r} failed and is not repeated: {error.text}", code=error.code)
             return None
         return None if line.text in REFUSALS else line
@@ -173,64 +137,14 @@ class ShrcSession:
         """Write at once, bypassing everything else; return the instant. Each command of the session is handed over as a
         whole, so that this is always at the beginning of a line."""
         for command in commands:
-            self._enqueue_command(command, DONE)
+            self.replies.enqueue(command, DONE)
         return self.link.write("".join(command + EOL for command in commands).encode())
 
     def send_command(self, command: str, form: ShrcReplyFormat) -> "asyncio.Future[ShrcLine]":
         """Write a command at once, after those already written, and return its future reply."""
-        pending = self._enqueue_command(command, form)
+        pending = self.replies.enqueue(command, form)
         self.link.write((command + EOL).encode())
         return pending.answer.future
-
-    def expect_reply(self, command: str, written_by_ns: int, latest_ns: int) -> ShrcPending:
-        """Expect the reply to a command that another writer writes by `written_by_ns`, or as late as `latest_ns` while
-        this session is quiet."""
-        pending = self._enqueue_command(command, DONE, written_by_ns)
-        self._set_timeout(pending, latest_ns)
-        return pending
-
-    def record_write(self, pending: ShrcPending, at_ns: int) -> None:
-        """Record when the expected command was written."""
-        pending.written_ns = at_ns
-        if pending in self._queue:
-            self._set_timeout(pending, at_ns)
-
-    def remove_expected(self, pending: ShrcPending) -> None:
-        """Remove an expected command that was never written."""
-        pending.answer.cancel_timeout()
-        if pending in self._queue:
-            self._queue.remove(pending)
-
-    def expect_completions(
-        self, motors: set[int], on_completion: Callable[[int, int], None] | None = None, before: Iterable[int] = ()
-    ) -> None:
-        """Expect completions: from now on a bare digit is the completion of one of `motors`, and its only one; but not
-        while a query sent before can be answered by a digit.
-
-        on_completion: called with motor and instant; then further completions of the same motor are expected, until
-        `expect_no_completion`. before: motors that complete another move first.
-        """
-        self.expected_completions = set(motors)
-        self._expected_since_ns = self._clock.now_ns()
-        self._before = set(before)
-        self._on_completion = on_completion
-        self.completed = {}
-        self.abandoned = False
-
-    def expect_again(self, motor: int) -> None:
-        """Expect the motor's completion again: the received one did not belong to this move."""
-        self.completed.pop(motor, None)
-        self.expected_completions.add(motor)
-
-    def expect_no_completion(self) -> None:
-        """Expect no further completions: none can arrive."""
-        self.expected_completions = set()
-        self._on_completion = None
-        self.abandoned = False
-
-    def abandon_completions(self) -> None:
-        """Stop awaiting the completions; they may still arrive."""
-        self.abandoned = bool(self.expected_completions)
 
     def keep_quiet(self, until_ns: int, line_at_ns: int) -> None:
         """Begin no exchange that would still be under way when another writer writes, at `line_at_ns`."""
@@ -257,50 +171,19 @@ class ShrcSession:
     async def _synchronise(self) -> None:
         while self._quiet[0] <= self._clock.now_ns() < self._quiet[1]:
             await sleep_ns(self._clock, NS_PER_MS)
-        if self._out_of_step:
+        if self.replies.out_of_step:
             await self._resynchronise()
 
     async def _send_once(self, command: str, form: ShrcReplyFormat) -> ShrcLine:
-        pending = self._enqueue_command(command, form)
+        pending = self.replies.enqueue(command, form)
         self.link.write((command + EOL).encode())
         return await pending.answer.future
 
-    def _enqueue_command(self, command: str, form: ShrcReplyFormat, written_ns: int | None = None) -> ShrcPending:
-        if self._closed is not None:
-            raise self._closed
-        since_ns = self._clock.now_ns() if written_ns is None else written_ns
-        pending = ShrcPending(command, form, since_ns)
-        # A command that another writer writes later is answered later: exchanges until then precede it.
-        later_count = sum(queued_reply.written_ns > since_ns for queued_reply in self._queue)
-        self._queue.insert(len(self._queue) - later_count, pending)
-        self._set_timeout(pending, since_ns)
-        return pending
-
-    def _set_timeout(self, pending: ShrcPending, since_ns: int) -> None:
-        """Set the timeout of a reply, counted from when its command is written."""
-        pending.answer.cancel_timeout()
-        byte_count = sum(len(queued_reply.command) + len(EOL) + LONGEST_REPLY for queued_reply in self._queue)
-        pending.answer.timer = self._clock.call_at_ns(
-            since_ns + self._answer_ns + self.wire_ns(byte_count), lambda: self._handle_timeout(pending)
-        )
-
-    def _handle_timeout(self, pending: ShrcPending) -> None:
-        if pending in self._queue:
-            self._queue.remove(pending)
-        self._out_of_step = True
-        pending.answer.set_failure(
-            ControllerFault(
-                "no-answer",
-                f"no reply to {pending.command!r} on {self.link.endpoint}; expected {pending.form.words}",
-                "check power, cable, baud rate, and that the controller is in HOST mode",
-            )
-        )
-
     async def _resynchronise(self) -> None:
         """Resynchronise: end a half-typed command, query the mode, and discard everything that does not match."""
-        while self._queue:  # each has its timeout, so that this loop ends
+        while self.replies.pending:  # each has its timeout, so that this loop ends
             await sleep_ns(self._clock, 5 * NS_PER_MS)
-            self._require_open()
+            self.replies.require_open()
         for tries_left in reversed(range(_TRIES)):
             self._searching = True
             try:
@@ -318,13 +201,9 @@ class ShrcSession:
                 await sleep_ns(self._clock, _QUIET_NS)
             finally:
                 self._searching = False
-            self._out_of_step = False
+            self.replies.out_of_step = False
             self.log.info("the session is synchronised", place=self.link.endpoint)
             return
-
-    def _require_open(self) -> None:
-        if self._closed is not None:
-            raise self._closed
 
     async def _read_lines(self) -> None:
         try:
@@ -339,9 +218,7 @@ class ShrcSession:
             self._handle_link_loss(error)
 
     def _handle_link_loss(self, error: LinkClosed) -> None:
-        self._closed = error
-        while self._queue:
-            self._queue.popleft().answer.set_failure(error)
+        self.replies.close(error)
         self.changed.set()
 
     def _classify_line(self, line: ShrcLine) -> None:
@@ -350,20 +227,20 @@ class ShrcSession:
             return
         if line.text in COMPLETIONS and self._is_completion(line):
             return
-        pending = next((reply for reply in self._queue if reply.form.matches_line(line.text)), None)
-        head = self._queue[0] if self._queue else None
+        pending = next((reply for reply in self.replies.pending if reply.form.matches_line(line.text)), None)
+        head = self.replies.head
         if self._searching:
             if pending is not None:
-                self._queue.remove(pending)
+                self.replies.pending.remove(pending)
                 pending.set_reply(line)
         elif head is None:
-            self._out_of_step = True  # a reply that no task awaits: the next one may be late as well
+            self.replies.out_of_step = True  # a reply that no task awaits: the next one may be late as well
         else:
-            self._queue.popleft()
+            self.replies.pending.popleft()
             if head is pending or line.text in REFUSALS:
                 head.set_reply(line)
                 return
-            self._out_of_step = True
+            self.replies.out_of_step = True
             head.answer.set_failure(
                 ControllerFault(
                     "garbage",
@@ -373,24 +250,10 @@ class ShrcSession:
             )
 
     def _is_completion(self, line: ShrcLine) -> bool:
-        motor = int(line.text)
-        reply = self._queue[0] if self._queue and self._queue[0].form.matches_line(line.text) else None
-        if reply is not None and reply.written_ns <= self._expected_since_ns:
-            return False  # the expected motion is begun after that query
-        if motor in self.expected_completions and self._on_completion is not None:
-            self._on_completion(motor, line.at_ns)
-            self.changed.set()
-            return True
-        if motor in self.expected_completions and motor in self._before:
-            self._before.discard(motor)
-            return True
-        if motor in self.expected_completions:
-            self.expected_completions.discard(motor)
-            self.completed[motor] = line.at_ns
-            self.changed.set()
-            return True
-        # A completion that no task awaits, of a move begun elsewhere, unless it answers the query.
-        return reply is None
+        head = self.replies.head
+        return self.completions.take_line(
+            line, head if head is not None and head.form.matches_line(line.text) else None
+        )
 
     async def wait_changed(self, until_ns: int) -> None:
         """Wait until a completion arrives, `changed` is set, the link is lost (`LinkClosed`), or that instant."""
@@ -400,4 +263,4 @@ class ShrcSession:
         finally:
             timer.cancel()
         self.changed.clear()
-        self._require_open()
+        self.replies.require_open()

@@ -4,9 +4,9 @@ acknowledges it.
 A bit that stood before an order is never the answer to it. So bit 12 must be off before a set-point is given.
 """
 
-from adapters.cia402 import states
-from adapters.cia402.node import BusDrive
-from adapters.cia402.objects import TARGET
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.objects import TARGET
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
 

@@ -1,12 +1,11 @@
 """One drive on the bus: its state as it reports it, and the commands that it was given."""
 
-import asyncio
 from collections.abc import Callable
 from typing import NamedTuple
 
-from adapters.cia402 import states
-from adapters.cia402.bus import EMCY, HEARTBEAT, RPDO, SDO_ANSWER, TPDO, Cia402Bus
-from adapters.cia402.objects import (
+from adapters.cia402.canopen import states
+from adapters.cia402.canopen.bus import EMCY, HEARTBEAT, RPDO, SDO_ANSWER, TPDO, Cia402Bus
+from adapters.cia402.canopen.objects import (
     ACCELERATION,
     ACTUAL,
     CONTROLWORD,
@@ -22,9 +21,10 @@ from adapters.cia402.objects import (
     VELOCITY,
     DictionaryObject,
 )
-from adapters.cia402.sdo import SdoClient, bus_off_fault
-from adapters.cia402.states import DriveState, drive_state_of
-from adapters.cia402.words import emergency_text
+from adapters.cia402.canopen.sdo import SdoClient, bus_off_fault
+from adapters.cia402.canopen.states import DriveState, drive_state_of
+from adapters.cia402.canopen.waits import StateWaits
+from adapters.cia402.canopen.words import emergency_text
 from adapters.contract import NULL_LOG
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.base import LinkClosed
@@ -92,8 +92,7 @@ class BusDrive:
         self.beat_ns = 0
         self.positions: list[tuple[int, int]] | None = None
         """Arrival and value of its positions while they are sampled; None: they are not kept."""
-        self._watchers: list[asyncio.Future[None]] = []
-        self._closed: LinkClosed | None = None
+        self._waits = StateWaits(bus.clock)
 
     @property
     def clock(self) -> Clock:
@@ -140,7 +139,7 @@ class BusDrive:
             self._handle_emergency(int.from_bytes(data[:2], "little"))
         elif function == HEARTBEAT and len(data) == 1:
             self._handle_heartbeat(data[0], at_ns)
-        self._wake_watchers()
+        self.wake_waiting()
 
     def handle_status(self, status: int, at_ns: int) -> None:
         """Handle a statusword from any source."""
@@ -179,49 +178,25 @@ class BusDrive:
         if off:
             self.left_bus += 1
             self.sdo.fail_request(bus_off_fault(self.name))
-        self._wake_watchers()
+        self.wake_waiting()
 
     def handle_link_loss(self, error: LinkClosed) -> None:
-        self._closed = error
+        self._waits.close(error)
         self.sdo.fail_request(error)
-        self._wake_watchers()
-
-    def _wake_watchers(self) -> None:
-        for watcher in self._watchers:
-            if not watcher.done():
-                watcher.set_result(None)
+        self.wake_waiting()
 
     def wake_waiting(self) -> None:
         """Wake all waiting tasks to check their conditions."""
-        self._wake_watchers()
+        self._waits.wake()
 
     async def wait_until(self, condition: Callable[[], bool], until_ns: int) -> bool:
         """Wait until `condition` holds, at most until that instant; return whether it does. Raises `LinkClosed`."""
-        while True:
-            if self._closed is not None:
-                raise self._closed
-            if condition():
-                return True
-            if self.clock.now_ns() >= until_ns:
-                return False
-            watcher: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-            self._watchers.append(watcher)
-
-            def time_out(watcher: "asyncio.Future[None]" = watcher) -> None:
-                if not watcher.done():
-                    watcher.set_result(None)
-
-            timer = self.clock.call_at_ns(until_ns, time_out)
-            try:
-                await watcher
-            finally:
-                timer.cancel()
-                self._watchers.remove(watcher)
+        return await self._waits.wait_until(condition, until_ns)
 
     async def query_status(self) -> None:
         """Query its statusword. Raises `ControllerFault` without an answer."""
         self.handle_status(await self.sdo.read_value(STATUSWORD), self.clock.now_ns())
-        self._wake_watchers()
+        self.wake_waiting()
 
     async def wait_briefly(self, condition: Callable[[], bool]) -> bool:
         """Like `wait_until`, for reactions that a drive shows at once."""

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from adapters.contract import NULL_LOG
-from adapters.yaskawa.common.session import CommandSession, SmcCommandRefused
+from adapters.yaskawa.wire.exchange import SmcCommandRefused
+from adapters.yaskawa.wire.session import CommandSession
 from orchestrator.model.errors import ControllerFault
 
 LETTERS = "ABCDEFGH"

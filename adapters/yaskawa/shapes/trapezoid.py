@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from adapters.yaskawa.common.model import RAMP_UNIT, SPEED_UNIT, ModelTraits
+from adapters.yaskawa.shapes.model import RAMP_UNIT, SPEED_UNIT, ModelTraits
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
 

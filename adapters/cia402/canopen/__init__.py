@@ -1,0 +1,1 @@
+"""A drive as a node of its CAN bus: frames, SDOs, objects, states, and the words for its errors."""

@@ -1,0 +1,43 @@
+"""A move that the resident program executes, or that waits behind it."""
+
+from dataclasses import dataclass
+
+from adapters.contract import HostInterval
+from adapters.yaskawa.common.loads import YaskawaLowered
+from adapters.yaskawa.common.program import STEP_THREAD
+from adapters.yaskawa.shapes.course_records import ChunkRecords
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.clock.estimator import TickMapping
+
+TICKS_MAX = 2_147_483_647  # L10613
+EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # time after its instant within which a start is proven or disproven
+SETTLE_NS = 5 * NS_PER_MS
+
+
+@dataclass(slots=True)
+class LoadedMove:
+    """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
+    another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
+    present step. loaded: of a path, the chunk behind the released one."""
+
+    lowered: YaskawaLowered
+    ticks: int
+    t0_ns: int
+    mapping: TickMapping
+    started: dict[str, HostInterval]
+    thread: int = STEP_THREAD
+    follows: bool = False
+    released: bool = False
+    taken: bool = True
+    loaded: ChunkRecords | None = None
+
+    @property
+    def switched_ns(self) -> int:
+        """When its last trigger is due; T0 without any."""
+        switches = self.lowered.switches
+        return self.t0_ns + (0 if switches is None else switches.instants_ns[-1])
+
+    @property
+    def end_ticks(self) -> int:
+        """The sample in which its last axis ends."""
+        return self.ticks + max((move.samples for move in self.lowered.moves), default=0)

@@ -1,0 +1,24 @@
+"""The watchdog of a step in the controller: a sample by which the adapter must have extended it."""
+
+from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.loaded import TICKS_MAX
+from adapters.yaskawa.common.options import YaskawaOptions
+from orchestrator.clock.base import NS_PER_S
+
+# controllers on one line of 19,200 baud whose watchdogs can be extended within half of the watchdog time
+WATCHDOG_SHARED_MOST = 3
+
+
+class StepWatchdog:
+    """The deadline of one controller's steps, in samples."""
+
+    def __init__(self, device: SmcDevice, options: YaskawaOptions) -> None:
+        self._device = device
+        self._options = options
+
+    def extension_command(self, ticks: int) -> str:
+        """Return the command that sets the watchdog deadline to some time after sample `ticks`."""
+        # On a shared line, each controller waits for the turns of all the others.
+        patience_s = self._options.watchdog_s * max(1.0, self._device.sharing_count / WATCHDOG_SHARED_MOST)
+        patience = round(patience_s * NS_PER_S / self._device.samples.tick_ns)
+        return f"XDL={min(ticks + patience, TICKS_MAX)}"

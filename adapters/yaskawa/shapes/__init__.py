@@ -1,0 +1,1 @@
+"""Shapes of a move: trapezoids, contours and courses in whole samples of the controller."""
