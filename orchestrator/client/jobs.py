@@ -9,10 +9,12 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.queue import QueueRequests
+from orchestrator.client.ready import ReadyCallback, ReadyToBegin
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.jobs.job import UNKNOWN_ACTOR, Job
+from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
@@ -234,12 +236,19 @@ class JobRequests(QueueRequests):
         return await self.request_service("retry", request, JobRetried)
 
     async def wait_for_job(
-        self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
+        self,
+        job_id: str,
+        on_progress: Callable[[JobProgress], None] | None = None,
+        poll_s: float = 1.0,
+        on_ready: ReadyCallback | None = None,
     ) -> JobReport:
         """Wait for a job's end and return its report, as the journal has it. on_progress: called with progress from
-        the bus, and at once with what a queued job waits for; what it raises is raised here.
+        the bus, and at once with what a queued job waits for; what it raises is raised here. on_ready: called with what
+        would move first when the job is ready to begin after a cause; if it returns true the job begins. Without it,
+        the word is given elsewhere.
 
-        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        Raises `Refusal` for a job that does not exist, and `ReadyToBegin` if `on_ready` does not return true. Waits on
+        while the coordinator is away.
         """
         changed_event = asyncio.Event()
         failures: list[Exception] = []
@@ -255,7 +264,7 @@ class JobRequests(QueueRequests):
                 except Exception as error:
                     failures.append(error)  # raised where the caller waits
                     changed_event.set()
-            if progress.state in FINISHED_STATES:
+            if progress.state in FINISHED_STATES or progress.ready:
                 changed_event.set()
 
         subscription = await self.bus.subscribe(self.keys.job_state(job_id), receive_progress)
@@ -268,6 +277,8 @@ class JobRequests(QueueRequests):
                 if on_progress is not None and entry is not None and job is not None and entry.state == "queued":
                     steps = len(StepOrder(job.steps, entry.terms.repeat))
                     on_progress(make_queued_progress(entry, "queued", entry.reason, entry.submitted_utc, steps))
+                if on_ready is not None and entry is not None and entry.ready:
+                    await self._begin_ready(job_id, on_ready)
                 changed_event.clear()
                 try:
                     async with asyncio.timeout(poll_s):
@@ -278,6 +289,20 @@ class JobRequests(QueueRequests):
                     raise failures[0]
         finally:
             await subscription.undeclare()
+
+    async def _begin_ready(self, job_id: str, on_ready: ReadyCallback) -> None:
+        """Give the word for a job that is ready, if `on_ready` does. Raises `ReadyToBegin`."""
+        try:
+            preview = await self.preview_start(job_id)
+            if not preview.motions:
+                return  # a cause is back
+            if not await on_ready(preview):
+                raise ReadyToBegin(preview)
+            await self.release_jobs(job_id, preview=preview)
+        except Refusal as error:
+            # It has changed meanwhile: what it waits for now is read again.
+            if error.code not in ("not-queued", "cause-lasts", "not-shown", "ended"):
+                raise
 
 
 class SubmittedJob(str):
@@ -324,6 +349,20 @@ class SubmittedJob(str):
         """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
         return await self._requests.load_result(await self._requests.wait_for_job(self))
 
+    async def wait(self, on_ready: ReadyCallback | None = None) -> JobResult | StartPreview:
+        """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
+        move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. Raises
+        `Refusal` for a job that does not exist."""
+
+        async def decide(preview: StartPreview) -> bool:
+            return on_ready is not None and await on_ready(preview)
+
+        try:
+            report = await self._requests.wait_for_job(self, on_ready=decide)
+        except ReadyToBegin as ready:
+            return ready.preview
+        return await self._requests.load_result(report)
+
     async def show(self) -> JobShown:
         """All that the journal has of the job. Raises `Refusal`."""
         return await self._requests.show_job(self)
@@ -337,7 +376,7 @@ class SubmittedJob(str):
         await self._requests.hold_jobs(self)
 
     async def release(self) -> None:
-        """Release the held job. Raises `Refusal`."""
+        """Release the held job, or give the word for one that had to wait for a cause. Raises `Refusal`."""
         await self._requests.release_jobs(self)
 
     async def pause(self, *, now: bool = False) -> None:

@@ -14,9 +14,11 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.client.jobs import JobRequests
+from orchestrator.client.ready import ReadyCallback, ReadyToBegin
 from orchestrator.client.results import JobResult
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry
 from orchestrator.model.steps.base import Step
@@ -43,20 +45,31 @@ class JobFailed(TuttiError):
 class StepRequests(JobRequests):
     """Run jobs and single steps that end with this program."""
 
-    async def run(self, job: Job | Step | Sequence[Step], *, wait: bool = False) -> JobResult:
+    async def run(
+        self, job: Job | Step | Sequence[Step], *, wait: bool = False, on_ready: ReadyCallback | None = None
+    ) -> JobResult:
         """Run a job, or steps, and return its report when it is done; it ends with this program.
 
-        wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. Raises
-        `Refusal` if it does not begin, and `JobFailed` if it is not done. Unlike a job that is submitted, it begins
-        also while the queue is stopped, and does not survive an interruption.
+        wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. on_ready: called
+        with what would move first once a cause is gone that it had to wait for; it begins if that returns true. Raises
+        `Refusal` if it does not begin (`ReadyToBegin` after a cause, without `on_ready`), and `JobFailed` if it is not
+        done. Unlike a job that is submitted, it begins also while the queue is stopped, and does not survive an
+        interruption.
         """
+
+        async def decide(preview: StartPreview) -> bool:
+            return on_ready is not None and await on_ready(preview)
+
         async with self.attend() as attendance:
             terms = QueueTerms(session=attendance.session, now=not wait)
             submitting = asyncio.ensure_future(self.enqueue_job(_make_job(job), None, terms))
             try:
                 # Not cancelled: a job whose id is unknown cannot be stopped.
                 entry = await asyncio.shield(submitting)
-                report = await self.load_result(await self.wait_for_job(entry.id))
+                report = await self.load_result(await self.wait_for_job(entry.id, on_ready=decide))
+            except ReadyToBegin:
+                await self.cancel_job((await submitting).id)
+                raise
             except asyncio.CancelledError:
                 await self._stop_interrupted(submitting)
                 raise

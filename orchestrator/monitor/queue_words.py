@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.report import QueueEntry, QueueState
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
@@ -17,6 +18,16 @@ def describe_queue(state: QueueState) -> str:
         return f"the queue is running; {jobs}"
     stop_time = format_time(state.stopped.utc)
     return f"the queue is stopped since {stop_time} ({state.stopped.reason}); {jobs}: tutti queue start"
+
+
+def describe_start(preview: StartPreview) -> list[str]:
+    """What would move first, and what a cause still keeps from it: a line for each job."""
+    lines = [
+        f"{motion.name!r} {motion.job_id} begins with {motion.text}" + (f" ({motion.cause})" if motion.cause else "")
+        for motion in preview.motions
+    ]
+    lines += [f"{motion.name!r} {motion.job_id} still waits for: {motion.cause}" for motion in preview.lasting]
+    return lines
 
 
 def make_job_table(jobs: Iterable[QueueEntry]) -> RenderableType:

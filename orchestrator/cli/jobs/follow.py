@@ -1,5 +1,7 @@
 """Follow a job to its end on the screen."""
 
+import asyncio
+import sys
 import time
 
 from rich.live import Live
@@ -7,13 +9,52 @@ from rich.live import Live
 from orchestrator.cli.base.common import can_redraw, console
 from orchestrator.cli.base.errors import errors
 from orchestrator.client import Tutti
+from orchestrator.client.ready import ReadyToBegin
+from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.report import JobProgress, JobReport
 from orchestrator.monitor.fleet_view import LiveView, describe_progress, format_job_line
+from orchestrator.monitor.queue_words import describe_start
 
 
 async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
     """Wait for a job, showing the fleet live on a terminal, lines elsewhere; if `quiet`, only the reason why it
-    waits, on standard error."""
+    waits, on standard error. Once a cause is gone that it had to wait for, a terminal shows what moves first and asks.
+
+    Raises `ReadyToBegin` then without a terminal, or if the answer is no.
+    """
+    can_ask = sys.stdin.isatty() and not quiet
+    while True:
+        try:
+            return await _follow_until_ready(tutti, job_id, quiet=quiet)
+        except ReadyToBegin as ready:
+            if not can_ask or not await _ask_to_begin(ready.preview):
+                raise
+            try:
+                await tutti.release_jobs(job_id, preview=ready.preview)
+            except Refusal as error:
+                errors.print(error.text, highlight=False, markup=False, soft_wrap=True)
+
+
+async def _ask_to_begin(preview: StartPreview) -> bool:
+    """Show what would move first, and wait for Enter."""
+    for line in describe_start(preview):
+        errors.print(line, highlight=False, markup=False, soft_wrap=True)
+    errors.print("what it waited for is gone: Enter begins, Ctrl-C leaves", highlight=False, markup=False)
+    loop, typed = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(sys.stdin, typed.set)
+    try:
+        await typed.wait()
+    finally:
+        loop.remove_reader(sys.stdin)
+    return bool(sys.stdin.readline())
+
+
+async def _stay(_: StartPreview) -> bool:
+    return False
+
+
+async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
     if quiet:
         waits = ""
 
@@ -23,7 +64,7 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
                 waits = progress.reason
                 errors.print(waits, highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait_for_job(job_id, print_waiting)
+        return await tutti.wait_for_job(job_id, print_waiting, on_ready=_stay)
     if not can_redraw():
         last = ""
 
@@ -34,7 +75,7 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
                 last = words
                 console.print(format_job_line(progress), highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait_for_job(job_id, print_progress)
+        return await tutti.wait_for_job(job_id, print_progress, on_ready=_stay)
     view = LiveView(tutti.keys, time.monotonic)
     async with tutti.subscribe_samples(*view.key_expressions) as samples:
         view.take_states(await tutti.status(), await tutti.list_leases())
@@ -45,4 +86,4 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
                 while not samples.empty():
                     view.take_sample(samples.get_nowait())
 
-            return await tutti.wait_for_job(job_id, take_progress, poll_s=0.25)
+            return await tutti.wait_for_job(job_id, take_progress, poll_s=0.25, on_ready=_stay)

@@ -35,17 +35,24 @@ def hold(jobs: tuple[str, ...], connect: str, fleet: str | None, *, as_json: boo
 
 @click.command(epilog="Example: tutti job release 3f2a91c0")
 @jobs_argument(required=False)
-@click.option("--all", "everything", is_flag=True, help="All held jobs, as after a stop.")
+@click.option("--all", "everything", is_flag=True, help="All jobs that were held by hand or after a failure.")
 @fleet_options
 @json_option
 def release(jobs: tuple[str, ...], connect: str, fleet: str | None, *, everything: bool, as_json: bool) -> None:
-    """Release held JOBS. A stop of the fleet holds all queued jobs."""
+    """Release held JOBS, also those that had to wait for a cause which is gone: what they move first is printed."""
     if everything == bool(jobs):
         exit_with_error("name jobs, or give --all", BAD_INPUT)
 
+    from orchestrator.model.jobs.restart import RESTART
+    from orchestrator.monitor.queue_words import describe_start
+
     async def release_jobs(tutti: "Tutti") -> None:
         entries = [await tutti.find_job(job) for job in jobs]
-        await tutti.release_jobs(*(entry.id for entry in entries))
+        job_ids = [entry.id for entry in entries]
+        preview = await tutti.preview_start(*job_ids) if any(entry.held_by == RESTART for entry in entries) else None
+        for line in [] if preview is None or as_json else describe_start(preview):
+            console.print(line, highlight=False, markup=False, soft_wrap=True)
+        await tutti.release_jobs(*job_ids, preview=preview)
         value: dict[str, Any] = {"released": [entry.id for entry in entries], "all": everything}
         print_result(value, f"released: {name_jobs(*entries) or 'all held jobs'}", as_json=as_json)
 

@@ -8,6 +8,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
+    from orchestrator.model.jobs.restart import StartPreview
     from orchestrator.model.report import QueueState
 
 
@@ -16,8 +17,9 @@ def queue() -> None:
     """Start, stop and show the queue.
 
     After a break no waiting job begins until the queue is started: a restart of the fleet, a stop, an e-stop, an
-    interrupted step, or a controller that was off, restarted or unreferenced meanwhile. One job is held and released by
-    `tutti job hold` and `release`.
+    interrupted step, or a controller that was off, restarted or unreferenced meanwhile. A job that had to wait for a
+    cause (a permit, an e-stop, a fault, a reference, a motor, a controller), and those behind it, begin only by
+    `tutti queue start` once that is gone. One job is held and released by `tutti job hold` and `release`.
     """
 
 
@@ -25,11 +27,18 @@ def queue() -> None:
 @fleet_options
 @json_option
 def start(connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Let waiting jobs begin. Look at them before: `tutti job ls`."""
+    """Let waiting jobs begin, also those that had to wait for a cause which is gone.
+
+    What moves first is printed; `tutti queue status` shows it without starting anything. Jobs whose cause lasts stay
+    where they are.
+    """
 
     async def start_queue(tutti: "Tutti") -> None:
-        await tutti.start_queue()
-        await _print_queue(tutti, as_json=as_json)
+        preview = await tutti.preview_start()
+        if not as_json:
+            _print_start(preview)
+        await tutti.start_queue(preview)
+        await _print_queue(tutti, as_json=as_json, preview=preview)
 
     with_fleet(connect, fleet, start_queue)
 
@@ -51,20 +60,32 @@ def stop(connect: str, fleet: str | None, *, as_json: bool) -> None:
 @fleet_options
 @json_option
 def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Show whether jobs begin, and how many wait."""
+    """Show whether jobs begin, how many wait, and what would move first if the queue was started."""
 
     async def show_queue(tutti: "Tutti") -> None:
-        await _print_queue(tutti, as_json=as_json)
+        preview = await tutti.preview_start()
+        await _print_queue(tutti, as_json=as_json, preview=preview)
+        if not as_json:
+            _print_start(preview)
 
     with_fleet(connect, fleet, show_queue)
 
 
-async def _print_queue(tutti: "Tutti", *, as_json: bool) -> None:
+def _print_start(preview: "StartPreview") -> None:
+    from orchestrator.monitor.queue_words import describe_start
+
+    for line in describe_start(preview):
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
+async def _print_queue(tutti: "Tutti", *, as_json: bool, preview: "StartPreview | None" = None) -> None:
     from orchestrator.monitor.queue_words import describe_queue
 
     state = await tutti.list_jobs(limit=1)
     if as_json:
-        print_json({"stopped": None if state.stopped is None else state.stopped.to_plain(), "waiting": state.waiting})
+        stopped = None if state.stopped is None else state.stopped.to_plain()
+        motions = {} if preview is None else {key: preview.to_plain()[key] for key in ("motions", "lasting")}
+        print_json({"stopped": stopped, "waiting": state.waiting, **motions})
     else:
         console.print(describe_queue(state), highlight=False, markup=False)
 

@@ -94,6 +94,7 @@ def print_accepted(entry: "QueueEntry") -> None:
 
 def make_entry_lines(entry: "QueueEntry") -> list[str]:
     """Describe special queue terms of a job, in lines."""
+    from orchestrator.model.jobs.restart import RESTART
     from orchestrator.model.queue import APPROVAL
     from orchestrator.monitor.times import format_time, localize_times
 
@@ -114,7 +115,7 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
         lines.append(f"priority {terms.priority}")
     if entry.proposed:
         lines.append("proposed" + (f"; its plan: `tutti job plan {entry.id}`" if entry.state == "queued" else ""))
-    if entry.held_by and not (entry.proposed and entry.held_by == APPROVAL):
+    if entry.held_by and entry.held_by != RESTART and not (entry.proposed and entry.held_by == APPROVAL):
         lines.append(f"held by {entry.held_by}: `tutti job release {entry.id}`")
     if entry.place is not None:
         lines.append(f"place {entry.place} in the queue: {localize_times(entry.reason)}")

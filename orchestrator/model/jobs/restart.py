@@ -7,6 +7,7 @@ gone, and begin only by a word for the first motion that was shown.
 
 import hashlib
 import json
+from typing import Literal
 
 from pydantic import Field
 
@@ -34,8 +35,11 @@ class FirstMotion(Model):
 class StartPreview(Reply):
     """The jobs that would begin now, each with its first motion, and those that a cause still keeps from it.
 
-    shown: stands for these motions in the word for them, which counts for nothing else.
+    shown: stands for these motions in the word for them, which counts for nothing else. state: beside those of a
+    report, for what waits for a job.
     """
+
+    state: Literal["ready-to-begin"] = "ready-to-begin"
 
     motions: list[FirstMotion] = Field(default=[])
     lasting: list[FirstMotion] = Field(default=[], description="Jobs whose cause lasts; `cause` says which.")

@@ -109,7 +109,9 @@ class JobIntake:
         if fresh:
             services.log.info(f"accepted {job.name!r} from {job.actor}", job=job_id)
             await self._scheduler.enter_job(row, job)
-        return JobSubmitted(job_id=job_id, entry=self._scheduler.publisher.make_entry(row))
+        entry = self._scheduler.publisher.make_entry(row)
+        cause = self._scheduler.starts.describe_cause(job_id) if fresh else ""
+        return JobSubmitted(job_id=job_id, entry=entry.model_copy(update={"reason": cause or entry.reason}))
 
     async def _require_free_way(self, request: SubmitJob) -> None:
         """Raise `Refusal` for a job that must begin at once, and would have to wait."""

@@ -58,6 +58,16 @@ class DeliberateStarts:
                     services.log.warning(f"not recorded yet that its start is asked for: {error}", job=job.row.id)
                     await sleep_ns(services.clock, RETRY_NS)
 
+    def describe_cause(self, job_id: str) -> str:
+        """What a job that was just accepted waits for before anything else: a cause that lasts; empty: none."""
+        job = self._register.waiting.get(job_id)
+        if job is None or job.blocking_reason:
+            return ""
+        obstacle = self._conditions.find_obstacle(self._register.find_needs(job))
+        if obstacle is None or self._has_job_ahead(job):
+            return ""
+        return f"waits for: {obstacle.describe()}" + "; then its start has to be asked for" * obstacle.asks
+
     # The word
 
     def preview_start(self) -> StartPreview:
