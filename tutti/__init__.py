@@ -16,6 +16,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.client.blocking import BlockingJob, BlockingManualControl, BlockingTutti
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.manual import ManualControl
+from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
@@ -23,6 +24,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.files import FileError, load_fleet
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.restart import FirstMotion, StartPreview
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
@@ -66,6 +68,7 @@ __all__ = [
     "Dwell",
     "Enable",
     "FileError",
+    "FirstMotion",
     "Fleet",
     "FleetStates",
     "FollowPath",
@@ -85,11 +88,13 @@ __all__ = [
     "PositionEntry",
     "QueueEntry",
     "QueueTerms",
+    "ReadyToBegin",
     "Refusal",
     "Repeat",
     "Scan",
     "SetOutput",
     "SetPosition",
+    "StartPreview",
     "StatisticsRead",
     "Step",
     "StepRecording",

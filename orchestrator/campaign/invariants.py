@@ -104,6 +104,8 @@ class InvariantChecker:
         steps = self._records.find_steps(phase)
         reports = {job_id: self._fleet.journal.load_report(job_id) for job_id in phase.jobs}
         self._check_promises(phase)
+        for text in self._recorder.starts.take_unasked():
+            self.add_violation("11", text)
         self._check_jobs(phase, reports)
         for name in self._whole_fleet.controllers:
             motions = self._fleet.controllers[name].commanded_motions[phase.motions_before[name] :]

@@ -10,6 +10,7 @@ from contextlib import suppress
 from orchestrator.client.api import Tutti
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.restart import RESTART
 from orchestrator.model.report import QueueEntry
 
 _COMMAND = re.compile(r"`tutti ([^`]+)`")
@@ -36,7 +37,8 @@ class NamedCommands:
         """Run the first command that the jobs name; return it, empty if none is named."""
         for entry in waiting:
             match = _COMMAND.search(entry.reason)
-            words = f"job release {entry.id}" if entry.held_by else match[1] if match else ""
+            is_held = entry.held_by not in ("", RESTART)
+            words = f"job release {entry.id}" if is_held else match[1] if match else ""
             if words:
                 self.commands.append(words)
                 with suppress(Refusal):  # the next look shows what is still named

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler
 from orchestrator.bus.memory.bus import MemoryBus
+from orchestrator.campaign.start_recorder import StartRecorder
 from orchestrator.clock.base import Clock
 
 Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger"]
@@ -61,6 +62,7 @@ class BusRecorder:
 
     def __init__(self, clock: Clock, on_request: Callable[[RecordedRequest], None]) -> None:
         self.requests: list[RecordedRequest] = []
+        self.starts = StartRecorder(clock)
         self.first_arms_ns: dict[tuple[str, int], int] = {}
         self.preceding_t0_ns: dict[tuple[tuple[str, int], str, str], int] = {}
         self._armed_axes: dict[tuple[tuple[str, int], str], list[str]] = {}
@@ -143,6 +145,7 @@ class RecordedBus:
         return reply
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
+        self._recorder.starts.note_publication(key, payload)
         self._bus.put(key, payload, priority)
 
     async def subscribe(
@@ -151,7 +154,7 @@ class RecordedBus:
         return await self._bus.subscribe(expression, callback, direct=direct)
 
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
-        return await self._bus.serve(expression, handler)
+        return await self._bus.serve(expression, self._recorder.starts.watch_handler(expression, handler))
 
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
         return await self._bus.request_all(expression, payload, timeout_s)

@@ -21,12 +21,14 @@ from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.manual import VALID_MS, ManualControl
 from orchestrator.client.points import OnPoints
+from orchestrator.client.ready import ReadyCallback
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.jobs.service import FleetNames, JobRetried, JobShown, WireFinding
 from orchestrator.model.messages import TraceReply
 from orchestrator.model.operation.alarms import AlarmRecord
@@ -71,6 +73,12 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
         return self._run(self._wrapped.result())
 
+    def wait(self, on_ready: ReadyCallback | None = None) -> JobResult | StartPreview:
+        """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
+        move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. Raises
+        `Refusal` for a job that does not exist."""
+        return self._run(self._wrapped.wait(on_ready))
+
     def show(self) -> JobShown:
         """All that the journal has of the job. Raises `Refusal`."""
         return self._run(self._wrapped.show())
@@ -84,7 +92,7 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         self._run(self._wrapped.hold())
 
     def release(self) -> None:
-        """Release the held job. Raises `Refusal`."""
+        """Release the held job, or give the word for one that had to wait for a cause. Raises `Refusal`."""
         self._run(self._wrapped.release())
 
     def pause(self, *, now: bool = False) -> None:
@@ -215,14 +223,18 @@ class BlockingTutti(BlockingObject[Tutti]):
         """The user or program that makes the requests."""
         return self._wrapped.actor
 
-    def run(self, job: Job | Step | Sequence[Step], *, wait: bool = False) -> JobResult:
+    def run(
+        self, job: Job | Step | Sequence[Step], *, wait: bool = False, on_ready: ReadyCallback | None = None
+    ) -> JobResult:
         """Run a job, or steps, and return its report when it is done; it ends with this program.
 
-        wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. Raises
-        `Refusal` if it does not begin, and `JobFailed` if it is not done. Unlike a job that is submitted, it begins
-        also while the queue is stopped, and does not survive an interruption.
+        wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. on_ready: called
+        with what would move first once a cause is gone that it had to wait for; it begins if that returns true. Raises
+        `Refusal` if it does not begin (`ReadyToBegin` after a cause, without `on_ready`), and `JobFailed` if it is not
+        done. Unlike a job that is submitted, it begins also while the queue is stopped, and does not survive an
+        interruption.
         """
-        return self._run(self._wrapped.run(job, wait=wait))
+        return self._run(self._wrapped.run(job, wait=wait, on_ready=on_ready))
 
     def move(
         self,
@@ -374,18 +386,32 @@ class BlockingTutti(BlockingObject[Tutti]):
         )
 
     def wait_for_job(
-        self, job_id: str, on_progress: Callable[[JobProgress], None] | None = None, poll_s: float = 1.0
+        self,
+        job_id: str,
+        on_progress: Callable[[JobProgress], None] | None = None,
+        poll_s: float = 1.0,
+        on_ready: ReadyCallback | None = None,
     ) -> JobReport:
         """Wait for a job's end and return its report, as the journal has it. on_progress: called with progress from
-        the bus, and at once with what a queued job waits for; what it raises is raised here.
+        the bus, and at once with what a queued job waits for; what it raises is raised here. on_ready: called with what
+        would move first when the job is ready to begin after a cause; if it returns true the job begins. Without it,
+        the word is given elsewhere.
 
-        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        Raises `Refusal` for a job that does not exist, and `ReadyToBegin` if `on_ready` does not return true. Waits on
+        while the coordinator is away.
         """
-        return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s))
+        return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s, on_ready))
 
-    def start_queue(self) -> None:
-        """Let the jobs of the queue begin again after a break or a stop. Raises `Refusal`."""
-        self._run(self._wrapped.start_queue())
+    def preview_start(self, *job_ids: str) -> StartPreview:
+        """What would move first if these jobs were released; without any, if the queue was started. Raises `Refusal`:
+        code `not-queued`."""
+        return self._run(self._wrapped.preview_start(*job_ids))
+
+    def start_queue(self, preview: StartPreview | None = None) -> StartPreview:
+        """Let the jobs of the queue begin again after a break or a stop, and those that had to wait for a cause which
+        is gone. preview: what was shown to a person; without one, what would move at this moment. Returns it. Raises
+        `Refusal`: code `not-shown` if something else would move first by now."""
+        return self._run(self._wrapped.start_queue(preview))
 
     def stop_queue(self) -> None:
         """Let no further job begin; running jobs continue. Raises `Refusal`."""
@@ -395,10 +421,11 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Hold queued jobs until they are released. Raises `Refusal`: code `not-queued`."""
         self._run(self._wrapped.hold_jobs(*job_ids))
 
-    def release_jobs(self, *job_ids: str) -> None:
-        """Release held jobs; without ids, all held jobs but those that wait for approval. Raises `Refusal`: code
-        `awaits-approval`."""
-        self._run(self._wrapped.release_jobs(*job_ids))
+    def release_jobs(self, *job_ids: str, preview: StartPreview | None = None) -> None:
+        """Release held jobs, and give the word for jobs that had to wait for a cause; without ids, all held jobs but
+        those that wait for approval or for a word. preview: what was shown to a person; without one, what these jobs
+        would move at this moment. Raises `Refusal`: codes `awaits-approval`, `cause-lasts`, `not-shown`."""
+        self._run(self._wrapped.release_jobs(*job_ids, preview=preview))
 
     def plan_job(self, job_id: str) -> JobPlanned:
         """What a waiting job would do if it began now, as a plan with a hash, and what differs from the plan that was

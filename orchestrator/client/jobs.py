@@ -9,7 +9,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.queue import QueueRequests
-from orchestrator.client.ready import ReadyCallback, ReadyToBegin
+from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobQueue, JobResult
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
@@ -296,7 +296,7 @@ class JobRequests(QueueRequests):
             preview = await self.preview_start(job_id)
             if not preview.motions:
                 return  # a cause is back
-            if not await on_ready(preview):
+            if not await ask_callback(on_ready, preview):
                 raise ReadyToBegin(preview)
             await self.release_jobs(job_id, preview=preview)
         except Refusal as error:
@@ -355,7 +355,7 @@ class SubmittedJob(str):
         `Refusal` for a job that does not exist."""
 
         async def decide(preview: StartPreview) -> bool:
-            return on_ready is not None and await on_ready(preview)
+            return await ask_callback(on_ready, preview)
 
         try:
             report = await self._requests.wait_for_job(self, on_ready=decide)

@@ -5,8 +5,14 @@ from collections.abc import Awaitable, Callable
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.restart import StartPreview
 
-ReadyCallback = Callable[[StartPreview], Awaitable[bool]]
+ReadyCallback = Callable[[StartPreview], bool | Awaitable[bool]]
 """Called with what would move first; it returns whether that may begin."""
+
+
+async def ask_callback(on_ready: ReadyCallback | None, preview: StartPreview) -> bool:
+    """The answer of a callback, which may be a coroutine; no, if there is none."""
+    answer = on_ready is not None and on_ready(preview)
+    return answer if isinstance(answer, bool) else await answer
 
 
 class ReadyToBegin(Refusal):

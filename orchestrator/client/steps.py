@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.client.jobs import JobRequests
-from orchestrator.client.ready import ReadyCallback, ReadyToBegin
+from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobResult
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.jobs.job import Job
@@ -58,7 +58,7 @@ class StepRequests(JobRequests):
         """
 
         async def decide(preview: StartPreview) -> bool:
-            return on_ready is not None and await on_ready(preview)
+            return await ask_callback(on_ready, preview)
 
         async with self.attend() as attendance:
             terms = QueueTerms(session=attendance.session, now=not wait)

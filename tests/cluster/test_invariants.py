@@ -34,6 +34,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
+from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.queue_gate import QueueGate
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -164,6 +165,11 @@ def takes_any_configuration(patch: Patch) -> None:
 def begins_after_a_break(patch: Patch) -> None:
     """The queue continues by itself after a restart."""
     patch.setattr(QueueGate, "note_break", nothing)
+
+
+def begins_when_a_cause_is_gone(patch: Patch) -> None:
+    """What waited for a cause begins as soon as that is gone."""
+    patch.setattr(DeliberateStarts, "mark_jobs", nothing_async)
 
 
 def misses_absence(patch: Patch) -> None:
@@ -300,6 +306,7 @@ MUTATIONS = (
     Mutation("9", ignores_other_coordinators, FaultCell("arm", "coordinator-overtaken", "ppsmc"), 8),
     Mutation("10", takes_any_configuration, FaultCell("arm", "host-other-file", "cia402"), 0),
     Mutation("11", begins_after_a_break, FaultCell("motion", "fleet-restarted", "shrc203"), 7),
+    Mutation("11", begins_when_a_cause_is_gone, FaultCell("go", "permit-lost", "smc4000"), 1),
     Mutation("3", misses_absence, FaultCell("motion", "operator-lost", "smc4000"), 5),
     Mutation("13", adopts_once, FaultCell("arm", "host-killed", "smc4000"), 11),
     Mutation("13", names_no_command, FaultCell("motion", "estop", "shrc203"), 8),

@@ -3,7 +3,7 @@
 import asyncio
 
 import pytest
-from cluster.worlds import MOVE, PREPARE, changed, demo_fleet, job, outcome, run_fleet
+from cluster.worlds import MOVE, PREPARE, begin_ready, changed, demo_fleet, job, outcome, run_fleet
 
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from orchestrator.client.api import Tutti
@@ -237,6 +237,7 @@ def test_a_job_waits_for_the_estop_to_be_reset_and_a_release_changes_nothing() -
         await asyncio.sleep(5.0)
         assert (await entry(client, waiting)).state == "queued"
         await client.reset()
+        await begin_ready(client, waiting)
         assert (await client.wait_for_job(waiting)).state == "done"
 
     run_fleet(main)
@@ -257,6 +258,7 @@ def test_jobs_wait_for_a_permit_until_it_has_settled() -> None:
         fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=True))
         await asyncio.sleep(1.0)
         assert (await entry(client, waiting[0])).reason.startswith("waits for: permit door-closed (")
+        await begin_ready(client, *waiting)
         assert [(await client.wait_for_job(each)).state for each in waiting] == ["done"] * 3
 
     run_fleet(main, demo_fleet().model_copy(update={"permits": {"door-closed": permit}}))
@@ -281,6 +283,7 @@ def test_a_job_waits_for_references_and_motors_that_none_of_its_steps_provides(s
         async with client.attend() as attendance:
             own = await client.submit(PREPARE, terms=QueueTerms(session=attendance.session))
             await client.wait_for_job(own)
+        await begin_ready(client, waiting)
         assert (await client.wait_for_job(waiting)).state == "done"
 
     run_fleet(main)
@@ -296,6 +299,7 @@ def test_a_job_waits_for_a_controller_that_is_off_and_another_job_does_not() -> 
         assert (await client.wait_for_job(await client.submit(SHORT))).state == "done"
         assert (await entry(client, waiting)).reason.startswith("waits for: stage is offline")
         fleet.wires["stage"].cut = False
+        await begin_ready(client, waiting)
         assert (await client.wait_for_job(waiting)).state == "done"
 
     run_fleet(main)

@@ -12,6 +12,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport, LeaseState
@@ -100,6 +101,11 @@ def rested(fleet: VirtualFleet, controller: str, at_ns: int) -> bool:
     return all(each.end_ns is not None and each.end_ns <= at_ns for each in made if each.start_ns < at_ns)
 
 
+async def give_word(_: StartPreview) -> bool:
+    """An operator for whom everything that is shown may begin."""
+    return True
+
+
 async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
     """Run jobs one after the other, with an operator who starts the queue; the report of the last one."""
     client = fleet.make_client()
@@ -109,7 +115,7 @@ async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
         job_id = await client.submit(each)
         try:
             async with asyncio.timeout(LONGEST_S):
-                report = await client.wait_for_job(job_id)
+                report = await client.wait_for_job(job_id, on_ready=give_word)
         except TimeoutError:
             shown = (await client.show_job(job_id)).entry
             raise AssertionError(f"not ended within {LONGEST_S} s: {shown}") from None
@@ -145,3 +151,10 @@ async def refusal(fleet: VirtualFleet, *jobs: Job) -> RefusalDetails:
     refused = report.steps[-1].refused
     assert refused is not None
     return refused
+
+
+async def begin_ready(client: Tutti, *job_ids: str) -> None:
+    """Wait until these jobs are ready to begin, or wait behind others, after a cause; then give the word for them."""
+    while not any(entry is not None and entry.ready for entry in [(await client.show_job(i)).entry for i in job_ids]):
+        await asyncio.sleep(0.1)
+    await client.start_queue()
