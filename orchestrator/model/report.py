@@ -230,6 +230,8 @@ class FeedHold(Model):
 
 
 Verdict = Literal["green", "amber", "red", "none"]
+VERDICTS: tuple[Verdict, ...] = ("green", "amber", "red")
+"""From the best to the worst."""
 
 
 class PointFinding(Model):
@@ -438,9 +440,28 @@ class JobReport(Model):
         default={},
         description="The named positions of its targets: by name, the value of each axis that was taken when it began.",
     )
+    verdict: Verdict | None = Field(
+        default=None,
+        description="The worst verdict of its steps, if it was done and one of them has a verdict; null otherwise, for "
+        "the reason in `verdict_reason`.",
+    )
+    verdict_reason: str = ""
     steps: list[StepReport] = Field(default=[])
     transitions: list[JobTransition] = Field(default=[])
     notes: dict[str, Any] = Field(default={})
+
+    def judge(self) -> "JobReport":
+        """The report with the verdict on the job: it belongs to what was done."""
+        verdicts = [step.verdict for step in self.steps if step.verdict != "none"]
+        verdict: Verdict | None = None
+        reason = ""
+        if self.state != "done":
+            reason = f"the job is {self.state}: a verdict belongs to what was done"
+        elif not verdicts:
+            reason = "no step of it starts several members together"
+        else:
+            verdict = max(verdicts, key=VERDICTS.index)
+        return self.model_copy(update={"verdict": verdict, "verdict_reason": reason})
 
 
 class LeaseState(Model):

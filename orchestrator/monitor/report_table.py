@@ -13,7 +13,6 @@ from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
 
 _VERDICT_STYLE = {"green": "bold green", "amber": "bold yellow", "red": "bold red", "none": "dim"}
-_VERDICTS = ("green", "amber", "red")  # from the best to the worst
 MAX_STEPS_SHOWN = 14  # of a short report
 MAX_DEVIATIONS = 4
 MAX_CHAIN_LINES = 4
@@ -61,10 +60,10 @@ def _make_head(report: JobReport) -> Text:
     """The outcome in one line: state, worst verdict, reason."""
     style = "bold green" if report.state == "done" else "bold red"
     head = Text.assemble(f"job {report.name!r} ", (report.job_id, "bold"), ": ", (report.state, style))
-    verdicts = [step.verdict for step in report.steps if step.verdict != "none"]
-    if verdicts:
-        worst = max(verdicts, key=_VERDICTS.index)
-        head.append_text(Text.assemble(", verdict ", (worst, _VERDICT_STYLE[worst])))
+    # Judged here: a report of an older version in the journal has no verdict on the job.
+    verdict = report.judge().verdict
+    if verdict is not None:
+        head.append_text(Text.assemble(", verdict ", (verdict, _VERDICT_STYLE[verdict])))
     if report.reason:
         head.append(f" ({localize_times(report.reason)})")
     return head

@@ -155,5 +155,8 @@ def make_step_report(
         start_skew=start_skew,
         promised_skew=None if promised_skew == start_skew else promised_skew,
         end_skew=end_skew,
-        verdict=worse_verdict(judge_skew(start_skew, agreement.budget), judge_skew(promised_skew, agreement.budget)),
+        # A verdict belongs to a step that was done.
+        verdict="none"
+        if failure is not None
+        else worse_verdict(judge_skew(start_skew, agreement.budget), judge_skew(promised_skew, agreement.budget)),
     )

@@ -66,6 +66,7 @@ class JobEnds:
                 "transitions": [*transitions_before, transition],
             }
         )
+        report = report.judge()
         await services.execute(services.journal.record_transition, row.id, transition, report)
         services.statistics.take_job(report)
         self._register.drop_needs(row.id)

@@ -124,7 +124,8 @@ class ReportCollector:
         assert place.point is not None
         took_ns, moved_report = self._clock.now_ns() - now.point_ns, now.moved
         now.point_ns += took_ns
-        verdict: Verdict = "none" if moved_report is None else moved_report.verdict
+        is_judged = moved_report is not None and report.state == "done"
+        verdict: Verdict = moved_report.verdict if moved_report is not None and is_judged else "none"
         now.worst = worse_verdict(now.worst, verdict)
         now.verdicts[verdict] = now.verdicts.get(verdict, 0) + 1
         skew = None
@@ -193,4 +194,5 @@ class ReportCollector:
             return [report]
         location, ended_report = scan.ended
         reason = f"{location.describe()}: {ended_report.reason}"
-        return [report.model_copy(update={"state": ended_report.state, "reason": reason}), ended_report]
+        unjudged = {"state": ended_report.state, "reason": reason, "verdict": "none"}
+        return [report.model_copy(update=unjudged), ended_report]
