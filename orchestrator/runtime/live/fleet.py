@@ -22,6 +22,7 @@ from adapters.controller.state.store import FileStore
 from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
 from orchestrator.bus.identity import VARIABLE
 from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.service_manager import READY, STOPPING, ServiceManager
 from orchestrator.keys.names import Role
 from orchestrator.keys.places import find_identity_folder
@@ -125,9 +126,9 @@ class LiveFleet:
     failed: "asyncio.Future[str] | None" = None
     _next_port: int = field(init=False)
     _lock: StateLock | None = None
-    _rotation: "asyncio.Task[None] | None" = None
+    _tasks: TaskOwner = field(default_factory=TaskOwner)
     _manager: ServiceManager = field(default_factory=ServiceManager)
-    _router_watch: "asyncio.Task[None] | None" = None
+    _router_watch: TaskOwner = field(default_factory=TaskOwner)
     _beside: "asyncio.Future[tuple[None, None]] | None" = None
 
     def __post_init__(self) -> None:
@@ -139,7 +140,7 @@ class LiveFleet:
         self.failed = asyncio.get_running_loop().create_future()
         try:
             self._lock = StateLock(self.state)
-            self._rotation = asyncio.create_task(self._rotate_logs())
+            self._tasks.spawn(self._rotate_logs())
             await self._start_router()
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
             file = self.state / FLEET_FILE
@@ -159,7 +160,7 @@ class LiveFleet:
             await self._beside
             restart = self._restart_router if "router" in self.children else None
             watch = watch_live_router(self.connect, self.fleet.fleet, restart, self.say)
-            self._router_watch = asyncio.create_task(watch)
+            self._router_watch.spawn(watch)
             self._manager.notify(READY)
         except BaseException:
             await self.close()
@@ -184,7 +185,7 @@ class LiveFleet:
         try:
             assert self.run.hosts is not None
             self._lock = StateLock(self.state)
-            self._rotation = asyncio.create_task(self._rotate_logs())
+            self._tasks.spawn(self._rotate_logs())
             self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.run.hosts)))
             if self.run.simulated:
                 await self._start_simulators()
@@ -232,17 +233,14 @@ class LiveFleet:
             # Not while they start: they would come into being behind this.
             self._beside.cancel()
             await asyncio.wait([self._beside])
-        if self._router_watch is not None:
-            self._router_watch.cancel()
-            await asyncio.wait([self._router_watch])
+        await self._router_watch.end_all()
         # Both coordinators at once: the standby must not take over from the other.
         coordinators = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in coordinators))
         order = [GATEWAY, "coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
         for child in sorted(self.children.values(), key=lambda process: order.index(process.name.partition("/")[0])):
             await self._end_child(child)
-        if self._rotation is not None:
-            self._rotation.cancel()
+        self._tasks.cancel_all()
         if self._lock is not None:
             self._lock.release()
 
@@ -468,7 +466,7 @@ class LiveFleet:
         log = self.state / "log" / f"{name.replace('/', '-')}.err"
         child = self.children[name] = ChildProcess(name, command, log, tells)
         await self._spawn_process(child)
-        child.keeper = asyncio.get_running_loop().create_task(self._supervise_child(child))
+        child.keeper = self._tasks.spawn(self._supervise_child(child))
         return child
 
     async def _spawn_process(self, child: ChildProcess) -> None:
