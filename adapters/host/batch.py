@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 from pydantic import ValidationError
 
-from adapters.controller.publishing.publisher import first_error_text
 from orchestrator.bus.base import BusSample, RequestHandler, RequestRefused
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.messages import BatchReply, BatchRequest
+from orchestrator.model.problems import describe_first_error
 
 
 class BatchAnswers:
@@ -35,7 +35,7 @@ class BatchAnswers:
         try:
             batch = BatchRequest.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(f"{verb}: {first_error_text(error)}") from None
+            raise RequestRefused(f"{verb}: {describe_first_error(error, 'payload')}") from None
         asked_ns = self._clock.now_ns()
         replies: dict[str, str] = {}
         errors: dict[str, str] = {}
