@@ -8,7 +8,6 @@ from pydantic import ValidationError
 
 from adapters.abilities import LearningDriver, set_output
 from adapters.controller.components import Components
-from adapters.controller.publishing.publisher import first_error_text
 from adapters.controller.slots.triggers import LatchControl
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
@@ -63,6 +62,7 @@ from orchestrator.model.messages import (
     TakeTriggers,
     TriggersTaken,
 )
+from orchestrator.model.problems import describe_first_error
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.model.version import PartVersion, require_version
 
@@ -117,7 +117,7 @@ class ControllerCommands:
         try:
             request = model.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(f"{verb}: {first_error_text(error)}") from None
+            raise RequestRefused(f"{verb}: {describe_first_error(error, 'payload')}") from None
         return await self._answers.answer_once(
             verb, request.request_id, lambda: self._execute_request(verb, reply, handler, request)
         )
@@ -303,7 +303,9 @@ class ControllerCommands:
             self._context.make.options_model.model_validate(config.options)
             self._context.make.check_config(config)
         except ValidationError as error:
-            raise Refusal("bad-configuration", first_error_text(error), "correct the fleet file") from None
+            raise Refusal(
+                "bad-configuration", describe_first_error(error, "payload"), "correct the fleet file"
+            ) from None
         except ValueError as error:
             raise Refusal("bad-configuration", str(error), "correct the fleet file") from None
         if not request.check:

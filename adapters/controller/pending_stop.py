@@ -9,6 +9,7 @@ from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.link.last_stop import send_stop_once
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.owner import running
 from orchestrator.link.base import LinkClosed
 
 RETRY_NS = 200 * NS_PER_MS  # a pending stop is tried at least this often
@@ -85,11 +86,8 @@ class PendingStop:
         if stop_answer.answer:
             yield
             return
-        repeating = asyncio.get_running_loop().create_task(self._repeat_until_answered(stop_answer.written_ns))
-        try:
+        async with running(self._repeat_until_answered(stop_answer.written_ns)):
             yield
-        finally:
-            repeating.cancel()
 
     async def _repeat_until_answered(self, written_ns: int) -> None:
         """Write the stop again to the link that is being set up: while nothing is received, because bytes that are

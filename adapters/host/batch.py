@@ -6,16 +6,16 @@ bus alone (router, both ends, and their threads); batched, it costs 3 ms.
 """
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any
+from collections.abc import Callable
 
 from pydantic import ValidationError
 
-from adapters.controller.publishing.publisher import first_error_text
 from orchestrator.bus.base import BusSample, RequestHandler, RequestRefused
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.messages import BatchReply, BatchRequest
+from orchestrator.model.problems import describe_first_error
 
 
 class BatchAnswers:
@@ -26,7 +26,8 @@ class BatchAnswers:
         self._keys = keys
         self._clock = clock
         self._handler_of = handler_of
-        self._tasks: set[asyncio.Task[None]] = set()
+        # A handler without a reply at the timeout continues, as it does after a single request.
+        self._tasks = TaskOwner()
 
     async def answer_batch(self, sample: BusSample) -> bytes:
         """Pass each request to its controller, and return the replies that arrived before the timeout."""
@@ -34,7 +35,7 @@ class BatchAnswers:
         try:
             batch = BatchRequest.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(f"{verb}: {first_error_text(error)}") from None
+            raise RequestRefused(f"{verb}: {describe_first_error(error, 'payload')}") from None
         asked_ns = self._clock.now_ns()
         replies: dict[str, str] = {}
         errors: dict[str, str] = {}
@@ -57,7 +58,7 @@ class BatchAnswers:
 
         calls = ((name, self._handler_of(name), payload) for name, payload in batch.requests.items())
         tasks = [
-            self._spawn_task(request_controller(name, answer, payload))
+            self._tasks.spawn(request_controller(name, answer, payload))
             for name, answer, payload in calls
             if answer is not None
         ]
@@ -65,14 +66,6 @@ class BatchAnswers:
             await asyncio.wait(tasks, timeout=batch.answer_within_ns / NS_PER_S)
         return BatchReply(replies=dict(replies), errors=dict(errors), took_ns=dict(took_ns)).to_json()
 
-    def _spawn_task(self, coroutine: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
-        # A handler without a reply at the timeout continues, as it does after a single request.
-        task = asyncio.get_running_loop().create_task(coroutine)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
-
     def cancel_all(self) -> None:
         """Cancel all handlers: no requester waits for their replies."""
-        for task in list(self._tasks):
-            task.cancel()
+        self._tasks.cancel_all()

@@ -23,6 +23,7 @@ from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.clock.service_manager import ServiceManager
@@ -238,20 +239,19 @@ async def _run_guardian(
         asyncio.get_running_loop().add_signal_handler(number, guardian.request_end)
     # It watches its child whether the router is there or not.
     latch = chosen.state / f"guardian-{chosen.host}.estop"
-    keeping = asyncio.create_task(keep_latch(chosen.connect, fleet, f"guardian-{chosen.host}", latch))
-    keeping.add_done_callback(lambda task: _report_end(task, log))
-    feeding = [keeping]
+    keeping = TaskOwner(lambda error, _: _report_latch_end(error, log))
+    keeping.spawn(keep_latch(chosen.connect, fleet, f"guardian-{chosen.host}", latch))
+    feeding = TaskOwner()
     if chosen.feed_watchdog:
-        feeding.append(asyncio.create_task(ServiceManager().feed_watchdog(lambda: guardian.checks)))
+        feeding.spawn(ServiceManager().feed_watchdog(lambda: guardian.checks))
     await guardian.run()
-    for task in feeding:
-        task.cancel()
-    await asyncio.wait(feeding)
+    feeding.cancel_all()
+    await keeping.end_all()
+    await feeding.end_all()
 
 
-def _report_end(keeping: "asyncio.Task[None]", log: ProcessLog) -> None:
-    if not keeping.cancelled() and (error := keeping.exception()) is not None:
-        log.info(f"the guardian does not keep the e-stop latch: {error!r}", level="error")
+def _report_latch_end(error: BaseException, log: ProcessLog) -> None:
+    log.info(f"the guardian does not keep the e-stop latch: {error!r}", level="error")
 
 
 def _child_arguments(chosen: argparse.Namespace) -> list[str]:

@@ -30,6 +30,7 @@ from orchestrator.link.base import Link, OpenLink
 from orchestrator.link.trace import TracedLink, TraceRing
 from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.messages import KeptEstop, LeaderHeartbeat
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import CertificateEnd, EstopLatch
 
 REPLY_SEND_NS = 20 * NS_PER_MS  # for the reply to `configure` to be sent before its supervisor is closed
@@ -205,7 +206,7 @@ class AdapterHost:
         try:
             heartbeat = LeaderHeartbeat.read_message(sample.payload)
         except ValidationError as error:
-            self._log.warning(f"unreadable leader message: {error.errors()[0]['msg']}")
+            self._log.warning(f"unreadable leader message: {first_error_text(error)}")
             return
         event = heartbeat.estop if self._leaders.receive_heartbeat(heartbeat) else ""
         if (

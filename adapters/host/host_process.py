@@ -36,6 +36,7 @@ from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.owner import wait_for_first
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Controller, Fleet
@@ -198,7 +199,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())
             _print_ready()
             async with report_own_alarms(bus, around.keys, ("host", chosen.host), chosen.connect):
-                await _wait_for_any(end, guardian_loss)
+                await wait_for_first(end.wait(), guardian_loss.wait())
             reason = "the guardian is gone" if guardian_loss.is_set() else "the adapter host has ended"
             await _shut_down(host, log, reason)
         finally:
@@ -212,14 +213,6 @@ def _print_ready() -> None:
     with contextlib.suppress(OSError):
         sys.stdout.write("ready\n")
         sys.stdout.flush()
-
-
-async def _wait_for_any(*events: asyncio.Event) -> None:
-    """Wait for any of `events`."""
-    waits = [asyncio.ensure_future(event.wait()) for event in events]
-    await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-    for wait in waits:
-        wait.cancel()
 
 
 async def _shut_down(host: AdapterHost, log: ProcessLog, reason: str) -> None:

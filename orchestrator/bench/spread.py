@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 from orchestrator.clock.live import raw_ns
+from orchestrator.clock.owner import TaskOwner
 
 NOISE_EVERY_S = 0.005
 
@@ -42,13 +43,14 @@ class WakeUpNoise:
 
     def __init__(self) -> None:
         self._late_ns: list[int] = []
+        self._tasks = TaskOwner()
 
     async def __aenter__(self) -> Self:
-        self._task = asyncio.get_running_loop().create_task(self._sample_delays())
+        self._tasks.spawn(self._sample_delays())
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        self._task.cancel()
+        self._tasks.cancel_all()
 
     def make_spread(self) -> DurationSpread:
         """Return the delays so far."""

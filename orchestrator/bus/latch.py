@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.executor import Executor, run_inline
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.messages import EstopMessage, EstopReset, KeptEstop
 from orchestrator.model.operation.checksums import add_checksum, take_checksum
@@ -52,7 +53,7 @@ class LatchKeeper:
         self._utc = utc
         self._store = store
         self._execute = execute
-        self._saves: set[asyncio.Task[None]] = set()
+        self._saves = TaskOwner()
         self._declared: list[BusDeclaration] = []
         self.latch: EstopLatch | None = store.load()
 
@@ -73,7 +74,7 @@ class LatchKeeper:
         for declaration in self._declared:
             await declaration.undeclare()
         self._declared.clear()
-        await asyncio.gather(*self._saves)
+        await asyncio.gather(*self._saves.pending)
 
     def _receive_estop(self, sample: BusSample) -> None:
         if self.latch is None:
@@ -89,9 +90,7 @@ class LatchKeeper:
     def _change(self, latch: EstopLatch | None) -> None:
         self.latch = latch
         # In the order of the changes, which is that of the calls.
-        task = asyncio.get_running_loop().create_task(self._save(latch))
-        self._saves.add(task)
-        task.add_done_callback(self._saves.discard)
+        self._saves.spawn(self._save(latch))
 
     async def _save(self, latch: EstopLatch | None) -> None:
         # A full disk takes nothing from what this process knows.

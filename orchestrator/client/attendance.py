@@ -15,6 +15,7 @@ from typing import Self
 from orchestrator.bus.base import Priority
 from orchestrator.client.connection import FleetConnection
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.queue import SIGN_PERIOD_NS
 
 
@@ -27,15 +28,14 @@ class Attendance:
         self.session = f"s-{connection.new_id()}"
         self._connection = connection
         self._is_alive = is_alive
-        self._signs: asyncio.Task[None] | None = None
+        self._signs = TaskOwner()
 
     async def __aenter__(self) -> Self:
-        self._signs = asyncio.get_running_loop().create_task(self._publish_signs())
+        self._signs.spawn(self._publish_signs())
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        if self._signs is not None:
-            self._signs.cancel()
+        self._signs.cancel_all()
 
     async def _publish_signs(self) -> None:
         key, payload = self._connection.keys.session(self.session), self._connection.actor.encode()

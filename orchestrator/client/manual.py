@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from orchestrator.client.connection import FleetConnection
+from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
@@ -57,7 +58,7 @@ class ManualControl:
         self._ttl_s = ttl_s
         self._seq = 0
         self._velocities: dict[str, float] = {}
-        self._renewal: asyncio.Task[None] | None = None
+        self._renewals = TaskOwner()
 
     async def __aenter__(self) -> Self:
         await self.acquire()
@@ -72,11 +73,11 @@ class ManualControl:
         """Acquire the axes and keep the lease renewed. Raises `Refusal`: codes `leased`, `permit`,
         `no-coordinator`."""
         await self._acquire(self._ttl_s)
-        self._renewal = asyncio.get_running_loop().create_task(self._renew_lease())
+        self._renewals.spawn(self._renew_lease())
 
     async def release(self) -> None:
         """Stop what still moves and release the axes. Raises nothing: a lease that is not renewed ends by itself."""
-        self._end_renewal()
+        self._renewals.cancel_all()
         with contextlib.suppress(Refusal):
             await self.stop()
         with contextlib.suppress(Refusal):
@@ -103,11 +104,6 @@ class ManualControl:
             except Refusal as error:
                 self.lost = error
                 return
-
-    def _end_renewal(self) -> None:
-        if self._renewal is not None:
-            self._renewal.cancel()
-            self._renewal = None
 
     # Motion
 
@@ -157,18 +153,17 @@ class ManualControl:
     async def _send_velocities(self, order: _JogOrder) -> None:
         """Send velocities, and renew them until all controllers have answered: that may take longer than their
         validity."""
-        sending = asyncio.get_running_loop().create_task(self._request_jogs(order))
         renewing: list[asyncio.Task[None]] = []
         try:
-            while not (await asyncio.wait([sending], timeout=RENEW_S))[0]:
-                # Not those that have been stopped or changed meanwhile. Refusals are reported by the order itself.
-                moving_velocities = {
-                    axis: v for axis, v in order.velocities.items() if v and self._velocities.get(axis) == v
-                }
-                renewing += self._start_requests(_JogOrder(moving_velocities, renew=True, valid_ms=order.valid_ms))
-            sending.result()
+            async with running(self._request_jogs(order)) as sending:
+                while not (await asyncio.wait([sending], timeout=RENEW_S))[0]:
+                    # Not those that have been stopped or changed meanwhile. Refusals are reported by the order itself.
+                    moving_velocities = {
+                        axis: v for axis, v in order.velocities.items() if v and self._velocities.get(axis) == v
+                    }
+                    renewing += self._start_requests(_JogOrder(moving_velocities, renew=True, valid_ms=order.valid_ms))
+                sending.result()
         finally:
-            sending.cancel()
             for task in renewing:
                 task.cancel()
                 task.add_done_callback(lambda done_task: done_task.cancelled() or done_task.exception())
@@ -185,7 +180,7 @@ class ManualControl:
                 await self.stop()
         for error in errors:
             if isinstance(error, Refusal) and error.code == "not-leased":
-                self._end_renewal()
+                self._renewals.cancel_all()
                 self.lost = self.lost or error
         raise errors[0]
 

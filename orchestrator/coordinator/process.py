@@ -26,6 +26,7 @@ from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.owner import running, wait_for_first
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority, yield_priority
 from orchestrator.clock.service_manager import ServiceManager
@@ -68,11 +69,7 @@ async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end:
     # Kept meanwhile: the leader may be away when an e-stop comes.
     keeper = LatchKeeper(bus, keys, LiveClock().utc, _latch_store(options.journal))
     await keeper.start(f"standby-{uuid.uuid4().hex}")
-    vacant = asyncio.ensure_future(wait_for_vacancy(bus, keys, LiveClock()))
-    ended_task = asyncio.ensure_future(end.wait())
-    await asyncio.wait([vacant, ended_task], return_when=asyncio.FIRST_COMPLETED)
-    for wait in (vacant, ended_task):
-        wait.cancel()
+    await wait_for_first(wait_for_vacancy(bus, keys, LiveClock()), end.wait())
     await keeper.close()
     if end.is_set():
         return False
@@ -85,7 +82,6 @@ async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end:
 
 async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
     latches = _latch_store(options.journal)
-    loop = asyncio.get_running_loop()
     if options.existing_journal:
         require_journal(options.journal)
     journal, runs = SqliteJournal(options.journal), ThreadExecutor("journal")
@@ -114,13 +110,12 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         prepare_live_process()
         if not options.standby:
             _print_ready()
-        feeding = loop.create_task(_feed_watchdog(options, coordinator))
         events = (end, coordinator.leadership_lost, coordinator.broken)
-        waits = [loop.create_task(event.wait()) for event in events]
-        async with report_own_alarms(bus, court.keys, ("coordinator", "own"), options.connect):
-            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-        for wait in (*waits, feeding):
-            wait.cancel()
+        async with (
+            running(_feed_watchdog(options, coordinator)),
+            report_own_alarms(bus, court.keys, ("coordinator", "own"), options.connect),
+        ):
+            await wait_for_first(*(event.wait() for event in events))
         if coordinator.leadership_lost.is_set():
             return LEADERSHIP_LOST
         if coordinator.broken.is_set():

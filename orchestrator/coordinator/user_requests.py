@@ -55,6 +55,7 @@ from orchestrator.model.jobs.service import (
     WiringChecked,
 )
 from orchestrator.model.messages import RefusalDetails, Reply, Request
+from orchestrator.model.problems import describe_first_error
 from orchestrator.model.report import QueueState
 
 ANSWERED_FIRST = frozenset({"stop", "stop-queue"})  # before they are in the journal, which may be slow
@@ -134,7 +135,7 @@ class UserRequests:
         try:
             request = verb.request.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(f"{name}: {_first_problem(error)}") from None
+            raise RequestRefused(f"{name}: {describe_first_error(error, '')}") from None
         if self._services.leadership.over:
             raise RequestRefused("this coordinator is no longer the leader; send the request again")
         if verb.reads:  # its answers are large, and are not kept
@@ -290,7 +291,7 @@ class UserRequests:
         try:
             fleet = Fleet.model_validate(request.configuration)
         except ValidationError as error:
-            raise Refusal("bad-file", _first_problem(error), "correct the fleet file") from None
+            raise Refusal("bad-file", describe_first_error(error, ""), "correct the fleet file") from None
         changed_fleet = await self._reload.load_fleet(fleet, request.actor)
         self._scheduler.register.forget_needs()
         self._services.log.info(
@@ -316,8 +317,3 @@ class UserRequests:
 
     async def _check_wiring(self, request: Request) -> WiringChecked:
         return WiringChecked(wires=await self._wiring.check_wires(request.actor))
-
-
-def _first_problem(error: ValidationError) -> str:
-    first = error.errors()[0]
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

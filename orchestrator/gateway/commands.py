@@ -21,6 +21,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import SubmitJob
 from orchestrator.model.messages import Request
+from orchestrator.model.problems import read_problems
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
 MAX_KEYS = 10_000  # idempotency keys
@@ -131,7 +132,7 @@ def make_request(verb: ServiceVerb, fields: Mapping[str, Any], request_id: str, 
     try:
         return verb.request.model_validate({**fields, "request_id": request_id, "actor": actor})
     except ValidationError as error:
-        texts = [f"{'.'.join(map(str, details['loc'])) or 'body'}: {details['msg']}" for details in error.errors()[:10]]
+        texts = [problem.describe("body") for problem in read_problems(error)[:10]]
         raise Refusal("bad-request", "; ".join(texts), "see /v1/openapi.json for the fields") from None
 
 

@@ -26,6 +26,7 @@ from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.gateway.access.users import UserFile
@@ -86,7 +87,9 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         address = f"{'https' if secure else 'http'}://{next(iter(names), host)}:{port}/"
         log.info(f"serves fleet {place.fleet} on {address}")
         on_ready(f"page on {address}")
-        tasks_beside = [loop.create_task(ServiceManager().run_alone())] if place.service else []
+        tasks_beside = TaskOwner()
+        if place.service:
+            tasks_beside.spawn(ServiceManager().run_alone())
         if certificate is not None and context is not None:
             raise_alarm = _make_alarm(bus, keys, place)
             watch = CertificateWatch(
@@ -99,13 +102,12 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
                 raise_alarm=raise_alarm,
                 beyond=bool(names),
             )
-            tasks_beside.append(loop.create_task(watch.run()))
+            tasks_beside.spawn(watch.run())
         try:
             async with report_own_alarms(bus, keys, ("gateway", "own"), place.connect):
                 await server.serve([listener])
         finally:
-            for task in tasks_beside:
-                task.cancel()
+            tasks_beside.cancel_all()
             await gateway.close()
     finally:
         await bus.close()

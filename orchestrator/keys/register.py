@@ -13,6 +13,7 @@ from orchestrator.keys.names import KeyName, Role, make_subject
 from orchestrator.model.base import Id, Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import read_private_file, replace_private_file
+from orchestrator.model.problems import describe_first_error
 from orchestrator.model.queue import Utc
 
 REGISTER_FILE = "register.json"
@@ -112,9 +113,8 @@ def read_register(folder: Path) -> Register:
         text = f"{folder} has no {REGISTER_FILE}: it is not a folder of keys"
         raise Refusal("no-keys", text, "give the folder that `tutti keys init` has made, or a router's") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(map(str, first["loc"])) or "it"
-        raise Refusal("bad-keys", f"{path}: {field}: {first['msg']}", "restore it from a backup") from None
+        text = f"{path}: {describe_first_error(error, 'it')}"
+        raise Refusal("bad-keys", text, "restore it from a backup") from None
 
 
 def write_register(folder: Path, register: Register) -> None:

@@ -18,10 +18,33 @@ class Problem:
     text: str
     found: Any = None
 
+    @property
+    def field(self) -> str:
+        """Its place in one word; empty for a mistake of the whole."""
+        return ".".join(map(str, self.place))
+
+    def describe(self, whole: str | None = None) -> str:
+        """Place and text in one line. whole: the place of a mistake of the whole; None: then the text stands alone."""
+        field = self.field or whole
+        return self.text if field is None else f"{field}: {self.text}"
+
+
+def read_problems(error: ValidationError) -> list[Problem]:
+    """The mistakes in the words of pydantic; `list_problems` has them in those of a file."""
+    return [
+        Problem(details["loc"], details["msg"], details["input"])
+        for details in error.errors(include_url=False, include_context=False)
+    ]
+
 
 def first_error_text(error: ValidationError) -> str:
     """The first mistake in words, without its place: for a message of one line."""
-    return str(error.errors(include_url=False)[0]["msg"])
+    return read_problems(error)[0].text
+
+
+def describe_first_error(error: ValidationError, whole: str | None = None) -> str:
+    """The first mistake with its place: for a message of one line. whole: see `Problem.describe`."""
+    return read_problems(error)[0].describe(whole)
 
 
 def validate_with(problems: Sequence[Problem], title: str, validate: Callable[[], T]) -> T:

@@ -11,6 +11,8 @@ from typing import Any, NoReturn, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from orchestrator.model.problems import describe_first_error
+
 _LOOPBACK = ("localhost", "::1")
 
 NEXT = "--next"
@@ -203,13 +205,6 @@ def _fields_parser(model: type[M]) -> Callable[[str], M]:
         try:
             return model.model_validate_json(text)
         except ValidationError as error:
-            raise argparse.ArgumentTypeError(first_problem(error)) from None
+            raise argparse.ArgumentTypeError(describe_first_error(error)) from None
 
     return parse_fields
-
-
-def first_problem(error: ValidationError) -> str:
-    """Return the first validation error in one line."""
-    first = error.errors()[0]
-    field = ".".join(map(str, first["loc"]))
-    return f"{field}: {first['msg']}" if field else first["msg"]

@@ -25,6 +25,7 @@ from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.private_files import FILE_MODE, make_private_folder, open_for_append, open_private_file
+from orchestrator.model.problems import describe_first_error
 from sim.core.controller import (
     DeviceSpec,
     FirmwareTiming,
@@ -36,7 +37,7 @@ from sim.core.controller import (
 )
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
-from sim.link.arguments import DeviceFields, PtyAddress, UdpAddress, first_problem, parse_arguments, requested_devices
+from sim.link.arguments import DeviceFields, PtyAddress, UdpAddress, parse_arguments, requested_devices
 from sim.link.bridge import BridgeServer, listen_bridge
 from sim.link.can_card import CanDevice
 from sim.link.can_pty import CanPtyServer
@@ -166,7 +167,7 @@ def _build_devices(model: str, requested: Sequence[DeviceFields], clock: LiveClo
     try:
         return build_line(find_simulator(model), clock, branches)
     except ValidationError as error:
-        raise CannotStart(f"--options: {first_problem(error)}") from None
+        raise CannotStart(f"--options: {describe_first_error(error)}") from None
     except ValueError as error:
         raise CannotStart(str(error)) from None
 

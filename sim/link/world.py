@@ -5,6 +5,7 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.problems import describe_first_error
 from sim.core.controller import LimitSwitch, SimulatedController
 
 
@@ -37,9 +38,7 @@ def change_environment(controller: SimulatedController, line: str) -> None:
     try:
         change = EnvironmentChange.model_validate_json(line)
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(map(str, first["loc"]))
-        raise EnvironmentRefused(f'{field or "line"}: {first["msg"]}; e.g. {{"input": [1, true]}}') from None
+        raise EnvironmentRefused(f'{describe_first_error(error, "line")}; e.g. {{"input": [1, true]}}') from None
     for axis in [pair[0] for pair in (change.limit, change.stall, change.push) if pair is not None]:
         if axis not in controller.axis_names:
             raise EnvironmentRefused(f"no axis {axis!r}; available: {', '.join(controller.axis_names)}")

@@ -24,6 +24,7 @@ from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRe
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
 from orchestrator.model.messages import TraceRequest
+from orchestrator.model.problems import describe_first_error
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
@@ -267,14 +268,14 @@ class StatePublisher:
         try:
             request = EventsRequest.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(first_error_text(error)) from None
+            raise RequestRefused(describe_first_error(error, "payload")) from None
         return self._events.events_after(request.after).to_json()
 
     async def _answer_trace(self, sample: BusSample) -> bytes:
         try:
             request = TraceRequest.model_validate_json(sample.payload)
         except ValidationError as error:
-            raise RequestRefused(first_error_text(error)) from None
+            raise RequestRefused(describe_first_error(error, "payload")) from None
         return read_trace_part(self._context, request).to_json()
 
     async def _answer_info(self, _: BusSample) -> bytes:
@@ -312,9 +313,3 @@ def _named_points(
 ) -> dict[str, bool]:
     """Return named inputs or outputs, true where active."""
     return {name: levels.get(point.number, False) == (point.active == "high") for name, point in points.items()}
-
-
-def first_error_text(error: ValidationError) -> str:
-    """Return the first error of a payload, for its sender."""
-    first = error.errors()[0]
-    return f"{'.'.join(map(str, first['loc'])) or 'payload'}: {first['msg']}"

@@ -7,6 +7,7 @@ from typing import Any
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.defects import DefectRecord
 from adapters.controller.state.poll_timer import PollTimer
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.state import FaultReport
@@ -19,13 +20,11 @@ class BackgroundTasks:
         self._context = context
         self._defects = defects
         self._timer = timer
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = TaskOwner(self._handle_task_error)
 
     def spawn(self, coroutine: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
         """Run a coroutine in the background."""
-        task = asyncio.get_running_loop().create_task(self.log_errors(coroutine))
-        self._tasks.add(task)
-        task.add_done_callback(self._handle_task_end)
+        task = self._tasks.spawn(self.log_errors(coroutine))
         # A task that is cancelled before its first turn would leave the coroutine unstarted.
         task.add_done_callback(lambda _: coroutine.close())
         return task
@@ -37,9 +36,8 @@ class BackgroundTasks:
         except (LinkClosed, LinkRefused, ControllerFault, Refusal) as error:
             self._context.log.warning(f"in the background: {error}", controller=self._context.controller)
 
-    def _handle_task_end(self, task: "asyncio.Task[None]") -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and isinstance(error := task.exception(), Exception):
+    def _handle_task_error(self, error: BaseException, _: bool) -> None:  # noqa: FBT001 - a callback
+        if isinstance(error, Exception):
             self.handle_defect(error)
 
     def handle_defect(self, error: Exception) -> FaultReport:
@@ -52,5 +50,4 @@ class BackgroundTasks:
 
     def cancel_all(self) -> None:
         """Cancel all tasks that run."""
-        for task in list(self._tasks):
-            task.cancel()
+        self._tasks.cancel_all()

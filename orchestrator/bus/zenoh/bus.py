@@ -29,6 +29,7 @@ from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
+from orchestrator.clock.owner import TaskOwner
 
 CLOSE_TIMEOUT_S = 1.0
 """For each of: sending what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
@@ -115,7 +116,7 @@ class ZenohBus(RequestingBus):
         self._standing: dict[_ZenohDeclaration, Callable[[], None]] = {}
         self._disconnects = 0
         self._asking: list[RequestOutcome] = []
-        self._answering: set[asyncio.Task[None]] = set()
+        self._answering = TaskOwner()
         # Held only so that it is not undeclared.
         self._transports = sure.info.declare_transport_events_listener(_make_direct_callback(self._transport_event))
 
@@ -173,12 +174,10 @@ class ZenohBus(RequestingBus):
             if not declaration.stands or self._closed or is_silent_on(expression, request_key):
                 query.drop()
                 return
-            if len(self._answering) >= MAX_ANSWERING and not is_stop(request_key):
+            if len(self._answering.pending) >= MAX_ANSWERING and not is_stop(request_key):
                 self._refuse_query(query, f"busy: {MAX_ANSWERING} requests are being answered; try again")
                 return
-            task = self._loop.create_task(self._answer_query(query, payload, expression, handler))
-            self._answering.add(task)
-            task.add_done_callback(self._answering.discard)
+            self._answering.spawn(self._answer_query(query, payload, expression, handler))
 
         def receive_query(query: zenoh.Query) -> None:
             payload = b"" if query.payload is None else self._take_payload(query.payload, str(query.key_expr))
@@ -346,8 +345,7 @@ class ZenohBus(RequestingBus):
         self._closed = True
         for outcome in self._asking:
             outcome.end_by_error(BusClosed(f"the bus was closed during a request for {outcome.key}"))
-        for task in list(self._answering):
-            task.cancel()
+        self._answering.cancel_all()
         self._inbox.close()
         is_stuck = await run_in_thread("bus-close", self._flush_senders)
         closings = threading.Semaphore(0)

@@ -13,6 +13,7 @@ from orchestrator.bus.identity import BadIdentity, find_identity, read_identity
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRequest
 
 REPEAT_S = 60.0  # an alarm that is not repeated for two minutes is over
@@ -76,12 +77,12 @@ def _make_open_bus(openness: str) -> AlarmRequest:
 @asynccontextmanager
 async def report_own_alarms(bus: Bus, keys: FleetKeys, source: tuple[str, str], endpoint: str) -> AsyncGenerator[None]:
     """Publish such alarms while the context lasts. source: role and id of the process."""
-    reporting = asyncio.create_task(_report(bus, keys.alarm_request(*source), endpoint))
+    reporting = TaskOwner()
+    reporting.spawn(_report(bus, keys.alarm_request(*source), endpoint))
     try:
         yield
     finally:
-        reporting.cancel()
-        await asyncio.wait([reporting])
+        await reporting.end_all()
 
 
 async def _report(bus: Bus, key: str, endpoint: str) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.bus.zenoh.sessions import RouterRefused, open_router
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 
@@ -39,20 +40,16 @@ async def _route(endpoint: str, latch: tuple[str, Path] | None) -> None:
     with open_router(endpoint):
         sys.stdout.write("ready\n")
         sys.stdout.flush()
-        keeping: list[asyncio.Task[None]] = []
+        keeping = TaskOwner(report_latch_end)
         if latch is not None:
-            keeping = [asyncio.create_task(keep_latch(endpoint, latch[0], "router", latch[1]))]
-            keeping[0].add_done_callback(report_latch_end)
+            keeping.spawn(keep_latch(endpoint, latch[0], "router", latch[1]))
         await ended_event.wait()
-        for task in keeping:
-            task.cancel()
-        await asyncio.gather(*keeping, return_exceptions=True)
+        await keeping.end_all()
 
 
-def report_latch_end(keeping: "asyncio.Task[None]") -> None:
+def report_latch_end(error: BaseException, _: bool) -> None:  # noqa: FBT001 - a callback
     """A latch that is not kept any more does not end the router."""
-    if not keeping.cancelled() and (error := keeping.exception()) is not None:
-        sys.stderr.write(f"the router does not keep the e-stop latch: {error!r}\n")
+    sys.stderr.write(f"the router does not keep the e-stop latch: {error!r}\n")
 
 
 def prepare_router_process() -> None:

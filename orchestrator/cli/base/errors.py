@@ -181,9 +181,10 @@ def _exit_with_known_error(error: Exception) -> None:
 def _exit_with_validation_error(error: Any) -> NoReturn:
     """Print which value of a request is not allowed, or that a message of the fleet is not understood."""
     from orchestrator.model.messages import Request
+    from orchestrator.model.problems import read_problems
 
-    first = error.errors(include_url=False)[0]
-    text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}, but it is {first['input']!r}"
+    problem = read_problems(error)[0]
+    text = f"{problem.describe('')}, but it is {problem.found!r}"
     if error.title in _names_below(Request):
         exit_with_error(text, BAD_INPUT)
     exit_with_error(

@@ -10,6 +10,7 @@ from collections.abc import Awaitable, Callable
 from orchestrator.bus.base import Bus, BusSample
 from orchestrator.bus.estop import put_estop
 from orchestrator.bus.keys import ANY_STATE, FleetKeys
+from orchestrator.clock.owner import running
 
 SILENCE_S = 1.5  # adapters publish at least every 0.4 s
 POLL_S = 0.1
@@ -66,8 +67,7 @@ class EstopButton:
 
     async def run(self, connect: Callable[[], Awaitable[Bus]]) -> None:
         """Keep the button connected until cancelled. connect: opens the bus, however long that takes."""
-        watching = asyncio.ensure_future(self._watch_connection())
-        try:
+        async with running(self._watch_connection()):
             self._bus = await connect()
             keys = ANY_STATE if self._fleet is None else FleetKeys(self._fleet).state()
             await self._bus.subscribe(keys, self._receive_state)
@@ -75,8 +75,6 @@ class EstopButton:
                 await self._pressed.wait()
                 self._pressed.clear()
                 await self._repeat_pending(self._bus)
-        finally:
-            watching.cancel()
 
     def _receive_state(self, sample: BusSample) -> None:
         chunks = sample.key.split("/")

@@ -11,6 +11,7 @@ from orchestrator.cli.base.common import console, json_option, print_json, print
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import expected_errors
 from orchestrator.cli.records.folder import require_extra
+from orchestrator.keys.names import USER_ROLES
 
 if TYPE_CHECKING:
     from orchestrator.keys.folder import KeyFolder
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-# As in `orchestrator.keys.names`, which is not imported for the help.
-USER_ROLES = ("operator", "maintainer", "viewer", "recorder", "estop-button", "gateway")
 DAY_S = 86_400
 RESTART = "the router takes it as soon as the fleet is at rest; a copy of the router's folder must be copied again"
 

@@ -16,6 +16,7 @@ from orchestrator.cli.base.common import (
     state_option,
 )
 from orchestrator.cli.base.errors import errors, expected_errors, run_main
+from orchestrator.clock.owner import TaskOwner
 
 if TYPE_CHECKING:
     from orchestrator.runtime.services.router import RouterPlace
@@ -110,7 +111,9 @@ async def _route(place: "RouterPlace") -> None:
                 probe_count += 1
             await asyncio.sleep(PROBE_S)
 
-    other_tasks = [asyncio.create_task(probe()), asyncio.create_task(manager.feed_watchdog(lambda: probe_count))]
+    tasks_beside = TaskOwner()
+    for work in (probe(), manager.feed_watchdog(lambda: probe_count)):
+        tasks_beside.spawn(work)
     running_task = asyncio.ensure_future(RouterService(place, print_line).run(announce))
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, running_task.cancel)
@@ -119,5 +122,4 @@ async def _route(place: "RouterPlace") -> None:
     except asyncio.CancelledError:
         return
     finally:
-        for task in other_tasks:
-            task.cancel()
+        tasks_beside.cancel_all()

@@ -11,6 +11,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import connect_option, console, fleet_option, json_option, print_result
 from orchestrator.cli.base.errors import errors, exit_with_error, run_main
+from orchestrator.clock.owner import running
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -131,12 +132,10 @@ async def _run_until_ended(live: "LiveFleet", name: str, *, as_json: bool) -> No
         f"host {name} of fleet {live.fleet.fleet} drives {', '.join(own_names)}; state in {live.state}; Ctrl-C ends it"
     )
     print_result({**value, "connect": live.connect, "state": str(live.state)}, words, as_json=as_json)
-    following = loop.create_task(_follow_file(live))
-    ended_task = loop.create_task(end.wait())
     assert live.failed is not None
-    await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
-    live.say("stopping")
-    following.cancel()
+    async with running(_follow_file(live)), running(end.wait()) as ended_task:
+        await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
+        live.say("stopping")
     await live.close()
     if live.failed.done():
         raise SystemExit(FAILED)

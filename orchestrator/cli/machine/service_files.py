@@ -11,6 +11,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import check_endpoint_option, json_option, print_result
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.runtime.services.parts import PARTS
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -40,9 +41,7 @@ Examples:
   tutti service install lab.fleet.yaml coordinator --to ./units"""
 )
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.argument(
-    "parts", nargs=-1, required=True, type=click.Choice(("router", "coordinator", "host", "gateway", "recorder"))
-)
+@click.argument("parts", nargs=-1, required=True, type=click.Choice(tuple(PARTS)))
 @click.option(
     "--connect", default="tcp/127.0.0.1:7447", show_default=True, callback=check_endpoint_option, help="The router."
 )

@@ -40,11 +40,12 @@ def run_single_step(
 
     from orchestrator.cli.jobs.foreground import run_attended
     from orchestrator.model.jobs.job import Job
+    from orchestrator.model.problems import first_error_text
 
     try:
         job = Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {step['do']}", "steps": [step]})
     except ValidationError as error:
-        exit_with_error(str(error.errors()[0]["msg"]).removeprefix("Value error, "), BAD_INPUT)
+        exit_with_error(first_error_text(error).removeprefix("Value error, "), BAD_INPUT)
 
     async def submit_step(tutti: "Tutti") -> None:
         nonlocal job

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from orchestrator.clock.base import sleep_ns
+from orchestrator.clock.owner import wait_for_first
 from orchestrator.coordinator.alarms.store import AlarmStore
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.journal.facts import AlarmNotice
@@ -84,12 +85,7 @@ class AlarmNotifier:
         left_ns = due_ns - self._clock.now_ns()
         if left_ns > 0:
             self._wake.clear()
-            waits = [asyncio.ensure_future(sleep_ns(self._clock, left_ns)), asyncio.ensure_future(self._wake.wait())]
-            try:
-                await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for wait in waits:
-                    wait.cancel()
+            await wait_for_first(sleep_ns(self._clock, left_ns), self._wake.wait())
 
     async def _try_notice(self, command: NotifyCommand, change: str, notice: _PendingNotice) -> None:
         record = notice.record

@@ -13,6 +13,7 @@ from orchestrator.model.alarm_rules import AlarmRules
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.operation.alarms import AlarmCause, AlarmRequest
+from orchestrator.model.problems import describe_first_error
 
 DISK_NS = 60 * NS_PER_S  # between two looks at the free space
 REQUEST_NS = 120 * NS_PER_S  # an alarm that another process does not repeat for this long is over
@@ -96,9 +97,7 @@ class ServiceAlarms:
         try:
             request = AlarmRequest.model_validate_json(sample.payload)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            field = ".".join(map(str, first["loc"])) or "it"
-            self._log.warning(f"an alarm of {source} is left out: {field}: {first['msg']}")
+            self._log.warning(f"an alarm of {source} is left out: {describe_first_error(error, 'it')}")
             return
         cause = AlarmCause(
             kind=request.kind,

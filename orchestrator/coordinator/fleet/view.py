@@ -1,6 +1,5 @@
 """The coordinator's view of the fleet: every controller's last state, its information, its events."""
 
-import asyncio
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -11,6 +10,7 @@ from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import split_name
@@ -65,7 +65,7 @@ class FleetView:
         self._listeners: list[EventListener] = []
         self._state_listeners: list[Callable[[ControllerState], None]] = []
         self._declared: list[BusDeclaration] = []
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = TaskOwner()
 
     async def start(self) -> None:
         self._declared = [
@@ -210,9 +210,7 @@ class FleetView:
             listener(event)
 
     def _spawn_gap_query(self, controller: str, after: int) -> None:
-        task = asyncio.get_running_loop().create_task(self._query_missed_events(controller, after))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.spawn(self._query_missed_events(controller, after))
 
     async def _query_missed_events(self, controller: str, after: int) -> None:
         """Query the events that were missed; the one that revealed the gap is among them."""

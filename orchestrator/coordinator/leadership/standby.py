@@ -5,7 +5,6 @@ continue with outdated state when it resumes. Its epoch is over then and no adap
 stay locked; so the standby kills it first. A file beside the journal names the leader's process.
 """
 
-import asyncio
 import json
 import os
 import signal
@@ -16,6 +15,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.leadership.leadership import LEADER_TIMEOUT_NS, confirm_leader
 from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
 from orchestrator.model.private_files import read_private_file, replace_private_file
@@ -28,7 +28,7 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
     process was awake: a process that slept, or was suspended, has received nothing."""
     heard_ns = clock.now_ns()
     leader: tuple[int, str] | None = None
-    asking: set[asyncio.Task[None]] = set()
+    asking = TaskOwner()
 
     async def ask(heartbeat: LeaderHeartbeat) -> None:
         nonlocal leader, heard_ns
@@ -43,11 +43,9 @@ async def wait_for_vacancy(bus: Bus, keys: FleetKeys, clock: Clock) -> None:
             return
         if (heartbeat.epoch, heartbeat.coordinator) == leader:
             heard_ns = clock.now_ns()
-        elif not asking:
+        elif not asking.pending:
             # Of a new leader, or forged: only one that answers keeps this process from leading.
-            task = asyncio.get_running_loop().create_task(ask(heartbeat))
-            asking.add(task)
-            task.add_done_callback(asking.discard)
+            asking.spawn(ask(heartbeat))
 
     subscription = await bus.subscribe(keys.leader, receive_heartbeat)
     try:

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
@@ -225,7 +226,9 @@ class MotionStep:
         """Watch the members, which are released, and store what was recorded meanwhile."""
         services, request, start = self._services, self._request, motion.start
         done_report: StepReport | None = None
-        feeding = None if motion.feed is None else asyncio.get_running_loop().create_task(motion.feed.run())
+        feeding = TaskOwner()
+        if motion.feed is not None:
+            feeding.spawn(motion.feed.run())
         try:
             await observer.on_state("running", "")
             observer.on_started(start.state.t0_fleet_ns, motion.duration_s)
@@ -237,8 +240,7 @@ class MotionStep:
             await start.disarm_line_driver()
             raise
         finally:
-            if feeding is not None:
-                feeding.cancel()
+            feeding.cancel_all()
             self._end_motion(motion)
             recording = recorder.finish(request.index, request.move.name or "", start.state.t0_fleet_ns)
             for listener in services.listeners:

@@ -21,7 +21,7 @@ from orchestrator.gateway.access.roles import Role
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.private_files import UnsafePath, open_private_file, read_private_file, replace_private_file
-from orchestrator.model.problems import first_error_text
+from orchestrator.model.problems import describe_first_error, first_error_text
 from orchestrator.model.queue import Utc
 
 MIN_PASSWORD, MAX_PASSWORD = 8, 1000
@@ -82,9 +82,7 @@ class UserFile:
         except FileNotFoundError:
             return UserTable()
         except ValidationError as error:
-            first = error.errors()[0]
-            field = ".".join(map(str, first["loc"]))
-            text = f"{self.path}: {field}: {first['msg']}" if field else f"{self.path}: {first['msg']}"
+            text = f"{self.path}: {describe_first_error(error)}"
             raise Refusal("bad-users", text, "restore the file, or delete it and add the users again") from None
         except (OSError, UnsafePath) as error:
             raise _explain_file_error(self.path, error) from None

@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from math import isfinite
 from typing import Any, cast
 
@@ -12,6 +12,7 @@ from orchestrator.client import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
 from orchestrator.model.errors import Refusal
@@ -49,18 +50,16 @@ class FleetActs:
         self._manual: ManualControl | None = None
         self._jogged: dict[str, float] = {}
         self._running: asyncio.Task[None] | None = None
-        self._watching: asyncio.Task[None] | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks, self._watches = TaskOwner(), TaskOwner()
 
     async def close(self) -> None:
         """Stop what this socket moves, and give its axes back."""
-        if self._watching is not None:
-            self._watching.cancel()
+        self._watches.cancel_all()
         if self._running is not None:
             self._running.cancel()
         await self._end_manual()
-        if self._tasks:
-            await asyncio.wait(self._tasks, timeout=LEASE_S)
+        if tasks := self._tasks.pending:
+            await asyncio.wait(tasks, timeout=LEASE_S)
 
     # Stops
 
@@ -112,13 +111,13 @@ class FleetActs:
         """Stop the jog: the request is on its way when this returns to the event loop."""
         self._jogged = {}
         if self._manual is not None:
-            self._spawn(self._stop_manual(self._manual))
+            self._tasks.spawn(self._stop_manual(self._manual))
 
     def _send_jog(self, *, renew: bool) -> None:
         """Pass a jog on; the frame is answered without waiting for the controller, which may take longer than the
         user's next frame."""
         if self._manual is not None:
-            self._spawn(self._request_jog(self._manual, dict(self._jogged), renew=renew))
+            self._tasks.spawn(self._request_jog(self._manual, dict(self._jogged), renew=renew))
 
     async def _request_jog(self, manual: ManualControl, velocities: Mapping[str, float], *, renew: bool) -> None:
         try:
@@ -155,7 +154,7 @@ class FleetActs:
         number = frame.get("id", 0)
         # Its own axes are in its way.
         await self._release(frame)
-        self._running = self._spawn(self._run_work(number, job))
+        self._running = self._tasks.spawn(self._run_work(number, job))
         self._watch()
         return {}
 
@@ -196,8 +195,8 @@ class FleetActs:
 
     def _watch(self) -> None:
         """Look whether the user is still there, as long as something depends on it."""
-        if self._watching is None or self._watching.done():
-            self._watching = asyncio.get_running_loop().create_task(self._watch_user())
+        if not self._watches.pending:
+            self._watches.spawn(self._watch_user())
 
     async def _watch_user(self) -> None:
         while self._manual is not None or (self._running is not None and not self._running.done()):
@@ -210,12 +209,6 @@ class FleetActs:
                 lost_refusal = describe_refusal(manual.lost)
                 await self._end_manual()
                 self._socket.send({"manual": {"axes": [], "lost": lost_refusal}})
-
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
 
 
 _SILENT = Refusal("silent", "the page has sent nothing for a second, so its axes were released", "acquire them again")

@@ -7,7 +7,7 @@ does not grow.
 import asyncio
 import contextlib
 import json
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.gateway.stream.clock_history import ClockHistory
 from orchestrator.gateway.stream.fleet_state import FleetState
 from orchestrator.gateway.stream.merge_patch import make_patch
@@ -78,7 +79,7 @@ class StreamHub:
         self._framed_ns = clock.now_ns()
         self._state_frame: tuple[int, str] | None = None
         self._declared: list[BusDeclaration] = []
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks = TaskOwner()
         self._look_now = asyncio.Event()
         self.state.on_unknown_digest = self._look_now.set
 
@@ -99,13 +100,12 @@ class StreamHub:
         leases = (await bus.request_all(keys.leases, b"", ASK_S)).values()
         for payload in leases:
             self.state.take_sample(BusSample(f"{keys.prefix}/lease/any", payload))
-        self._spawn(self._make_frames())
-        self._spawn(self._look_around())
+        self._tasks.spawn(self._make_frames())
+        self._tasks.spawn(self._look_around())
 
     async def close(self) -> None:
         """End it."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel_all()
         for declaration in self._declared:
             await declaration.undeclare()
 
@@ -194,6 +194,3 @@ class StreamHub:
             entries += [job for job in queue.jobs if job.state not in FINISHED_STATES]
         jobs = sorted({entry.id: entry for entry in entries}.values(), key=lambda entry: entry.place or 0)
         return queue.model_copy(update={"jobs": jobs[:MAX_LISTED], "total": len(jobs)})
-
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        self._tasks.append(asyncio.get_running_loop().create_task(work))

@@ -14,6 +14,7 @@ from typing import Any, Protocol, cast
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.hub import StreamHub, encode
@@ -55,7 +56,7 @@ class UserSocket:
         self._wake = asyncio.Event()
         self._reader = hub.add_reader(self._wake.set)
         self._waiting: deque[str] = deque()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = TaskOwner()
         self._framed_ns = clock.now_ns()
         self._second, self._frames = -1, 0
         self._over = False
@@ -72,15 +73,13 @@ class UserSocket:
 
     async def run(self, acts: SocketActs) -> None:
         """Serve it until it ends, by either side."""
-        loop = asyncio.get_running_loop()
-        sending, receiving = loop.create_task(self._send_frames()), loop.create_task(self._receive_frames(acts))
         try:
-            await asyncio.wait([sending, receiving], return_when=asyncio.FIRST_COMPLETED)
+            async with running(self._send_frames()) as sending, running(self._receive_frames(acts)) as receiving:
+                await asyncio.wait([sending, receiving], return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._over = True
             self._reader.close()
-            for task in (sending, receiving, *self._tasks):
-                task.cancel()
+            self._tasks.cancel_all()
             # What was begun ends before anything else is done.
             await acts.close()
         for task in (sending, receiving):
@@ -145,9 +144,7 @@ class UserSocket:
         elif verb == "resync":
             self._reader.forget()
         elif verb != "alive":
-            task = asyncio.get_running_loop().create_task(self._answer(verb, frame, acts))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._tasks.spawn(self._answer(verb, frame, acts))
 
     async def _answer(self, verb: str, frame: Frame, acts: SocketActs) -> None:
         answer: dict[str, Any]

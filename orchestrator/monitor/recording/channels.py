@@ -20,6 +20,7 @@ from orchestrator.model.operation.recording import (
     StepStart,
     WallClockStepped,
 )
+from orchestrator.model.problems import describe_first_error
 from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
@@ -107,5 +108,4 @@ def parse_message(channel: Channel, payload: bytes) -> Model | None:
     try:
         return channel.model.read_message(payload)
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+        raise ValueError(describe_first_error(error, "")) from None

@@ -23,6 +23,7 @@ from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
+from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.monitor.metrics.fleet_metrics import FleetMetrics
@@ -92,16 +93,14 @@ async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready:
     await bus.announce(keys.live("recorder", uuid.uuid4().hex[:8], "1"))
     log.info(f"records fleet {options.fleet} in {options.folder}")
     on_ready(_serve_metrics(metrics, options.metrics_port, log))
-    repairing, running_task = (
-        loop.create_task(repair_left(paths_left, log, ThreadExecutor("repair"))),
-        loop.create_task(recorder.run()),
-    )
-    ended_task = loop.create_task(end.wait())
-    feeding = loop.create_task(ServiceManager().run_alone()) if options.service else None
-    async with report_own_alarms(bus, keys, ("recorder", "own"), options.connect):
-        await asyncio.wait([running_task, ended_task], return_when=asyncio.FIRST_COMPLETED)
-    for task in (ended_task, repairing, running_task, *([] if feeding is None else [feeding])):
-        task.cancel()
+    tasks_beside = TaskOwner()
+    tasks_beside.spawn(repair_left(paths_left, log, ThreadExecutor("repair")))
+    async with running(recorder.run()) as running_task, running(end.wait()) as ended_task:
+        if options.service:
+            tasks_beside.spawn(ServiceManager().run_alone())
+        async with report_own_alarms(bus, keys, ("recorder", "own"), options.connect):
+            await asyncio.wait([running_task, ended_task], return_when=asyncio.FIRST_COMPLETED)
+    tasks_beside.cancel_all()
     with contextlib.suppress(asyncio.CancelledError):
         await running_task  # raises a defect: then the process ends with it, and is started again
     await recorder.close()

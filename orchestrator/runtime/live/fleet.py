@@ -22,8 +22,8 @@ from adapters.controller.state.store import FileStore
 from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
 from orchestrator.bus.identity import VARIABLE
 from orchestrator.bus.logfile import rotate_if_large, rotate_open_file
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.service_manager import READY, STOPPING, ServiceManager
-from orchestrator.keys.names import Role
 from orchestrator.keys.places import find_identity_folder
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
@@ -32,6 +32,17 @@ from orchestrator.runtime.live.bridge import bridge_baud
 from orchestrator.runtime.live.leader_probe import find_leader
 from orchestrator.runtime.live.router_watch import watch_live_router
 from orchestrator.runtime.live.run import FleetRun
+from orchestrator.runtime.services.parts import (
+    COORDINATOR,
+    GATEWAY,
+    HOST,
+    PARTS,
+    RECORDER,
+    ROUTER,
+    list_certificate_options,
+    list_gateway_options,
+    list_recorder_options,
+)
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.state.folder import (
     ADAPTERS,
@@ -54,11 +65,9 @@ RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 FINAL_EXIT_CODES = frozenset({2, 4, 5})
 EXIT_PORT_IN_USE = 4  # of the router: another process uses its port
 STANDBY = "coordinator/standby"
-RECORDER, GATEWAY = "recorder", "gateway"
-_ROLES: dict[str, Role] = {"coordinator": "coordinator", "host": "host", RECORDER: "recorder", GATEWAY: "gateway"}
+# What is recorded ends before the recorder.
+_END_ORDER = [GATEWAY.name, COORDINATOR.name, HOST.name, RECORDER.name, "sim", ROUTER.name]
 BUS_SOCKET = "bus.sock"
-# Parts without which a fleet runs as well, and what is missing then.
-DISPENSABLE = {RECORDER: "nothing is recorded any more", GATEWAY: "the page is not served any more"}
 EXISTING_JOURNAL = "--existing-journal"
 # Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
 EXIT_LEADERSHIP_LOST = frozenset({4, 6})
@@ -90,6 +99,11 @@ class ChildProcess:
     ready_output: Sequence[str] = ()
     ended: bool = False
     keeper: "asyncio.Task[None] | None" = None
+
+    @property
+    def part(self) -> str:
+        """The part of the fleet that it is, or `sim`."""
+        return self.name.partition("/")[0]
 
     @property
     def pid(self) -> int:
@@ -125,9 +139,9 @@ class LiveFleet:
     failed: "asyncio.Future[str] | None" = None
     _next_port: int = field(init=False)
     _lock: StateLock | None = None
-    _rotation: "asyncio.Task[None] | None" = None
+    _tasks: TaskOwner = field(default_factory=TaskOwner)
     _manager: ServiceManager = field(default_factory=ServiceManager)
-    _router_watch: "asyncio.Task[None] | None" = None
+    _router_watch: TaskOwner = field(default_factory=TaskOwner)
     _beside: "asyncio.Future[tuple[None, None]] | None" = None
 
     def __post_init__(self) -> None:
@@ -139,7 +153,7 @@ class LiveFleet:
         self.failed = asyncio.get_running_loop().create_future()
         try:
             self._lock = StateLock(self.state)
-            self._rotation = asyncio.create_task(self._rotate_logs())
+            self._tasks.spawn(self._rotate_logs())
             await self._start_router()
             self._lock.describe_fleet(self.fleet.fleet, self.connect)
             file = self.state / FLEET_FILE
@@ -159,7 +173,7 @@ class LiveFleet:
             await self._beside
             restart = self._restart_router if "router" in self.children else None
             watch = watch_live_router(self.connect, self.fleet.fleet, restart, self.say)
-            self._router_watch = asyncio.create_task(watch)
+            self._router_watch.spawn(watch)
             self._manager.notify(READY)
         except BaseException:
             await self.close()
@@ -184,7 +198,7 @@ class LiveFleet:
         try:
             assert self.run.hosts is not None
             self._lock = StateLock(self.state)
-            self._rotation = asyncio.create_task(self._rotate_logs())
+            self._tasks.spawn(self._rotate_logs())
             self._lock.describe_fleet(self.fleet.fleet, self.connect, "+".join(sorted(self.run.hosts)))
             if self.run.simulated:
                 await self._start_simulators()
@@ -232,17 +246,13 @@ class LiveFleet:
             # Not while they start: they would come into being behind this.
             self._beside.cancel()
             await asyncio.wait([self._beside])
-        if self._router_watch is not None:
-            self._router_watch.cancel()
-            await asyncio.wait([self._router_watch])
+        await self._router_watch.end_all()
         # Both coordinators at once: the standby must not take over from the other.
         coordinators = [self.children[name] for name in ("coordinator", STANDBY) if name in self.children]
         await asyncio.gather(*(self._end_child(child) for child in coordinators))
-        order = [GATEWAY, "coordinator", "host", RECORDER, "sim", "router"]  # what is recorded ends before the recorder
-        for child in sorted(self.children.values(), key=lambda process: order.index(process.name.partition("/")[0])):
+        for child in sorted(self.children.values(), key=lambda process: _END_ORDER.index(process.part)):
             await self._end_child(child)
-        if self._rotation is not None:
-            self._rotation.cancel()
+        self._tasks.cancel_all()
         if self._lock is not None:
             self._lock.release()
 
@@ -295,12 +305,10 @@ class LiveFleet:
                 )
             return
         endpoint = self._choose_endpoint()
-        module = "orchestrator.bus.zenoh.router"
         try:
             latch_arguments = [self.fleet.fleet, str(self.state / ROUTER_LATCH)]
-            await self._start_child(
-                "router", [sys.executable, "-m", module, endpoint, str(os.getpid()), *latch_arguments]
-            )
+            command = ROUTER.make_command(sys.executable, endpoint, str(os.getpid()), *latch_arguments)
+            await self._start_child(ROUTER.name, command)
         except UpFailed:
             if self.children["router"].exit_code != EXIT_PORT_IN_USE:
                 raise
@@ -331,11 +339,12 @@ class LiveFleet:
 
     def _make_environment(self, name: str) -> dict[str, str] | None:
         """The environment of a process, with the identity of its role; None: that of this process."""
-        part, _, host = name.partition("/")
-        if self.run.keys is None or part not in _ROLES:
+        name_of_part, _, host = name.partition("/")
+        part = PARTS.get(name_of_part)
+        if self.run.keys is None or part is None or part is ROUTER:
             return None
         try:
-            folder = find_identity_folder(self.run.keys, _ROLES[part], host if part == "host" else None)
+            folder = find_identity_folder(self.run.keys, part.role, host if part is HOST else None)
         except Refusal as error:
             raise UpFailed(f"{name}: {error.text}; {error.remedy}") from None
         return {**os.environ, VARIABLE: str(folder.absolute())}
@@ -344,13 +353,13 @@ class LiveFleet:
         """Start the recorder; a fleet runs without it as well."""
         if self.run.record_quota is None:
             return
-        command = [sys.executable, "-m", "orchestrator.monitor.recording.process", "--fleet", self.fleet.fleet]
-        command += ["--fleet-file", str(file), "--connect", self.connect, "--folder", str(self.state / RECORDINGS)]
-        command += ["--quota", str(self.run.record_quota), "--log", str(self.state / "log" / "recorder.jsonl")]
+        folder, log = self.state / RECORDINGS, self.state / "log" / "recorder.jsonl"
+        options = list_recorder_options(self.fleet.fleet, str(file), self.connect, str(folder), self.run.record_quota)
+        command = RECORDER.make_command(sys.executable, *options, "--log", str(log))
         if self.run.metrics_port is not None:
             command += ["--metrics-port", str(self.run.metrics_port)]
         try:
-            recorder = await self._start_child(RECORDER, [*command, "--parent", str(os.getpid())])
+            recorder = await self._start_child(RECORDER.name, [*command, "--parent", str(os.getpid())])
             if recorder.ready_output[0]:
                 self.say(recorder.ready_output[0])
         except UpFailed as error:
@@ -365,15 +374,15 @@ class LiveFleet:
             # Otherwise every user of this computer would be an operator, by the page.
             self.say("no page: with --private it needs users: `tutti user add NAME --role operator`, then start again")
             return
-        command = [sys.executable, "-m", "orchestrator.gateway.process", "--fleet", self.fleet.fleet]
-        command += ["--connect", self.connect, "--state", str(self.state), "--parent", str(os.getpid())]
-        command += ["--log", str(self.state / "log" / "gateway.jsonl")]
+        log = self.state / "log" / "gateway.jsonl"
+        options = list_gateway_options(self.fleet.fleet, self.connect, str(self.state), str(log))
+        command = GATEWAY.make_command(sys.executable, *options, "--parent", str(os.getpid()))
         command += ["--address", web.host, *([] if web.jobs is None else ["--jobs", str(web.jobs)])]
         if web.certificate is not None:
-            command += ["--ssl-certfile", str(web.certificate[0]), "--ssl-keyfile", str(web.certificate[1])]
+            command += list_certificate_options(*map(str, web.certificate))
         port_options = [] if web.port is None else ["--port", str(web.port)]
         try:
-            gateway = await self._start_child(GATEWAY, [*command, *port_options])
+            gateway = await self._start_child(GATEWAY.name, [*command, *port_options])
         except UpFailed as error:
             self.say(f"no page: {error}")
             return
@@ -440,12 +449,12 @@ class LiveFleet:
         }
 
     def _make_host_command(self, host: str, file: Path) -> list[str]:
-        command = [sys.executable, "-m", "adapters.host.guardian", "--fleet", str(file), "--host", host]
+        command = HOST.make_command(sys.executable, "--fleet", str(file), "--host", host)
         command += ["--connect", self.connect, "--state", str(self.state / ADAPTERS), "--parent", str(os.getpid())]
         return [*command, "--log", str(self.state / "log" / f"host-{host}.jsonl")]
 
     def _make_coordinator_command(self, file: Path) -> list[str]:
-        command = [sys.executable, "-m", "orchestrator.coordinator.process", "--fleet", str(file)]
+        command = COORDINATOR.make_command(sys.executable, "--fleet", str(file))
         command += ["--connect", self.connect, "--journal", str(self.state / JOURNAL)]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
         if had_journal(self.state) and not self.run.new_journal:
@@ -468,7 +477,7 @@ class LiveFleet:
         log = self.state / "log" / f"{name.replace('/', '-')}.err"
         child = self.children[name] = ChildProcess(name, command, log, tells)
         await self._spawn_process(child)
-        child.keeper = asyncio.get_running_loop().create_task(self._supervise_child(child))
+        child.keeper = self._tasks.spawn(self._supervise_child(child))
         return child
 
     async def _spawn_process(self, child: ChildProcess) -> None:
@@ -508,8 +517,9 @@ class LiveFleet:
                     "serve that one"
                 )
                 return
-            if code in FINAL_EXIT_CODES and child.name in DISPENSABLE:
-                self.say(f"{DISPENSABLE[child.name]}: {child.last_error_line() or f'exit code {code}'}")
+            consequence = PARTS[child.part].missing if child.part in PARTS else ""
+            if code in FINAL_EXIT_CODES and consequence:
+                self.say(f"{consequence}: {child.last_error_line() or f'exit code {code}'}")
                 return
             if code in FINAL_EXIT_CODES:
                 self._report_failure(f"{child.name} ended: {child.last_error_line() or f'exit code {code}'}")

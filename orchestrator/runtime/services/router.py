@@ -20,6 +20,7 @@ from orchestrator.bus.zenoh.own_alarms import report_open_router
 from orchestrator.bus.zenoh.router import report_latch_end
 from orchestrator.bus.zenoh.sessions import RouterUnreachable, open_router
 from orchestrator.client import Tutti
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.keys.places import find_identity_folder
 from orchestrator.keys.register import read_register
 from orchestrator.keys.router_settings import make_access_settings, make_tls_settings
@@ -106,18 +107,16 @@ class RouterService:
                 router_place.listen, self._security.settings, router_place.links, insecure=router_place.insecure
             ):
                 on_ready()
-                keeping = asyncio.create_task(self._keep_latch())
-                keeping.add_done_callback(report_latch_end)
+                keeping, warnings = TaskOwner(report_latch_end), TaskOwner()
+                keeping.spawn(self._keep_latch())
                 own, security = self._own_endpoint, self._security
-                warning = asyncio.create_task(
-                    report_open_router(own, router_place.listen, security.fleet, security.name)
-                )
+                warnings.spawn(report_open_router(own, router_place.listen, security.fleet, security.name))
                 try:
                     self._security = await self._wait_for_change()
                 finally:
-                    keeping.cancel()
-                    warning.cancel()
-                    await asyncio.wait([keeping, warning])
+                    keeping.cancel_all()
+                    await warnings.end_all()
+                    await keeping.end_all()
             self._say("the router opens anew with the changed table")
             await asyncio.sleep(CLOSED_S)
 

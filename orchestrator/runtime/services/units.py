@@ -13,11 +13,16 @@ from pathlib import Path
 
 from orchestrator.bus.identity import CERTIFICATE_FILE, KEY_FILE
 from orchestrator.model.fleet import CanBusLink, Fleet, SerialLink
+from orchestrator.runtime.services.parts import (
+    GATEWAY,
+    PARTS,
+    RECORDER,
+    list_certificate_options,
+    list_gateway_options,
+    list_recorder_options,
+)
 
-PARTS = ("router", "coordinator", "host", "gateway", "recorder")
 STOP_MARGIN_S = 15  # beyond the longest ramp: for processes to end in order
-WATCHDOG_S = {"router": 60, "coordinator": 20, "host": 5, "gateway": 30, "recorder": 30}
-"""The router's own check is a session each ten seconds, and three failures in turn."""
 
 # What no part needs. `security` of systemd-analyze is the list to compare with.
 _CONFINEMENT = """\
@@ -97,7 +102,7 @@ def make_unit(part: str, place: ServicePlace) -> str:
         f"User={place.user}",
         f"StateDirectory=tutti/{_state_name(part, place)}",
         "StateDirectoryMode=0700",
-        f"WatchdogSec={WATCHDOG_S[part]}",
+        f"WatchdogSec={PARTS[part].watchdog_s}",
         "KillMode=mixed",
         f"TimeoutStopSec={find_stop_s(place.fleet)}",
         "TimeoutStartSec=90",
@@ -133,8 +138,7 @@ def _state_name(part: str, place: ServicePlace) -> str:
 
 def _make_command(part: str, place: ServicePlace) -> list[str]:
     tutti, name, state = str(place.command), place.fleet.fleet, f"/var/lib/tutti/{place.fleet.fleet}"
-    module = [str(place.python), "-P", "-m"]
-    log = ["--log", f"{state}/log/{part}.jsonl"]
+    python, log = str(place.python), f"{state}/log/{part}.jsonl"
     match part:
         case "router":
             keys = [] if place.keys is None else ["--keys", str(place.keys)]
@@ -146,26 +150,12 @@ def _make_command(part: str, place: ServicePlace) -> list[str]:
         case "host":
             return [tutti, "host", place.host, "--fleet", name, "--connect", place.connect]
         case "gateway":
-            return [
-                *module,
-                "orchestrator.gateway.process",
-                "--fleet",
-                name,
-                "--connect",
-                place.connect,
-                "--state",
-                state,
-                *log,
-                "--service",
-                *_list_web_options(place),
-            ]
+            options = [*list_gateway_options(name, place.connect, state, log), "--service", *_list_web_options(place)]
+            return GATEWAY.make_command(python, *options, switches=["-P"])
         case "recorder":
-            return [
-                *module,
-                "orchestrator.monitor.recording.process",
-                *("--fleet", name, "--fleet-file", str(place.file), "--connect", place.connect),
-                *("--folder", f"{state}/recordings", "--quota", str(2_000_000_000), *log, "--service"),
-            ]
+            folder, quota = f"{state}/recordings", 2_000_000_000
+            options = list_recorder_options(name, str(place.file), place.connect, folder, quota)
+            return RECORDER.make_command(python, *options, "--log", log, "--service", switches=["-P"])
         case _:
             raise ValueError(f"no part {part}; parts: {', '.join(PARTS)}")
 
@@ -173,8 +163,8 @@ def _make_command(part: str, place: ServicePlace) -> list[str]:
 def _list_web_options(place: ServicePlace) -> list[str]:
     options = [] if place.web_port is None else ["--port", str(place.web_port)]
     if place.web_host and place.identity is not None:
-        options += ["--address", place.web_host, "--ssl-certfile", str(place.identity / CERTIFICATE_FILE)]
-        options += ["--ssl-keyfile", str(place.identity / KEY_FILE)]
+        certificate, key = place.identity / CERTIFICATE_FILE, place.identity / KEY_FILE
+        options += ["--address", place.web_host, *list_certificate_options(str(certificate), str(key))]
     return options
 
 

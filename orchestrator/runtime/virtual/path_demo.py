@@ -1,6 +1,5 @@
 """The demo of a path: the example's fleet in virtual time, where the true positions are known at every instant."""
 
-import asyncio
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.owner import running
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Fleet
@@ -74,10 +74,9 @@ async def _run(clock: VirtualClock, fleet: Fleet, job: Job) -> PathDemo:
     client = virtual.make_client("demo")
     await client.bus.subscribe(client.keys.job_samples(), take)
     sightings: list[tuple[int, list[float]]] = []
-    watching = asyncio.get_running_loop().create_task(_watch_truth(virtual, step.axes, sightings))
-    report = await client.wait_for_job(await client.submit(job))
-    await sleep_ns(clock, NS_PER_S)
-    watching.cancel()
+    async with running(_watch_truth(virtual, step.axes, sightings)):
+        report = await client.wait_for_job(await client.submit(job))
+        await sleep_ns(clock, NS_PER_S)
     done_step = next((step_report for step_report in report.steps if step_report.do == "path"), None)
     if report.state != "done" or done_step is None or done_step.t0_fleet_ns is None or not found_samples:
         raise PathDemoFailed(f"the job is {report.state}: {report.reason or 'nothing was sampled'}")

@@ -14,7 +14,8 @@ import pytest
 from orchestrator.bus.journald import JournalSender, encode_fields
 from orchestrator.clock.service_manager import READY, WATCHDOG, ServiceManager
 from orchestrator.model.jobs.files import load_fleet
-from orchestrator.runtime.services.units import PARTS, ServicePlace, find_stop_s, make_unit, make_unit_name
+from orchestrator.runtime.services.parts import PARTS
+from orchestrator.runtime.services.units import ServicePlace, find_stop_s, make_unit, make_unit_name
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 NO_SYSTEMD = shutil.which("systemd-analyze") is None

@@ -28,6 +28,7 @@ from orchestrator.client import Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.live import raw_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.errors import Refusal
 from orchestrator.model.report import LeaseState
 from orchestrator.model.state import ControllerState
@@ -49,14 +50,15 @@ class JogSession:
         self._hand: ManualControl | None = None
         self._leasing: asyncio.Queue[str | ManualControl | asyncio.Event | None] = asyncio.Queue()
         self._leaving = False
-        self._endless: list[asyncio.Task[None]] = []
-        self._requests: set[asyncio.Task[None]] = set()
+        # The panel waits for the ends of requests on exit.
+        self._requests, self._endless = TaskOwner(self._end_at_defect), TaskOwner(self._end_at_defect)
         self._works = WorkRunner(tutti, panel, self._start_request)
         self._timer: asyncio.TimerHandle | None = None
         self._escape: asyncio.TimerHandle | None = None
 
     async def __aenter__(self) -> Self:
-        self._endless = [self._start_task(work) for work in (self._subscribe_states(), self._draw_screens())]
+        for work in (self._subscribe_states(), self._draw_screens()):
+            self._endless.spawn(work)
         self._start_request(self._manage_leases())
         self._loop.add_reader(self._terminal.fd_in, self._on_readable)
         return self
@@ -67,12 +69,12 @@ class JogSession:
         for timer in (self._timer, self._escape):
             if timer is not None:
                 timer.cancel()
-        for task in self._endless:
-            task.cancel()
+        self._endless.cancel_all()
         self._works.cancel()
         self._release_axes()
         self._leasing.put_nowait(None)
-        await asyncio.wait(self._requests, timeout=EXIT_TIMEOUT_S)
+        if requests := self._requests.pending:
+            await asyncio.wait(requests, timeout=EXIT_TIMEOUT_S)
 
     # Input
 
@@ -233,18 +235,11 @@ class JogSession:
 
     def _start_request(self, work: Coroutine[Any, Any, None]) -> None:
         """Run a request that ends by itself; the panel waits for it on exit."""
-        task = self._start_task(work)
-        self._requests.add(task)
-        task.add_done_callback(self._requests.discard)
+        self._requests.spawn(work)
 
-    def _start_task(self, work: Coroutine[Any, Any, None]) -> "asyncio.Task[None]":
-        task = self._loop.create_task(work)
-        task.add_done_callback(self._on_task_end)
-        return task
-
-    def _on_task_end(self, task: "asyncio.Task[None]") -> None:
+    def _end_at_defect(self, error: BaseException, _: bool) -> None:  # noqa: FBT001 - a callback
         """End the panel at a defect: no jog without a display."""
-        if not task.cancelled() and (error := task.exception()) is not None and not self._ended.done():
+        if not self._ended.done():
             self._ended.set_exception(error)
 
     def _end_session(self, code: int) -> None:

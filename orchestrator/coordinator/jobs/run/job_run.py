@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Sequence
 from contextlib import suppress
 
+from orchestrator.clock.owner import running
 from orchestrator.coordinator.fleet.leases import AxesInUse
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.motors import JobMotors
@@ -133,12 +134,11 @@ class JobRun:
 
     async def run(self) -> JobOutcome:
         """Run all steps; raises nothing."""
-        beat = asyncio.get_running_loop().create_task(self._state.keep_publishing())
         try:
-            outcome = await self._run_job()
+            async with running(self._state.keep_publishing()):
+                outcome = await self._run_job()
         finally:
             self._over = True
-            beat.cancel()
             await self._readings.wait_for_last(self._services.clock)
             self._readings.close()
             with suppress(JournalError):

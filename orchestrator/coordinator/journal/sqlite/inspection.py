@@ -21,6 +21,7 @@ from orchestrator.model.messages import MAX_EPOCH
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobApproval
 from orchestrator.model.positions.entries import SavedPosition
+from orchestrator.model.problems import describe_first_error
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import JobReport, JobTransition, StepRecording
 
@@ -186,7 +187,5 @@ def _find_problem(model: type[Model], text: str) -> str:
     try:
         model.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        field = ".".join(map(str, first["loc"]))
-        return re.sub(r"\s+", " ", f"{field}: {first['msg']}" if field else first["msg"])
+        return re.sub(r"\s+", " ", describe_first_error(error))
     return ""

@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.records import UNREADABLE_TIME, JobRecord
 from orchestrator.model.base import ID_PATTERN
+from orchestrator.model.problems import read_problems
 from orchestrator.model.queue import parse_utc
 from orchestrator.model.report import JobState
 
@@ -86,8 +87,8 @@ def _find_damage(record: JobRecord) -> str:
     try:
         _ = record.terms
     except ValidationError as error:
-        first = error.errors()[0]
-        return f"{'.'.join(map(str, first['loc']))} {first['input']!r}"
+        problem = read_problems(error)[0]
+        return f"{problem.field} {problem.found!r}"
     return ""
 
 
