@@ -452,7 +452,7 @@ class JobReport(Model):
 
     def judge(self) -> "JobReport":
         """The report with the verdict on the job: it belongs to what was done."""
-        verdicts = [step.verdict for step in self.steps if step.verdict != "none"]
+        verdicts: list[Verdict] = [step.verdict for step in self.steps if step.verdict != "none"]
         verdict: Verdict | None = None
         reason = ""
         if self.state != "done":
