@@ -423,6 +423,31 @@ def test_a_damaged_journal_begins_no_job_without_an_approval(damage: Callable[[V
     run_fleet(main, FLEET)
 
 
+def test_an_approval_that_was_void_once_does_not_count_again_although_the_plan_is_what_it_was() -> None:
+    """A damaged journal releases the job."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        anna = fleet.make_client("anna")
+        await outcome(fleet, PREPARE)
+        job_id = await anna.submit(BY_NAME, terms=PROPOSED)
+        await anna.stop_queue()
+        await approve(anna, job_id)
+        await save_anew(fleet)
+        moved = await count_motions(fleet)
+        await anna.start_queue()
+        assert "is 13 mm" in await wait_until_held(anna, job_id)
+        await anna.stop_queue()
+        await fleet.make_client().save_position("sample", at={"gantry.x": "12 mm"})
+        assert not (await anna.plan_job(job_id)).changed
+        fleet.journal.database.execute("UPDATE jobs SET held_by = ''")
+        await restart(fleet, 2)
+        await anna.start_queue()
+        assert "no plan of it is approved" in await wait_until_held(anna, job_id)
+        assert await count_motions(fleet) == moved
+
+    run_fleet(main, FLEET)
+
+
 def test_a_job_that_no_longer_states_that_it_was_proposed_is_damaged() -> None:
     async def main(fleet: VirtualFleet) -> None:
         anna = fleet.make_client("anna")

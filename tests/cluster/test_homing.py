@@ -2,15 +2,18 @@
 
 import asyncio
 import json
+from collections.abc import Iterator
 
 import pytest
 from cluster.worlds import PREPARE, changed, demo_fleet, first_leases_ns, job, outcome, refusal, rested, run_fleet
 from unit.random_rounds import share_with_nightly
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.coordinator.steps import home
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobProgress
+from orchestrator.plan.homing_order import HomingOrder, find_prerequisites
 from orchestrator.runtime.simulated_fleets import make_smc2000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -112,6 +115,28 @@ def test_an_axis_after_another_is_homed_only_when_that_one_is_referenced() -> No
         contrary = job("[{do: home, axes: [gantry.x, stage.focus]}]")
         with pytest.raises(Refusal, match="but comes before it in the given order"):
             await virtual.make_client().submit(contrary)
+
+    run_fleet(main, fleet)
+
+
+class Backwards(set[str]):
+    """A set that is iterated in the reverse order of its names, as the hash seed of a process may have it."""
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(super().__iter__(), reverse=True))
+
+
+def test_of_several_missing_references_the_first_one_by_name_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    fleet = changed(demo_fleet(), gantry={"axes": {"x": {"homing": {"after": ["stage.u", "stage.focus", "gantry.y"]}}}})
+
+    def find_backwards(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
+        return {axis: Backwards(waits) for axis, waits in find_prerequisites(fleet, order).items()}
+
+    monkeypatch.setattr(home, "find_prerequisites", find_backwards)
+
+    async def main(virtual: VirtualFleet) -> None:
+        refused = await refusal(virtual, ENABLE, job("[{do: home, axes: [gantry.x]}]"))
+        assert "gantry.x must be homed after gantry.y" in refused.text
 
     run_fleet(main, fleet)
 

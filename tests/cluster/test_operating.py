@@ -248,6 +248,21 @@ def test_relative_moves_of_thirds_there_and_back_end_on_the_same_count() -> None
     run_fleet(main, fleet)
 
 
+def test_relative_moves_of_thirds_in_jobs_of_their_own_add_up() -> None:
+    """A move from rest begins at the exact target of the last one."""
+    fleet = changed(demo_fleet(), gantry={"axes": {"x": {"scale": "10000/3"}}})
+
+    async def main(virtual: VirtualFleet) -> None:
+        await outcome(virtual, PREPARE)
+        before = virtual.controllers["gantry"].position("X")
+        for _ in range(3):
+            report = await outcome(virtual, job("[{do: move, by: {gantry.x: 0.1}}]"))
+            assert report.state == "done", report.reason
+        assert virtual.controllers["gantry"].position("X") - before == 1000
+
+    run_fleet(main, fleet)
+
+
 # Configuration
 
 

@@ -74,7 +74,10 @@ class HomingSequence:
         waits = find_prerequisites(fleet, order)
         run = _HomingRun(holder, actor, waits, order.loners)
         for axis in [
-            predecessor for predecessors in waits.values() for predecessor in predecessors if predecessor not in waits
+            predecessor
+            for predecessors in waits.values()
+            for predecessor in sorted(predecessors)
+            if predecessor not in waits
         ]:
             self._require_referenced(axis, waits)
             run.homed.append(axis)

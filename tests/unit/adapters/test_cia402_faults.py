@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from unit.adapters.cia402_bench import Drives, config, run
+from unit.adapters.cia402_bench import ACCELERATION, Drives, config, run
 
 from adapters.cia402 import MAKE
 from adapters.cia402.canopen.bus import SHARED
@@ -182,6 +182,20 @@ def test_a_factor_group_that_differs_is_refused(objects: dict[str, int], options
         assert caught.value.remedy
 
     run(main, simulate={"objects": objects}, options=options)
+
+
+def test_a_factor_group_that_agrees_is_accepted_and_both_ramps_are_loaded() -> None:
+    """A halt before the first move brakes with the deceleration that the drive has by then."""
+
+    async def main(world: Drives) -> None:
+        await world.driver.connect()
+        await world.driver.configure()
+        held = world.unit.station.dictionary
+        assert [held.get_value(index) for index in (0x6083, 0x6084)] == [round(ACCELERATION)] * 2
+
+    ratios = {"gear": "7/2", "feed": "10000/3", "encoder": "8192"}
+    objects = {"6091:1": 7, "6091:2": 2, "6092:1": 10_000, "6092:2": 3, "608F:1": 8192, "6083": 90, "6084": 80}
+    run(main, simulate={"objects": objects}, options=ratios)
 
 
 def test_a_missing_node_is_reported() -> None:

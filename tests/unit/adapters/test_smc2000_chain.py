@@ -52,6 +52,26 @@ def test_replies_are_not_mixed_under_any_overlap(first: int):
         run_chain(main, seed=seed, hold_ms=(0, 16)[seed % 2])
 
 
+def test_an_address_that_is_garbled_on_the_way_is_found_before_the_command_reaches_another_controller():
+    async def main(world: ChainWorld) -> None:
+        await world.ready(2)
+        for address, driver in world.drivers.items():
+            await driver.send_raw(f"XMINE={7000 + address}")
+        garbled = 0
+
+        def garble(data: bytes) -> bytes:
+            nonlocal garbled
+            if b"%1\r" not in data or garbled:
+                return data
+            garbled += 1
+            return data.replace(b"%1\r", b"%2\r")
+
+        world.wire.to_far = garble
+        assert float(await world.drivers[1].send_raw("MG XMINE")) == 7001 and garbled
+
+    run_chain(main)
+
+
 @pytest.mark.parametrize(("seed", "hold_ms"), [(0, 0), (4, 0), (4, 16), (5, 16)])
 def test_an_error_report_of_a_program_is_not_taken_for_an_answer(seed: int, hold_ms: int):
     """A program that reaches a limit switch at T0 prints its line, and the next controller is polled meanwhile. In

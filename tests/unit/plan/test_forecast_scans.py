@@ -183,6 +183,18 @@ def write_out(steps: list[Step]) -> list[Step]:
     return found
 
 
+@pytest.mark.parametrize("snake", [False, True])
+def test_a_raster_takes_the_time_of_its_moves(snake: bool) -> None:
+    """An axis that snakes has no way back between passes."""
+    inner = f"stage.u: {{from: 0, to: 6, points: 4, snake: {str(snake).lower()}}}"
+    scan = f"{{do: scan, axes: {{gantry.x: {{from: 0, to: 2, points: 3}}, {inner}}}, at_each: []}}"
+    start = "{do: move, to: {gantry.x: 0, stage.u: 0}}"
+    steps = parse_document(f"schema: tutti.job/1\nname: test\nsteps: [{HOME}, {start}, {scan}]\n", Job, "test").steps
+    found, written = forecast_job(FLEET, steps), forecast_job(FLEET, write_out(steps))
+    assert not found.problems and found.least_s == pytest.approx(written.least_s)
+    assert found.most_s == pytest.approx(written.most_s)
+
+
 @pytest.mark.parametrize("seed", share_with_nightly(range(60), 20))
 def test_random_jobs_are_judged_as_if_they_were_written_out(seed: int) -> None:
     draw = Random(seed)

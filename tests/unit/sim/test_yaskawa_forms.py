@@ -76,6 +76,16 @@ def test_no_form_of_any_command_in_a_program_ends_a_simulator(simulator: Any, mo
             clock.run_until_ns(clock.now_ns() + 2 * NS_PER_MS)
 
 
+@pytest.mark.parametrize(("simulator", "model", "port"), MODELS, ids=lambda each: getattr(each, "name", ""))
+def test_a_thread_that_a_model_does_not_have_is_refused(simulator: Any, model: Any, port: str):
+    clock, line, answers = connected(simulator, port)
+    for text in ("HX{}", "XQ0,{}", "MG _XQ{}", "MG _HX{}", "MG _ZS{}"):
+        answers.clear()
+        line.receive_bytes(f"{text.format(model.threads)}\r".encode())
+        clock.run_until_ns(clock.now_ns() + 2 * NS_PER_MS)
+        assert answers == b"?", text
+
+
 @pytest.mark.parametrize("op", ["AF", "GN", "ZR"])
 def test_op_codes_that_the_smc4000_does_not_have_are_unknown(op: str):
     clock, line, answers = connected(SMC4000, "tcp")
