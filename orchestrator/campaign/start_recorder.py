@@ -51,5 +51,5 @@ class StartRecorder:
 
     def take_unasked(self) -> list[str]:
         """The jobs that have begun without a word since the last call, in words."""
-        unasked, self._unasked = self._unasked, []
-        return unasked
+        texts, self._unasked = self._unasked, []
+        return texts

@@ -41,8 +41,8 @@ class QueueRequests(PointRequests):
         would move at this moment. Raises `Refusal`: codes `awaits-approval`, `cause-lasts`, `not-shown`."""
         if job_ids and preview is None:
             preview = await self.preview_start(*job_ids)
-        shown = "" if preview is None else preview.shown
-        request = ReleaseJobs(**self.request_fields(), job_ids=list(job_ids), shown=shown)
+        digest = "" if preview is None else preview.shown
+        request = ReleaseJobs(**self.request_fields(), job_ids=list(job_ids), shown=digest)
         await self.request_service("release", request, Reply)
 
     async def plan_job(self, job_id: str) -> JobPlanned:

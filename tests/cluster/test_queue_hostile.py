@@ -62,6 +62,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "resume": {"job_id": "x"},
     "override": {"job_id": "x", "percent": 50},
     "prune": {"older_s": 1e9, "keep": 10},
+    "preview-start": {},
     "start-queue": {},
     "stop-queue": {},
     "stop": {"mode": "decelerate"},

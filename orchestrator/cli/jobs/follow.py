@@ -41,10 +41,10 @@ async def _ask_to_begin(preview: StartPreview) -> bool:
     for line in describe_start(preview):
         errors.print(line, highlight=False, markup=False, soft_wrap=True)
     errors.print("what it waited for is gone: Enter begins, Ctrl-C leaves", highlight=False, markup=False)
-    loop, typed = asyncio.get_running_loop(), asyncio.Event()
-    loop.add_reader(sys.stdin, typed.set)
+    loop, line_event = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_reader(sys.stdin, line_event.set)
     try:
-        await typed.wait()
+        await line_event.wait()
     finally:
         loop.remove_reader(sys.stdin)
     return bool(sys.stdin.readline())

@@ -83,9 +83,9 @@ async def _print_queue(tutti: "Tutti", *, as_json: bool, preview: "StartPreview 
 
     state = await tutti.list_jobs(limit=1)
     if as_json:
-        stopped = None if state.stopped is None else state.stopped.to_plain()
+        stop = None if state.stopped is None else state.stopped.to_plain()
         motions = {} if preview is None else {key: preview.to_plain()[key] for key in ("motions", "lasting")}
-        print_json({"stopped": stopped, "waiting": state.waiting, **motions})
+        print_json({"stopped": stop, "waiting": state.waiting, **motions})
     else:
         console.print(describe_queue(state), highlight=False, markup=False)
 

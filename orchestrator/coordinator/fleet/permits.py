@@ -41,12 +41,12 @@ class PermitMonitor:
         """Whether a job that waits for permits of `axes` begins only by a word once they hold: one of those that do
         not asks for it."""
         fleet = self._view.fleet
-        missing = [
+        missing_permits = [
             permit
             for name, permit in fleet.permits_of(axes).items()
             if self._describe_missing(name, permit) is not None
         ]
-        return any((permit.on_clear or fleet.queue.on_clear) == "ask" for permit in missing)
+        return any((permit.on_clear or fleet.queue.on_clear) == "ask" for permit in missing_permits)
 
     def list_missing(self) -> list[MissingPermit]:
         """All permits that do not hold, or have not settled yet, with their axes."""

@@ -135,7 +135,7 @@ class DeliberateStarts:
         if any(run.needs & needs for run in self._register.running.values()):
             return True
         order = self._register.list_waiting()
-        return any(self._register.find_needs(other).controllers & needs for other in order[: order.index(job)])
+        return any(self._register.find_needs(job_ahead).controllers & needs for job_ahead in order[: order.index(job)])
 
     def _find_first_motion(self, job: WaitingJob) -> FirstMotion:
         row, services = job.row, self._services

@@ -1,7 +1,7 @@
 """Publication of the queue: lists of jobs, and what each one waits for."""
 
 import asyncio
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
@@ -26,7 +26,7 @@ class QueuePublisher:
         self._register = register
         self._places: Mapping[str, int] = {}
         self._reasons: Mapping[str, str] = {}
-        self._ready: frozenset[str] = frozenset()
+        self._ready: Set[str] = frozenset()
         self._told: dict[str, str] = {}
         self._changed = False
         self._announcing: asyncio.Task[None] | None = None
@@ -97,7 +97,7 @@ class QueuePublisher:
             await sleep_ns(self._services.clock, MIN_INTERVAL_NS)
 
     def take_schedule(
-        self, order: Sequence[WaitingJob], reasons: Mapping[str, str], ready: frozenset[str] = frozenset()
+        self, order: Sequence[WaitingJob], reasons: Mapping[str, str], ready: Set[str] = frozenset()
     ) -> None:
         """Take over what each job waits for, in the queue's order; publish changes of the jobs that are shown. ready:
         those whose start has to be asked for."""

@@ -14,7 +14,7 @@ separately.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from orchestrator.coordinator.journal.records import JobRecord
@@ -75,17 +75,17 @@ def sort_waiting(waiting: Mapping[str, WaitingJob]) -> list[WaitingJob]:
     return sorted(waiting.values(), key=lambda job: job.sort_key)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Schedule:
-    """The jobs that may begin now, and what each of the others waits for. waits_for_world: one waits for a condition
-    outside the queue, which must be looked at again. ready: jobs that may begin only by a word. causes: by job that is
-    not marked for that yet, the cause that it waits for, or that a job before it waits for."""
+    """The jobs that may begin now, and what each of the others waits for. ready: jobs that may begin only by a word.
+    causes: by job that is not marked for that yet, the cause that it waits for, or that a job before it waits for.
+    waits_for_world: one waits for a condition outside the queue, which must be looked at again."""
 
     begin: list[WaitingJob]
     reasons: dict[str, str]
+    ready: set[str]
+    causes: dict[str, str]
     waits_for_world: bool = False
-    ready: frozenset[str] = frozenset()
-    causes: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 class Condition(NamedTuple):
@@ -108,47 +108,44 @@ def choose_jobs(
     jobs without axes may run.
     """
     users = dict(busy)
-    begin: list[WaitingJob] = []
-    reasons: dict[str, str] = {}
-    causes: dict[str, str] = {}
+    schedule = Schedule([], {}, set(), {})
     causes_ahead: dict[str, str] = {}
     """By controller, the cause of a job that keeps its claim on it."""
-    ready: set[str] = set()
-    waits_for_world = False
     for job, needs in waiting:
-        reason = job.blocking_reason or ("" if job.is_attended else stopped)
+        job_id, reason = job.row.id, job.blocking_reason or ("" if job.is_attended else stopped)
         if reason:
-            reasons[job.row.id] = reason
+            schedule.reasons[job_id] = reason
             continue
-        # It keeps its claim on the controllers while it waits.
-        claim = f"job {job.row.name!r} {job.row.id} of {job.row.actor}"
         in_the_way = sorted(needs & users.keys())
         cause = next((causes_ahead[name] for name in in_the_way if name in causes_ahead), "")
-        if not needs and not free_places:
-            reasons[job.row.id] = WITHOUT_AXES_REASON
-        elif in_the_way:
-            first = in_the_way[0]
-            reasons[job.row.id] = f"waits for {first}: {users[first]}"
-            claim += " comes first"
-        else:
+        if in_the_way:
+            reason = f"waits for {in_the_way[0]}: {users[in_the_way[0]]}"
+        elif needs or free_places:
             condition = find_condition(job)
-            if condition is not None:
-                reasons[job.row.id] = f"waits for: {condition.text}"
-                waits_for_world = True
-                claim += " comes first"
-                cause = condition.text if condition.asks or job.awaits_word else ""
-            elif job.awaits_word:
-                cause = job.row.reason
-                reasons[job.row.id] = READY_REASON
-                ready.add(job.row.id)
-                claim += " comes first"
-            else:
-                begin.append(job)
-                free_places -= not needs
+            reason, cause = _find_own_cause(job, condition)
+            schedule.waits_for_world |= condition is not None
+        else:
+            reason = WITHOUT_AXES_REASON
+        if reason:
+            schedule.reasons[job_id] = reason
+        else:
+            schedule.begin.append(job)
+            free_places -= not needs
+        if reason == READY_REASON:
+            schedule.ready.add(job_id)
         if cause:
             causes_ahead |= dict.fromkeys(needs, cause)
             if not job.awaits_word:
-                causes[job.row.id] = cause
+                schedule.causes[job_id] = cause
+        # It keeps its claim on the controllers while it waits.
+        claim = f"job {job.row.name!r} {job_id} of {job.row.actor}" + " comes first" * bool(reason)
         for controller in needs:
             users.setdefault(controller, claim)
-    return Schedule(begin, reasons, waits_for_world, frozenset(ready), causes)
+    return schedule
+
+
+def _find_own_cause(job: WaitingJob, condition: Condition | None) -> tuple[str, str]:
+    """What a job on free controllers waits for, and the cause whose end will not start it; both empty: it begins."""
+    if condition is not None:
+        return f"waits for: {condition.text}", condition.text if condition.asks or job.awaits_word else ""
+    return (READY_REASON, job.row.reason) if job.awaits_word else ("", "")

@@ -194,5 +194,5 @@ class ReportCollector:
             return [report]
         location, ended_report = scan.ended
         reason = f"{location.describe()}: {ended_report.reason}"
-        unjudged = {"state": ended_report.state, "reason": reason, "verdict": "none"}
-        return [report.model_copy(update=unjudged), ended_report]
+        changes = {"state": ended_report.state, "reason": reason, "verdict": "none"}
+        return [report.model_copy(update=changes), ended_report]
