@@ -82,14 +82,15 @@ class StepRequests(JobRequests):
         to: Mapping[str, Quantity] | str | None = None,
         by: Mapping[str, Quantity] | None = None,
         *,
-        speed: float = 1.0,
+        speed: float | str | Mapping[str, float | str] = "manual",
         sync: Literal["time", "phase", "none"] = "time",
         wait: bool = False,
     ) -> JobResult:
         """Move axes together: to positions, or by distances, in their units or with one (`"6 mm"`).
 
         to: by axis, a quantity or the name of a position; or one name, for all its axes.
-        speed: fraction of each axis's velocity limit. sync, wait: as in a job, and in `run`. Raises `Refusal`,
+        speed: as in a job: a fraction of the limits, `"5 mm/s"`, or one by axis; without it `manual_speed` of each
+        axis, 20 % unless the fleet file says otherwise. sync, wait: as in a job, and in `run`. Raises `Refusal`,
         `JobFailed`.
         """
         return await self.run(

@@ -27,7 +27,7 @@ from orchestrator.model.fleet_names import DefinedNames, collect_names, find_ref
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.names import split_name
-from orchestrator.model.numbers import Hertz, Seconds, UnitNumber
+from orchestrator.model.numbers import Hertz, Part, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 
@@ -136,6 +136,9 @@ class Axis(Model):
         default=False, description="Rotary axes: approach absolute targets in the shorter direction."
     )
     soft_limits: SoftLimits | None = None
+    manual_speed: Part = Field(
+        default=0.2, description="Fraction of the velocity limit for moves that a person asks for one at a time."
+    )
     limits: AxisLimits
     start_rate: StartRate | None = None
     enable: Literal["manual", "per_job", "at_start"] = "manual"

@@ -237,7 +237,7 @@ def test_an_ended_job_is_retried_from_a_step() -> None:
         here = fleet.controllers["gantry"].position("X") / 1000
         assert 30 < here < 390
         assert [(each.axis, each.position) for each in shown.axes] == [("gantry.x", here), ("gantry.y", 0.0)]
-        assert shown.steps == ["1 move to gantry.x=390, speed=0.1", "2 move by gantry.y=2"]
+        assert shown.steps == ["1 move to gantry.x=390, speed=10 %", "2 move by gantry.y=2"]
         assert shown.warnings == ["step 2 moves gantry.y by a distance, from the current position"]
         assert len((await client.list_jobs()).jobs) == 2
         fresh = (await client.retry_job(job_id, 1, client_key="k")).job_id

@@ -125,7 +125,10 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, 
 @click.argument("targets", nargs=-1, required=True, metavar="AXIS=VALUE...", shell_complete=complete_targets)
 @click.option("--relative", is_flag=True, help="VALUE is a distance, not a position.")
 @click.option(
-    "--speed", default=0.2, show_default=True, type=click.FloatRange(0.001, 1), help="Fraction of the limits."
+    "--speed",
+    default="manual",
+    metavar="SPEED",
+    help='A fraction of the limits (0.5, "50 %"), or a speed ("5 mm/s"); default: `manual_speed` of each axis.',
 )
 @click.option("--line", is_flag=True, help="Along a straight path.")
 @wait_option
@@ -133,7 +136,7 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, 
 @json_option
 def move(
     targets: tuple[str, ...],
-    speed: float,
+    speed: str,
     connect: str,
     fleet: str | None,
     *,
@@ -152,10 +155,18 @@ def move(
     step = {
         "do": "move",
         "by" if relative else "to": wanted_targets,
-        "speed": speed,
+        "speed": _read_speed(speed),
         "sync": "phase" if line else "time",
     }
     run_single_step(connect, fleet, step, "", wait=wait, as_json=as_json)
+
+
+def _read_speed(text: str) -> float | str:
+    """A plain number is a fraction; all else is checked with the step."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')

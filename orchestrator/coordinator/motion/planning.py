@@ -17,7 +17,8 @@ from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.step import StepPlan, plan_step
+from orchestrator.plan.speeds import plan_motion
+from orchestrator.plan.step import StepPlan
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
 MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its path was braked: rounding
@@ -182,7 +183,7 @@ async def _plan_from(
             resolved_move = ResolvedMove(path.moves, dict(path.exact))
             return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved_move = resolve_targets(move, context, goal)
-        plan = plan_step(resolved_move.moves, move.sync, move.speed, move.ramps)
+        plan = plan_motion(context.fleet, move, resolved_move.moves)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
     return PlannedStep(request, resolved_move, plan, instances, resolved_move.exact, triggers=triggers)

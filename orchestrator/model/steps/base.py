@@ -10,8 +10,8 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
-from orchestrator.model.numbers import Part
 from orchestrator.model.state import StartWish
+from orchestrator.model.steps.speed import Speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.units import Quantity
 
@@ -240,7 +240,12 @@ class MotionOptions(Step):
 
     moves: ClassVar[bool] = True
 
-    speed: Part = Field(default=1.0, description="Fraction of each axis's velocity limit.")
+    speed: Speed = Field(
+        default=1.0,
+        description='A fraction of each axis\'s velocity limit (0.5, "50 %"); a speed ("5 mm/s") of the one axis, or '
+        "along the straight line of axes with like units; one of both by axis ({gantry.x: 5 mm/s}), the others at "
+        "their limits; or `manual`: `manual_speed` of each axis.",
+    )
     sync: Literal["time", "phase", "none"] = Field(
         default="time",
         description="time: all end together; phase: a straight line in axis space; none: each axis takes its "

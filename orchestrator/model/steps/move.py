@@ -43,7 +43,7 @@ class Move(MotionOptions, MoveTargets):
             *,
             to: Mapping[str, float | str] | str = ...,
             by: Mapping[str, float | str] = ...,
-            speed: float | str = 1.0,
+            speed: float | str | Mapping[str, float | str] = 1.0,
             **more: Any,
         ) -> None: ...
 

@@ -64,7 +64,7 @@ class Scan(MotionOptions, ScanPoints):
             points: Mapping[str, Any] | PointTable | None = None,
             scanspec: Mapping[str, Any] | None = None,
             at_each: Sequence["Move | Dwell | SetOutput | WaitInput"] = (),
-            speed: float | str = 1.0,
+            speed: float | str | Mapping[str, float | str] = 1.0,
             **more: Any,
         ) -> None: ...
 

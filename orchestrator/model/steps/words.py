@@ -1,9 +1,11 @@
 """Fields of a step in words."""
 
 import json
+from typing import Any, cast
 
 from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.names import ALL_AXES
+from orchestrator.model.steps.speed import describe_speed
 from orchestrator.model.triggers import Trigger
 
 
@@ -14,7 +16,9 @@ def describe_trigger(trigger: Trigger) -> str:
 
 
 def describe_field(key: str, value: dict[str, object] | list[str] | str | float | None) -> str:
-    """A field and its value in the JSON form: `speed=0.5`."""
+    """A field and its value, a speed with its unit: `speed=50 %`."""
+    if key == "speed" and isinstance(value, float | str | dict):
+        return f"speed={describe_speed(cast(Any, value))}"
     if isinstance(value, dict):
         if list(value) == [ALL_AXES]:
             return f"{key} {value[ALL_AXES]}"

@@ -10,16 +10,16 @@ from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.step import plan_step
+from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.triggers import resolve_triggers
 
 
 def plan_ways(state: ForecastState, at: ForecastContext, step: MotionOptions, ways: MoveWays) -> Span:
     """The duration of a motion; its plan stays in `ways`."""
     try:
-        plan = longest = plan_step(ways.nearest, step.sync, step.speed, step.ramps)
+        plan = longest = plan_motion(state.fleet, step, ways.nearest)
         if ways.bounded and ways.farthest != ways.nearest:
-            longest = plan_step(ways.farthest, step.sync, step.speed, step.ramps)
+            longest = plan_motion(state.fleet, step, ways.farthest)
     except PlanError as error:
         state.add_problem(at, (), Refusal("plan", str(error)))
         return Span()

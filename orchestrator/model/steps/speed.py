@@ -1,0 +1,67 @@
+"""The speed of a move as people write it: a fraction of the limits, a speed with its unit, or one for each axis."""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+from orchestrator.model.numbers import split_number
+
+MANUAL: Literal["manual"] = "manual"
+"""The speed of what a person asks for one at a time: `manual_speed` of each axis."""
+EXAMPLES = '0.5, "50 %", "5 mm/s", {gantry.x: 5 mm/s} or manual'
+
+
+def _read_one(value: object, owner: str) -> float | str:
+    """One speed: a fraction above 0 to 1, or text with a unit of speed. Raises `ValueError`."""
+    fraction: float | None = None
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        fraction = float(value)
+    elif isinstance(value, str):
+        number, unit = split_number(value) or ("", "")
+        if unit and unit != "%":
+            if float(number) <= 0:
+                raise ValueError(f"{owner} is {value}; a speed is above 0")
+            return value
+        if unit:
+            fraction = float(number) / 100
+    if fraction is None:
+        raise ValueError(f"{owner} is {value!r}; write e.g. {EXAMPLES}")
+    if not 0 < fraction <= 1:
+        text = f"{owner} is {value}, and a number without a unit is a fraction of the limits, above 0 to 1"
+        raise ValueError(f'{text}; with a unit it is a speed: "{value} mm/s"')
+    return fraction
+
+
+def _read_speed(value: Any) -> Any:
+    if value == MANUAL:
+        return value
+    if isinstance(value, Mapping):
+        speeds = cast("Mapping[object, object]", value)
+        if not speeds:
+            raise ValueError(f"speed names no axis; write e.g. {EXAMPLES}")
+        return {str(axis): _read_one(speed, f"speed of {axis}") for axis, speed in speeds.items()}
+    return _read_one(value, "speed")
+
+
+Speed = Annotated[
+    float | str | dict[str, float | str],
+    BeforeValidator(_read_speed),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "number", "exclusiveMinimum": 0, "maximum": 1},
+                {"type": "string"},
+                {"type": "object", "additionalProperties": {"anyOf": [{"type": "number"}, {"type": "string"}]}},
+            ]
+        }
+    ),
+]
+"""A fraction of the limits (0.5, `"50 %"`), a speed (`"5 mm/s"`), one of both by axis, or `manual`."""
+
+
+def describe_speed(speed: float | str | Mapping[str, float | str]) -> str:
+    """A speed with its unit: `50 %`, `5 mm/s`, `gantry.x=5 mm/s`."""
+    if isinstance(speed, Mapping):
+        return " ".join(f"{axis}={describe_speed(value)}" for axis, value in speed.items())
+    return speed if isinstance(speed, str) else f"{100 * speed:.6g} %"
