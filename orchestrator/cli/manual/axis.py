@@ -7,6 +7,7 @@ import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.completion import complete_axes, complete_targets
+from orchestrator.cli.base.speeds import speed_option
 from orchestrator.cli.manual.jog.jog import jog
 from orchestrator.cli.manual.one_step import run_single_step, wait_option
 from orchestrator.cli.manual.take import acquire, release
@@ -124,19 +125,14 @@ def home(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, 
 @axis.command(epilog='Example: tutti axis move gantry.x=120 stage.u="4500 um" --speed 0.2')
 @click.argument("targets", nargs=-1, required=True, metavar="AXIS=VALUE...", shell_complete=complete_targets)
 @click.option("--relative", is_flag=True, help="VALUE is a distance, not a position.")
-@click.option(
-    "--speed",
-    default="manual",
-    metavar="SPEED",
-    help='A fraction of the limits (0.5, "50 %"), or a speed ("5 mm/s"); default: `manual_speed` of each axis.',
-)
+@speed_option
 @click.option("--line", is_flag=True, help="Along a straight path.")
 @wait_option
 @fleet_options
 @json_option
 def move(
     targets: tuple[str, ...],
-    speed: str,
+    speed: float | str,
     connect: str,
     fleet: str | None,
     *,
@@ -155,18 +151,10 @@ def move(
     step = {
         "do": "move",
         "by" if relative else "to": wanted_targets,
-        "speed": _read_speed(speed),
+        "speed": speed,
         "sync": "phase" if line else "time",
     }
     run_single_step(connect, fleet, step, "", wait=wait, as_json=as_json)
-
-
-def _read_speed(text: str) -> float | str:
-    """A plain number is a fraction; all else is checked with the step."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 @axis.command("set-position", epilog='Example: tutti axis set-position gantry.x=0 stage.u="2.5 mm"')

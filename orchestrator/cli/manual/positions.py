@@ -6,6 +6,7 @@ import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.completion import complete_axes, complete_positions, complete_targets
+from orchestrator.cli.base.speeds import speed_option
 from orchestrator.cli.manual.axis import parse_targets
 from orchestrator.cli.manual.one_step import run_single_step, wait_option
 
@@ -117,14 +118,12 @@ def show(name: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
 @position.command(epilog="Example: tutti position goto sample stage.u --speed 0.1")
 @_NAME
 @_AXES
-@click.option(
-    "--speed", default=0.2, show_default=True, type=click.FloatRange(0.001, 1), help="Fraction of the limits."
-)
+@speed_option
 @wait_option
 @fleet_options
 @json_option
 def goto(
-    name: str, axes: tuple[str, ...], speed: float, connect: str, fleet: str | None, *, wait: bool, as_json: bool
+    name: str, axes: tuple[str, ...], speed: float | str, connect: str, fleet: str | None, *, wait: bool, as_json: bool
 ) -> None:
     """Move the axes of the position NAME there, or only AXES of it (axes, groups or controllers).
 

@@ -20,6 +20,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport
+from orchestrator.model.steps.speed import MANUAL
 
 LEASE_S = 2.0
 LOOK_NS = 200 * NS_PER_MS  # period of looking whether the user is still there
@@ -227,8 +228,10 @@ def _make_job(step: object) -> Job:
     verb = cast(Frame, step).get("do") if isinstance(step, dict) else None
     if verb not in WORK_STEPS:
         raise Refusal("bad-request", f"`step` must do one of: {', '.join(WORK_STEPS)}", "submit a job for others")
+    # A move that a person asks for begins at the manual speed of its axes, unless another one is asked for.
+    fields = {"speed": MANUAL, **cast(Frame, step)} if verb == "move" else step
     try:
-        return Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [step]})
+        return Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [fields]})
     except ValidationError as error:
         text = first_error_text(error).removeprefix("Value error, ")
         raise Refusal("bad-request", text, "see the steps of job files") from None

@@ -12,7 +12,7 @@ MANUAL: Literal["manual"] = "manual"
 EXAMPLES = '0.5, "50 %", "5 mm/s", {gantry.x: 5 mm/s} or manual'
 
 
-def _read_one(value: object, owner: str) -> float | str:
+def read_speed(value: object, owner: str) -> float | str:
     """One speed: a fraction above 0 to 1, or text with a unit of speed. Raises `ValueError`."""
     fraction: float | None = None
     if isinstance(value, int | float) and not isinstance(value, bool):
@@ -33,20 +33,20 @@ def _read_one(value: object, owner: str) -> float | str:
     return fraction
 
 
-def _read_speed(value: Any) -> Any:
+def _read_speeds(value: Any) -> Any:
     if value == MANUAL:
         return value
     if isinstance(value, Mapping):
         speeds = cast("Mapping[object, object]", value)
         if not speeds:
             raise ValueError(f"speed names no axis; write e.g. {EXAMPLES}")
-        return {str(axis): _read_one(speed, f"speed of {axis}") for axis, speed in speeds.items()}
-    return _read_one(value, "speed")
+        return {str(axis): read_speed(speed, f"speed of {axis}") for axis, speed in speeds.items()}
+    return read_speed(value, "speed")
 
 
 Speed = Annotated[
     float | str | dict[str, float | str],
-    BeforeValidator(_read_speed),
+    BeforeValidator(_read_speeds),
     WithJsonSchema(
         {
             "anyOf": [
