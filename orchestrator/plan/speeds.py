@@ -47,14 +47,14 @@ def _limit_named(fleet: Fleet, speeds: Mapping[str, float | str], moves: Sequenc
 def _limit_line(fleet: Fleet, speed: str, moves: Sequence[AxisMove]) -> list[AxisMove]:
     """The moves with a speed along the straight line that their axes make."""
     axes = {move.axis: fleet.axis(move.axis) for move in moves}
-    moving = [move for move in moves if move.start_counts != move.target_counts]
-    units = {axes[move.axis].unit for move in moving}
+    moves_in_motion = [move for move in moves if move.start_counts != move.target_counts]
+    units = {axes[move.axis].unit for move in moves_in_motion}
     if len(units) > 1:
-        example = f"{{{moving[0].axis}: {speed}}}"
+        example = f"{{{moves_in_motion[0].axis}: {speed}}}"
         raise PlanError(f"speed {speed}: the axes have different units; name the axis whose speed it is: {example}")
     distances = {
         move.axis: abs(move.target_counts - move.start_counts) / abs(float(axes[move.axis].counts_per_unit))
-        for move in moving
+        for move in moves_in_motion
     }
     length = hypot(*distances.values())
     limited_moves: list[AxisMove] = []

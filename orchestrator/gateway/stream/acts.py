@@ -229,7 +229,7 @@ def _make_job(step: object) -> Job:
     if verb not in WORK_STEPS:
         raise Refusal("bad-request", f"`step` must do one of: {', '.join(WORK_STEPS)}", "submit a job for others")
     # A move that a person asks for begins at the manual speed of its axes, unless another one is asked for.
-    fields = {"speed": MANUAL, **cast(Frame, step)} if verb == "move" else step
+    fields: Any = {"speed": MANUAL, **cast(Frame, step)} if verb == "move" else step
     try:
         return Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [fields]})
     except ValidationError as error:

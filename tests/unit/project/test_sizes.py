@@ -8,6 +8,8 @@ LIST = Path(__file__).parent / "large.txt"
 sys.path.insert(0, str(ROOT / "tools"))
 import figures  # noqa: E402
 
+GENERATED = "orchestrator/client/blocking.py "  # by tools/blocking_client.py: one method for each of `Tutti`
+
 
 def read_list() -> dict[str, int]:
     """The list: a size and a name in each line, as `tools/figures.py --large` prints it."""
@@ -29,7 +31,8 @@ def list_wrong_sizes(sizes: dict[str, int], most: dict[str, int]) -> list[str]:
 
 
 def test_no_class_and_no_function_grows_beyond_its_size_in_the_list() -> None:
-    lines = list_wrong_sizes(figures.list_large(), read_list())
+    sizes = {name: size for name, size in figures.list_large().items() if not name.startswith(GENERATED)}
+    lines = list_wrong_sizes(sizes, read_list())
     assert not lines, "\n".join(lines)
 
 
