@@ -225,11 +225,12 @@ def _read_axes(frame: Frame) -> list[str]:
 
 def _make_job(step: object) -> Job:
     """A job of one step. Raises `Refusal` for a step that is not valid, or is none for a person to wait for."""
-    verb = cast(Frame, step).get("do") if isinstance(step, dict) else None
+    fields = dict(cast(Frame, step)) if isinstance(step, dict) else {}
+    verb = fields.get("do")
     if verb not in WORK_STEPS:
         raise Refusal("bad-request", f"`step` must do one of: {', '.join(WORK_STEPS)}", "submit a job for others")
-    # A move that a person asks for begins at the manual speed of its axes, unless another one is asked for.
-    fields: Any = {"speed": MANUAL, **cast(Frame, step)} if verb == "move" else step
+    if verb == "move":  # a person asks for it: at the manual speed of its axes, unless it states another one
+        fields.setdefault("speed", MANUAL)
     try:
         return Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [fields]})
     except ValidationError as error:
