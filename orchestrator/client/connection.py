@@ -54,6 +54,10 @@ class FleetConnection:
         self.actor = actor
         self.new_id = new_id
 
+    def __repr__(self) -> str:
+        fleet = "not connected" if self._keys is None else self._keys.fleet
+        return f"<{type(self).__name__} {fleet} at {self._endpoint or 'a bus'}, as {self.actor}>"
+
     async def open(self) -> Self:
         """Connect; entering the context does it. Raises `RouterUnreachable`, and `Refusal` with code `no-fleet` or
         `which-fleet`."""

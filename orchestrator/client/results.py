@@ -18,10 +18,21 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 WIDTH = 120  # characters of a table
+REPR_LENGTH = 300  # characters of a `repr`
+
+
+def shorten_repr(name: str, words: str) -> str:
+    """`<JobResult 'move' done, green, 0.502 s>`, of at most 300 characters."""
+    room = REPR_LENGTH - len(name) - 3
+    return f"<{name} {words if len(words) <= room else words[: room - 1] + '…'}>"
 
 
 class FleetStates(dict[str, ControllerState]):
     """The state of every controller, by id. It prints as the table of `tutti status`."""
+
+    def __repr__(self) -> str:
+        modes = [f"{name} {state.mode}" for name, state in self.items()]
+        return shorten_repr("FleetStates", ", ".join(modes))
 
     def __str__(self) -> str:
         return _render_text(self._make_table())
@@ -46,6 +57,10 @@ class JobQueue(QueueState):
 
     def __getitem__(self, index: int) -> QueueEntry:
         return self.jobs[index]
+
+    def __repr__(self) -> str:
+        jobs = [f"{entry.name!r} {entry.state}" for entry in self.jobs]
+        return shorten_repr("JobQueue", f"{self.total} jobs: {', '.join(jobs)}" if jobs else "no jobs")
 
     def __str__(self) -> str:
         return _render_text(self._make_table())
@@ -75,6 +90,15 @@ class JobResult(JobReport):
     ) -> "JobResult":
         """A result of `report` with the recordings of its motion steps, and the points of its scans."""
         return cls.model_validate({**dict(report), "recordings": tuple(recordings), "points": tuple(points)})
+
+    def __repr__(self) -> str:
+        words = [f"{self.name!r} {self.state}"]
+        verdict = self.judge().verdict
+        words += [verdict] if verdict is not None else []
+        moved_s = sum(step.actual_s or 0.0 for step in self.steps)
+        words += [f"{moved_s:.3f} s"] if moved_s else []
+        words += [self.reason] if self.reason else []
+        return shorten_repr("JobResult", ", ".join(words))
 
     def to_dataframe(self, library: str | None = None) -> Any:
         """Its moves as a data frame: one row for each axis of each motion step.
