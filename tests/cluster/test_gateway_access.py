@@ -22,7 +22,7 @@ JOB = {"schema": "tutti.job/1", "name": "there", "steps": [{"do": "dwell", "dura
 RIGHTS: dict[Role, set[str]] = {
     "viewer": {
         *("alarms", "commands", "configuration", "find", "list", "names", "plan", "points", "positions", "recording"),
-        *("show", "statistics", "stop", "estop"),
+        *("show", "statistics", "stop", "estop", "preview-start"),
     },
     "proposer": {"submit", "put-points", "dry-run", "check-job"},
     "operator": {

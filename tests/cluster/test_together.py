@@ -160,7 +160,7 @@ def test_an_answer_missing_from_a_host_is_a_refusal_that_names_the_member(monkey
 
     async def silent(member: StepParticipant, request: CommitRequest) -> Reply:
         if member._context.controller == "stage":  # pyright: ignore[reportPrivateUsage]
-            await sleep_ns(member._clock, 500 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
+            await sleep_ns(member._context.clock, 500 * NS_PER_MS)  # pyright: ignore[reportPrivateUsage]
         return await commit(member, request)
 
     monkeypatch.setattr(StepParticipant, "commit_step", silent)
