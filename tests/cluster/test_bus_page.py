@@ -40,6 +40,7 @@ MODELS = {
 
 # Values for the fields that the page names.
 EXAMPLES: dict[str, Any] = {
+    "shown": "0123456789abcdef",
     "epoch": 1,
     "coordinator": "c1",
     "actor": "reader",
