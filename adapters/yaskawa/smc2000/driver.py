@@ -48,7 +48,7 @@ from adapters.yaskawa.smc2000.start import SerialStart
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, add_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import TriggerTraits
-from adapters.yaskawa.wire.record import FORWARD_SWITCH, REVERSE_SWITCH, VELOCITY_SCALE, AxisRecord
+from adapters.yaskawa.wire.record import FORWARD_SWITCH, REVERSE_SWITCH, AxisRecord
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
@@ -198,7 +198,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
             commanded_counts=axis.commanded,
             # The step counter is the only position of a stepper (TE is not valid for it, L11836).
             actual_counts=axis.commanded if open_loop else axis.actual,
-            velocity_counts_s=axis.velocity / VELOCITY_SCALE,
+            velocity_counts_s=axis.velocity_counts_s,
             moving=axis.is_moving,
             enabled=axis.is_enabled,
             limit=LIMITS[not axis.switches & FORWARD_SWITCH, not axis.switches & REVERSE_SWITCH],

@@ -48,7 +48,6 @@ from adapters.yaskawa.wire.record import (
     FORWARD_SWITCH,
     RECORD_LETTERS,
     REVERSE_SWITCH,
-    VELOCITY_SCALE,
     AxisRecord,
 )
 from adapters.yaskawa.wire.session import pack_operands
@@ -181,7 +180,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
         return AxisReading(
             commanded_counts=axis.commanded,
             actual_counts=axis.actual,
-            velocity_counts_s=axis.velocity / VELOCITY_SCALE,
+            velocity_counts_s=axis.velocity_counts_s,
             moving=axis.is_moving,
             enabled=axis.is_enabled,
             limit=LIMITS[bool(closed_switches & FORWARD_SWITCH), bool(closed_switches & REVERSE_SWITCH)],

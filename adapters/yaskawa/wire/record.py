@@ -56,6 +56,13 @@ class AxisRecord(NamedTuple):
     def is_enabled(self) -> bool:
         return not self.status & MOTOR_OFF
 
+    @property
+    def velocity_counts_s(self) -> float:
+        """Its velocity; 0 for an axis that is held at rest: TV is an average over 256 samples (L11017-11038), which
+        shows motion after the end of a move. With the motor off it shows what moves the axis by hand."""
+        is_held = self.is_enabled and not self.is_moving
+        return 0.0 if is_held else self.velocity / VELOCITY_SCALE
+
 
 class DataRecord(NamedTuple):
     """One data record. inputs, outputs: bit 0 is number 1."""
