@@ -23,7 +23,9 @@ def describe_queue(state: QueueState) -> str:
 def describe_start(preview: StartPreview) -> list[str]:
     """What would move first, and what a cause still keeps from it: a line for each job."""
     lines = [
-        f"{motion.name!r} {motion.job_id} begins with {motion.text}" + (f" ({motion.cause})" if motion.cause else "")
+        # What was to be done about the cause is done.
+        f"{motion.name!r} {motion.job_id} begins with {motion.text}"
+        + f" (it waited: {motion.cause.partition('; ')[0]})" * bool(motion.cause)
         for motion in preview.motions
     ]
     lines += [f"{motion.name!r} {motion.job_id} still waits for: {motion.cause}" for motion in preview.lasting]

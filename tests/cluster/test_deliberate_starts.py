@@ -253,3 +253,18 @@ def test_what_waits_for_a_job_in_python_is_given_what_moves_first(answer: bool |
         assert (await client.list_jobs(state="queued")).total == 1
 
     run_fleet(main, guarded())
+
+
+def test_a_person_is_not_kept_from_the_remedy_by_a_command_that_waits_for_it() -> None:
+    """`axis move --wait` in one terminal waits for a motor that `axis enable` in another one switches on."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        anna, ben = fleet.make_client("anna"), fleet.make_client("ben")
+        await anna.disable("gantry")
+        moving = asyncio.ensure_future(anna.run(SHORT, wait=True, on_ready=lambda _: True))
+        await asyncio.sleep(2.0)
+        await ben.enable("gantry")
+        assert (await moving).state == "done"
+
+    run_fleet(main, guarded())

@@ -87,6 +87,17 @@ class Schedule:
     causes: dict[str, str]
     waits_for_world: bool = False
 
+    def add_job(self, job: WaitingJob, reason: str, cause: str) -> None:
+        """Take in what becomes of a job. reason: what it waits for; empty: it begins."""
+        if reason:
+            self.reasons[job.row.id] = reason
+        else:
+            self.begin.append(job)
+        if reason == READY_REASON:
+            self.ready.add(job.row.id)
+        if cause and not job.awaits_word:
+            self.causes[job.row.id] = cause
+
 
 class Condition(NamedTuple):
     """What a job on free controllers waits for. asks: once it is gone, the job begins only by a word."""
@@ -107,41 +118,55 @@ def choose_jobs(
     still waits for; None: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
     jobs without axes may run.
     """
-    users = dict(busy)
-    schedule = Schedule([], {}, set(), {})
-    causes_ahead: dict[str, str] = {}
-    """By controller, the cause of a job that keeps its claim on it."""
+    schedule, claims = Schedule([], {}, set(), {}), _Claims(busy)
     for job, needs in waiting:
-        job_id, reason = job.row.id, job.blocking_reason or ("" if job.is_attended else stopped)
+        reason = job.blocking_reason or ("" if job.is_attended else stopped)
         if reason:
-            schedule.reasons[job_id] = reason
+            schedule.reasons[job.row.id] = reason
             continue
-        in_the_way = sorted(needs & users.keys())
-        cause = next((causes_ahead[name] for name in in_the_way if name in causes_ahead), "")
+        in_the_way = claims.find_in_the_way(job, needs)
+        cause = claims.find_cause(in_the_way)
         if in_the_way:
-            reason = f"waits for {in_the_way[0]}: {users[in_the_way[0]]}"
+            reason = f"waits for {in_the_way[0]}: {claims.users[in_the_way[0]]}"
         elif needs or free_places:
             condition = find_condition(job)
             reason, cause = _find_own_cause(job, condition)
             schedule.waits_for_world |= condition is not None
         else:
             reason = WITHOUT_AXES_REASON
-        if reason:
-            schedule.reasons[job_id] = reason
-        else:
-            schedule.begin.append(job)
-            free_places -= not needs
-        if reason == READY_REASON:
-            schedule.ready.add(job_id)
-        if cause:
-            causes_ahead |= dict.fromkeys(needs, cause)
-            if not job.awaits_word:
-                schedule.causes[job_id] = cause
-        # It keeps its claim on the controllers while it waits.
-        claim = f"job {job.row.name!r} {job_id} of {job.row.actor}" + " comes first" * bool(reason)
-        for controller in needs:
-            users.setdefault(controller, claim)
+        schedule.add_job(job, reason, cause)
+        free_places -= not (reason or needs)
+        claims.add_claim(job, needs, cause, waits=bool(reason), for_world=bool(reason) and not in_the_way)
     return schedule
+
+
+class _Claims:
+    """What keeps jobs from controllers, by controller. users: its present user, or the job that waits for it, in words."""
+
+    def __init__(self, busy: Mapping[str, str]) -> None:
+        self.users = dict(busy)
+        self._causes: dict[str, str] = {}
+        """The cause of a job that keeps its claim."""
+        self._of_world: set[str] = set()
+        """Claimed by jobs that wait for the world: that keeps nothing from a person, who may be about to change it."""
+
+    def find_in_the_way(self, job: WaitingJob, needs: frozenset[str]) -> list[str]:
+        """The controllers of `needs` that this job does not get."""
+        return sorted(name for name in needs & self.users.keys() if not (job.is_attended and name in self._of_world))
+
+    def find_cause(self, in_the_way: Iterable[str]) -> str:
+        """The cause of a job that is in the way; empty: none."""
+        return next((self._causes[name] for name in in_the_way if name in self._causes), "")
+
+    def add_claim(self, job: WaitingJob, needs: frozenset[str], cause: str, *, waits: bool, for_world: bool) -> None:
+        """The job keeps its claim on the controllers while it waits, or uses them."""
+        claim = f"job {job.row.name!r} {job.row.id} of {job.row.actor}" + " comes first" * waits
+        if cause:
+            self._causes |= dict.fromkeys(needs, cause)
+        if for_world:
+            self._of_world |= needs - self.users.keys()
+        for controller in needs:
+            self.users.setdefault(controller, claim)
 
 
 def _find_own_cause(job: WaitingJob, condition: Condition | None) -> tuple[str, str]:
