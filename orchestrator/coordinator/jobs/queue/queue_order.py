@@ -141,7 +141,7 @@ def choose_jobs(
 
 
 class _Claims:
-    """What keeps jobs from controllers. users: by controller, its present user or the job that waits for it, in words."""
+    """What keeps jobs from controllers. users: by controller, its user or the job that waits for it, in words."""
 
     def __init__(self, busy: Mapping[str, str]) -> None:
         self.users = dict(busy)
