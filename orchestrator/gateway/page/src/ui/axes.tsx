@@ -2,8 +2,8 @@
 
 import type { JSX } from "preact";
 import { computed, signal } from "@preact/signals";
-import { useMemo, useRef } from "preact/hooks";
-import { rankOf } from "../core/attention.ts";
+import { useLayoutEffect, useMemo, useRef } from "preact/hooks";
+import { attention, rankOf } from "../core/attention.ts";
 import { formatUnit, formatValue, withoutAddress } from "../core/format.ts";
 import { held } from "../core/manual.ts";
 import { plotted } from "../core/look.ts";
@@ -26,12 +26,18 @@ export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => v
   const known = last.current.length === all.length && last.current.every((controller) => all.includes(controller));
   if (!many) last.current = all;
   else if (!stays.value || !known) last.current = [...all].sort((a, b) => rankOfController(a) - rankOfController(b));
+  const table = useRef<HTMLTableElement>(null);
+  const moving = many && Object.values(attention.value).includes(0);
+  useLayoutEffect(() => {
+    if (moving && !stays.value) table.current?.parentElement?.scrollTo(0, 0);
+  }, [moving, stays.value, last.current.map((controller) => controller.id).join()]);
   return (
     <Panel title={T.axes.title} area="axes">
       {controllers.value.length === 0 ? (
         <Empty text={T.axes.none} />
       ) : (
         <table
+          ref={table}
           class={`axistable ${many ? "dense" : ""}`}
           onPointerEnter={(event) => (stays.value = event.pointerType === "mouse")}
           onPointerLeave={() => (stays.value = false)}
