@@ -80,6 +80,23 @@ def test_a_queue_that_moves_nothing_starts_with_one_press(mock: Mock, page: Page
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
+def test_what_appears_by_itself_must_be_seen_before_a_press_counts(mock: Mock, page: Page) -> None:
+    """Right after a reset nothing can move yet; a moment later it can, under the finger."""
+    replies = {"preview-start": [make_preview("d0"), make_preview("d1", FIRST)], "start-queue": DONE}
+    stream = mock(make_state(queue=make_queue(make_entry("alpha"), stopped=True)), replies=replies)
+    page.get_by_role("button", name="Start queue").first.click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("Nothing moves now.")
+    begin = dialog.get_by_role("button", name="Begin now")
+    expect(begin).to_have_attribute("aria-disabled", "true")
+    begin.click(force=True)
+    expect(dialog).to_contain_text("move gantry.x to 20 mm")
+    assert not [verb for verb, _ in stream.asked if verb == "start-queue"]
+    expect(begin).not_to_have_attribute("aria-disabled", "true")
+    begin.click()
+    wait_for(page, lambda: ("start-queue", {"shown": "d1"}) in stream.asked)
+
+
 def test_a_release_shows_the_motion_of_its_job(mock: Mock, page: Page) -> None:
     replies = {"preview-start": make_preview("d3", FIRST), "release": DONE}
     stream = mock(make_state(queue=make_queue(make_entry("alpha", held_by="anna"))), replies=replies)
@@ -164,6 +181,14 @@ def test_get_ready_lists_the_axes_of_the_jobs_then_enables_and_homes_them(mock: 
     stream.send({"work": {"id": stream.find("work")[0]["id"], "state": "done"}})
     wait_for(page, lambda: len(stream.find("work")) == 2)
     assert stream.find("work")[1]["step"] == {"do": "home", "axes": ["gantry.x", "gantry.y"]}
+
+
+def test_without_a_job_get_ready_is_for_all_axes(mock: Mock, page: Page) -> None:
+    mock(make_state(controllers={"gantry": make_controller({"x": make_axis(referenced=False), "y": make_axis()})}))
+    page.get_by_role("region", name="Axes").get_by_role("button", name="Get ready …").click()
+    dialog = page.get_by_role("dialog", name="Get ready")
+    expect(dialog).to_contain_text("home gantry.x.")
+    expect(dialog.get_by_role("button", name="Home these")).to_be_visible()
 
 
 @pytest.mark.parametrize("how", ["Pause", "failed"])

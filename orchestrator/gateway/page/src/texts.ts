@@ -238,6 +238,7 @@ export const T = {
     cancel: "Not now",
     busy: "it is being sent",
     lasts: "what it waits for is still there",
+    unseen: "look at what moves first",
     changed: "It was not begun: what moves first has changed. This is what it is now.",
     ready: "ready to begin",
     readyJobs: (names: string[]) => `Ready to begin: ${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}.`,

@@ -8,10 +8,11 @@ import { formatUnit, formatValue, withoutAddress } from "../core/format.ts";
 import { held } from "../core/manual.ts";
 import { plotted } from "../core/look.ts";
 import { readinessOf } from "../core/ready.ts";
-import { allAxes, controllers, jobs, leases, permits, type AxisStore, type ControllerStore } from "../core/store.ts";
+import { allAxes, controllers, jobs, leases, permits, queue, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AxisMenu } from "./axismenu.tsx";
+import { GetReady, unready } from "./getready.tsx";
 import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
 
 /** With more axes than this the table is dense, and what needs a look comes first. */
@@ -26,13 +27,15 @@ export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => v
   const known = last.current.length === all.length && last.current.every((controller) => all.includes(controller));
   if (!many) last.current = all;
   else if (!stays.value || !known) last.current = [...all].sort((a, b) => rankOfController(a) - rankOfController(b));
+  // The queue has a button for what its jobs need, and Set-up one for all axes.
+  const needsReady = !onChoose && unready.value.length > 0 && (queue.value.waiting ?? 0) === 0;
   const table = useRef<HTMLTableElement>(null);
   const moving = many && Object.values(attention.value).includes(0);
   useLayoutEffect(() => {
     if (moving && !stays.value) table.current?.parentElement?.scrollTo(0, 0);
   }, [moving, stays.value, last.current.map((controller) => controller.id).join()]);
   return (
-    <Panel title={T.axes.title} area="axes">
+    <Panel title={T.axes.title} area="axes" tools={needsReady ? <GetReady ids={[]} /> : null}>
       {controllers.value.length === 0 ? (
         <Empty text={T.axes.none} />
       ) : (

@@ -6,12 +6,14 @@ import { useState } from "preact/hooks";
 import { formatSeconds, percent, shortId } from "../core/format.ts";
 import { post } from "../core/http.ts";
 import { FINISHED, lastMotion, lastReport } from "../core/lastreport.ts";
+import { working } from "../core/manual.ts";
 import type { JobProgress } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { jobs, members } from "../core/store.ts";
 import { onPage, T } from "../texts.ts";
 import { RunAgain } from "./history.tsx";
+import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Panel, Progress } from "./parts.tsx";
 import { StartStrip } from "./strip.tsx";
 import { BudgetTable, VerdictMark } from "./verdict.tsx";
@@ -22,7 +24,7 @@ export function JobPanel(): JSX.Element {
   const running = runningJobs.value;
   return (
     <Panel title={T.job.title} area="job">
-      {running.length === 0 ? <Empty text={T.job.none} /> : running.map((job) => <RunningJob key={job.job_id} job={job} />)}
+      {running.length === 0 ? working.value ? <WorkLine /> : <Empty text={T.job.none} /> : running.map((job) => <RunningJob key={job.job_id} job={job} />)}
       <LastVerdict />
     </Panel>
   );

@@ -1,7 +1,7 @@
 /** The start of what waits: what moves first is shown before, and the word for it counts for nothing else. */
 
 import type { JSX } from "preact";
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { computed } from "@preact/signals";
 import { shortId } from "../core/format.ts";
 import { post } from "../core/http.ts";
@@ -33,7 +33,7 @@ function begin(start: Start, shown: string): Promise<Answer> {
   return start.ids.length > 0 ? post("release", { job_ids: start.ids, shown }) : post("start-queue", { shown });
 }
 
-/** Start the queue, with the word for all that is ready; first it is shown what moves. Without any motion it starts at once. */
+/** Start the queue, with the word for all that is ready; first it is shown what moves. A queue in which nothing waits starts at once. */
 export function askStart(): Promise<void> {
   return ask({ ids: [], words: T.queue.start });
 }
@@ -45,7 +45,7 @@ export function askRelease(id: string, name: string): Promise<void> {
 async function ask(start: Start): Promise<void> {
   const found = accept(start.words, await preview(start));
   if (found === null) return;
-  if ((found.motions ?? []).length === 0 && (found.lasting ?? []).length === 0) {
+  if ((found.motions ?? []).length === 0 && (found.lasting ?? []).length === 0 && (queue.value.waiting ?? 0) === 0) {
     const answer = await begin(start, found.shown);
     if (!isNotShown(answer)) return void accept(start.words, answer);
     const again = accept(start.words, await preview(start));
@@ -63,11 +63,17 @@ function show(start: Start, found: StartPreview, changed: boolean): void {
   openDialog(start.words, <StartDialog key={found.shown} start={start} first={found} changedBefore={changed} />);
 }
 
+/** While nothing can move yet, it is looked again: a cause may just be going away. */
+const LOOK_MS = 1000;
+/** What has just appeared must be seen before a press counts for it: the second press of a double one does not. */
+const UNSEEN_MS = 600;
+
 function StartDialog(props: { start: Start; first: StartPreview; changedBefore: boolean }): JSX.Element {
   const { start } = props;
   const [found, setFound] = useState(props.first);
   const [changed, setChanged] = useState(props.changedBefore);
   const [busy, setBusy] = useState(false);
+  const [unseen, setUnseen] = useState(true);
   const motions = found.motions ?? [];
   const lasting = found.lasting ?? [];
   const look = async (): Promise<boolean> => {
@@ -78,10 +84,29 @@ function StartDialog(props: { start: Start; first: StartPreview; changedBefore: 
   const confirm = async (): Promise<void> => {
     setBusy(true);
     const answer = await begin(start, found.shown);
-    if (isNotShown(answer)) setChanged(await look());
-    else if (accept(start.words, answer) !== null) closeDialog();
+    if (isNotShown(answer)) {
+      setChanged(await look());
+      setUnseen(true);
+    } else if (accept(start.words, answer) !== null) closeDialog();
     setBusy(false);
   };
+  const empty = motions.length === 0;
+  useEffect(() => {
+    if (!empty) return;
+    const timer = setInterval(() => {
+      void preview(start).then((answer) => {
+        if (!("ok" in answer)) return;
+        if ((answer.ok.motions ?? []).length > 0) setUnseen(true);
+        setFound(answer.ok);
+      });
+    }, LOOK_MS);
+    return () => clearInterval(timer);
+  }, [empty]);
+  useEffect(() => {
+    if (!unseen) return;
+    const timer = setTimeout(() => setUnseen(false), UNSEEN_MS);
+    return () => clearTimeout(timer);
+  }, [unseen]);
   const verb = start.ids.length > 0 ? "release" : "start-queue";
   const nothing = start.ids.length > 0 && motions.length === 0;
   return (
@@ -111,7 +136,7 @@ function StartDialog(props: { start: Start; first: StartPreview; changedBefore: 
           label={motions.length > 0 ? T.start.confirm : start.words}
           kind="strong"
           motion
-          why={busy ? T.start.busy : nothing ? T.start.lasts : whyNot(verb)}
+          why={busy ? T.start.busy : unseen ? T.start.unseen : nothing ? T.start.lasts : whyNot(verb)}
           onAct={() => void confirm()}
         />
         {lasting.length > 0 ? <Act label={T.start.again} onAct={() => void look()} /> : null}
