@@ -53,7 +53,7 @@ DIALOGS: dict[str, tuple[str, Callable[[Page], None]]] = {
     "get ready": press("Get ready …", "setup"),
     "approval": press("Review beta"),
     "report": press("old", "service"),
-    "run again": press("Run old again"),
+    "run again": press("Run again: old"),
     "messages": ("run", open_messages),
 }
 

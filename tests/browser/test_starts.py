@@ -264,7 +264,7 @@ def test_run_again_is_beside_the_job_that_has_ended(mock: Mock, page: Page) -> N
     retried = {"refused": None, "steps": ["step 1: move gantry.x"], "warnings": []}
     replies = {"jobs/id-old": reports, "jobs": {"jobs": [reports["entry"]]}, "retry": retried}
     stream = mock(replies=replies)
-    page.get_by_role("button", name="Run old again").click()
+    page.get_by_role("button", name="Run again: old").click()
     expect(page.get_by_role("dialog")).to_contain_text("step 1: move gantry.x")
     page.get_by_role("button", name="Run these steps now").click()
     wait_for(page, lambda: len(stream.asked) == 2)

@@ -48,7 +48,7 @@ const ON_PAGE: [RegExp, string][] = [
   [/`tutti watch[^`]*`/g, "this page"],
   [/`tutti trace[^`]*`/g, "Links, in Service"],
   [/`tutti record[^`]*`/g, "Recordings, in Service"],
-  [/`tutti [^`]*`/g, "whoever looks after the fleet's computer"],
+  [/`tutti [^`]*`/g, "a command at the computer of the fleet"],
 ];
 
 /** A message of the fleet, with the names of the page for commands of the terminal. */
@@ -576,7 +576,7 @@ export const T = {
     of: (name: string) => `Report of ${name}`,
     export: "Export as CSV",
     retry: "Run again …",
-    retryOf: (name: string) => `Run ${name} again`,
+    retryOf: (name: string) => `Run again: ${name}`,
     within: "within the budget",
     retryNow: "Run these steps now",
     fromStep: "from step",
