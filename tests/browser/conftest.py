@@ -95,12 +95,18 @@ def find_address(fleet: RunningFleet) -> str:
 
 
 class MockedStream:
-    """The page without a gateway: what the socket sends is written by the test. `sent`: what the page has sent."""
+    """The page without a gateway: what the socket sends is written by the test.
+
+    sent: what the page has sent. replies: what requests are answered, by their paths without query; a list is
+    answered one after the other, its last element for ever. asked: the requests with these paths, and their bodies.
+    """
 
     def __init__(self, page: Page, state: dict[str, Any], **hello: Any) -> None:
         self.page = page
         self.sent: list[dict[str, Any]] = []
         self.answers: dict[str, Any] = {}
+        self.replies: dict[str, Any] = {}
+        self.asked: list[tuple[str, Any]] = []
         self._state, self._hello = state, {**HELLO, "role": "operator", "may": MAY, **hello}
         self._number = 0
         self._socket: WebSocketRoute | None = None
@@ -140,8 +146,16 @@ class MockedStream:
             self.send({"answer": frame["id"], **answer})
 
     def _serve(self, route: Any) -> None:
-        path = PAGE / (route.request.url.partition("#")[0].removeprefix(MOCKED) or "index.html")
-        if path.is_file():
+        name = route.request.url.partition("#")[0].partition("?")[0].removeprefix(MOCKED)
+        path = PAGE / (name or "index.html")
+        reply = self.replies.get(name.removeprefix("v1/"))
+        if reply is not None:
+            if route.request.method == "POST":
+                self.asked.append((name.removeprefix("v1/"), route.request.post_data_json))
+            if isinstance(reply, list):
+                reply = reply.pop(0) if len(reply) > 1 else reply[0]
+            route.fulfill(json=reply)
+        elif path.is_file():
             route.fulfill(path=path)
         else:
             route.fulfill(status=503, json={"refused": {"code": "absent", "text": "no gateway", "remedy": ""}})
@@ -228,7 +242,11 @@ def make_entry(name: str, **fields: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def mock(page: Page) -> Callable[..., MockedStream]:
-    def open_mock(state: dict[str, Any] | None = None, view: str = "run", **hello: Any) -> MockedStream:
-        return MockedStream(page, make_state() if state is None else state, **hello).open(view)
+    def open_mock(
+        state: dict[str, Any] | None = None, view: str = "run", replies: dict[str, Any] | None = None, **hello: Any
+    ) -> MockedStream:
+        stream = MockedStream(page, make_state() if state is None else state, **hello)
+        stream.replies |= replies or {}
+        return stream.open(view)
 
     return open_mock

@@ -342,6 +342,70 @@ def test_a_file_that_is_too_large_is_said(page: Page, ready: RunningFleet) -> No
     expect(page.get_by_text("larger than 1 MB").first).to_be_visible()
 
 
+# The word for what waits
+
+
+def submit(fleet: RunningFleet, folder: Path, name: str, to: float, speed: float = 1.0) -> None:
+    file = folder / f"{name}.job.yaml"
+    step = f"{{do: move, to: {{gantry.x: {to}}}, speed: {speed}}}"
+    file.write_text(f"schema: tutti.job/1\nname: {name}\nsteps:\n  - {step}\n")
+    run = fleet.tutti("submit", str(file))
+    assert run.returncode == 0, run.stderr
+
+
+def wait_until_done(page: Page, fleet: RunningFleet, name: str) -> None:
+    def is_done() -> bool:
+        page.wait_for_timeout(50)
+        newest = fleet.ask(lambda tutti: tutti.list_jobs(1)).jobs[0]
+        return newest.name == name and newest.state == "done"
+
+    wait_until(is_done, f"{name} is done")
+
+
+def test_after_an_e_stop_the_next_job_begins_by_three_presses(page: Page, ready: RunningFleet, tmp_path: Path) -> None:
+    """Reset, Start queue, Begin now. What moves first is shown before, and the stopped job has nothing green."""
+    open_page(page, ready)
+    begun = ready.starts("gantry")
+    submit(ready, tmp_path, "slow", 300, 0.05)
+    submit(ready, tmp_path, "next", 50)
+    wait_until(lambda: (page.wait_for_timeout(50), ready.starts("gantry") > begun)[1], "the axis moves")
+    page.get_by_role("button", name="E-stop", exact=True).click()
+    panel = page.get_by_role("region", name="Running job")
+    expect(panel.get_by_text("aborted").first).to_be_visible()
+    expect(panel.get_by_text("green")).to_have_count(0)
+    page.get_by_role("button", name="Reset").click()
+    page.get_by_role("region", name="Messages").get_by_role("button", name="Start queue").click()
+    dialog = page.get_by_role("dialog", name="Start queue")
+    expect(dialog.get_by_role("list", name="This moves first")).to_contain_text("gantry.x")
+    stopped_at = ready.starts("gantry")
+    page.wait_for_timeout(500)
+    assert ready.starts("gantry") == stopped_at  # nothing moves before the word
+    dialog.get_by_role("button", name="Begin now").click()
+    wait_until_done(page, ready, "next")
+
+
+def test_a_job_that_waited_for_the_reset_is_ready_and_begins_by_its_button(
+    page: Page, ready: RunningFleet, tmp_path: Path
+) -> None:
+    open_page(page, ready)
+    page.get_by_role("button", name="E-stop", exact=True).click()
+    expect(page.get_by_role("button", name="Reset")).to_be_visible()
+    ready.ask(lambda tutti: tutti.start_queue())
+    submit(ready, tmp_path, "patient", 60)
+    card = page.get_by_role("list", name="Waiting jobs").get_by_role("listitem").filter(has_text="patient")
+    expect(card.get_by_role("button", name="Release patient")).to_have_attribute("aria-disabled", "true")
+    expect(card).not_to_contain_text("tutti reset")
+    begun = ready.starts("gantry")
+    page.get_by_role("button", name="Reset").click()
+    message = page.get_by_role("region", name="Messages")
+    expect(message).to_contain_text("Ready to begin: patient")
+    expect(card).to_contain_text("ready to begin")
+    assert ready.starts("gantry") == begun
+    message.get_by_role("button", name="Begin …").click()
+    page.get_by_role("dialog").get_by_role("button", name="Begin now").click()
+    wait_until_done(page, ready, "patient")
+
+
 # Alarms
 
 

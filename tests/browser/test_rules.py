@@ -206,16 +206,6 @@ def is_under(place: Any, size: ViewportSize) -> bool:
 GROUND = 64 + 12 + 24  # the buttons, the edge of the screen, and the distance
 
 
-@pytest.mark.parametrize("key", ["Escape", "Pause"])
-def test_escape_and_pause_stop_and_close_what_is_open(mock: Mock, page: Page, key: str) -> None:
-    stream = mock()
-    page.get_by_role("button", name="Menu of gantry.x").click()
-    expect(page.get_by_role("dialog")).to_be_visible()
-    page.keyboard.press(key)
-    wait_for(page, lambda: stream.find("stop"))
-    expect(page.get_by_role("dialog")).to_have_count(0)
-
-
 def test_a_stop_asks_nothing_and_who_did_it_stays_in_view(mock: Mock, page: Page) -> None:
     stream = mock()
     page.get_by_role("button", name="Stop", exact=True).click()

@@ -1,5 +1,6 @@
 import { render } from "preact";
 import { watchAlarms } from "./core/alarms.ts";
+import { watchAttention } from "./core/attention.ts";
 import { watchEvents } from "./core/eventlog.ts";
 import { watchKeys } from "./core/keys.ts";
 import { watchReports } from "./core/lastreport.ts";
@@ -30,6 +31,7 @@ if (place !== null) {
   watchKeys();
   watchPage();
   watchAlarms();
+  watchAttention();
   watchEvents();
   watchReports();
   watchDrops();

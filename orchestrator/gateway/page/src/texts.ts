@@ -24,6 +24,43 @@ const MODES: Record<string, string> = {
   fault: "fault",
 };
 
+/** What a command of the terminal is on the page. Remedies of the fleet name commands; here they name what is here. */
+const ON_PAGE: [RegExp, string][] = [
+  [/enable: `tutti axis enable[^`]*`/g, "Get ready, or Enable in the menu of the axis"],
+  [/home: `tutti axis home[^`]*`/g, "Get ready, or Home in the menu of the axis"],
+  [/`tutti axis enable[^`]*`/g, "Get ready"],
+  [/`tutti axis home[^`]*`/g, "Get ready"],
+  [/`tutti axis (jog|move)[^`]*`/g, "Jog, in Set-up"],
+  [/`tutti (axis ls|status)[^`]*`/g, "the table of axes"],
+  [/`tutti reset[^`]*`/g, "Reset"],
+  [/`tutti stop[^`]*`/g, "Stop"],
+  [/`tutti estop[^`]*`/g, "E-stop"],
+  [/`tutti queue start[^`]*`/g, "Start queue"],
+  [/`tutti (queue status|job ls)[^`]*`/g, "the queue"],
+  [/`tutti job release[^`]*`/g, "Release, in the queue"],
+  [/`tutti job hold[^`]*`/g, "Hold, in the queue"],
+  [/`tutti job (approve|plan)[^`]*`/g, "Review, in the queue"],
+  [/`tutti job (resume|pause)[^`]*`/g, "the running job"],
+  [/`tutti job retry[^`]*`/g, "Run again, in History"],
+  [/`tutti job (report|show)[^`]*`/g, "History, in Service"],
+  [/`tutti position[^`]*`/g, "Named positions, in Set-up"],
+  [/`tutti alarm[^`]*`/g, "Alarms"],
+  [/`tutti watch[^`]*`/g, "this page"],
+  [/`tutti trace[^`]*`/g, "Links, in Service"],
+  [/`tutti record[^`]*`/g, "Recordings, in Service"],
+  [/`tutti [^`]*`/g, "a command at the computer of the fleet"],
+];
+
+/** A message of the fleet, with the names of the page for commands of the terminal. */
+export function onPage(text: string): string {
+  return text.includes("`tutti ") ? ON_PAGE.reduce((now, [command, name]) => now.replace(command, name), text) : text;
+}
+
+/** Places in job files count from 0, steps that people read from 1. */
+export function placeOnPage(place: string): string {
+  return place.replace(/\bsteps[.[](\d+)\]?/g, (_, index: string) => `step ${Number(index) + 1}`).replace(/^(step \d+)\./, "$1, ");
+}
+
 export const T = {
   loading: "Loading …",
   close: "Close",
@@ -49,12 +86,34 @@ export const T = {
   user: { none: "no users", signOut: "Sign out" },
 
   settings: {
-    title: "Settings",
+    title: "Settings and keys",
     theme: "Colours",
     themes: { auto: "As the system", light: "Light", dark: "Dark" },
     sound: "Sound while an alarm is not acknowledged",
     version: (version: string) => `Tutti ${version}`,
-    keys: "Esc and Pause stop the fleet, and close what is open. Arrow keys jog while the jog pad has the focus. The space bar moves nothing.",
+  },
+
+  keys: {
+    title: "Keys",
+    inDialog: (key: string) => `Esc closes this; ${key ? `Pause or ${key}` : "Pause"} stops.`,
+    key: "Key",
+    where: "Where",
+    what: "What it does",
+    table: (key: string): [string, string, string][] => [
+      [key ? `Pause, ${key}` : "Pause", "everywhere", "Stop; nothing else"],
+      ["Esc", "a dialog, list or calendar is open, or a card is dragged", "closes it; stops nothing"],
+      ["Esc", "nothing is open", "Stop"],
+      ["arrow keys", "the jog pad has the focus", "jog: as long as they are held, or one step"],
+      ["arrow keys", "a slider, a list or a text has the focus", "change the value; move nothing"],
+      ["+ and -", "the jog pad has the focus", "speed of the jog"],
+      ["Enter", "a button has the focus", "presses it"],
+      ["Enter", "a text or a slider has the focus", "sends its form, if it has one"],
+      ["space bar", "a button has the focus", "presses it, unless it moves something"],
+      ["Tab", "everywhere", "the next button; in Set-up first the jog pad"],
+    ],
+    choose: "Also stops, always",
+    none: "only Pause",
+    names: (key: string) => (key === "ScrollLock" ? "Scroll Lock" : key),
   },
 
   login: {
@@ -62,7 +121,7 @@ export const T = {
     user: "User",
     password: "Password",
     signIn: "Sign in",
-    stopHint: "To stop without signing in, use the E-stop button of the machine, or run: tutti stop",
+    stopHint: "To stop without signing in, use the E-stop button of the machine, or a page that is signed in",
   },
 
   link: {
@@ -78,11 +137,11 @@ export const T = {
     more: (count: number) => `${count} more`,
     lost: (seconds: number) =>
       `No connection to the gateway: what is shown is ${seconds} s old. It connects again by itself. Stop is still tried; if in doubt, use the E-stop button of the machine.`,
-    noCoordinator: "The coordinator is away: jobs, homing and jogging wait for it. Stop and E-stop work. To start it again: tutti up",
+    noCoordinator: "The coordinator is away: jobs, homing and jogging wait for it. Stop and E-stop work. It is started again on the computer of the fleet.",
     estop: (controllers: string, actor: string, reason: string, time: string) =>
       `E-stop of ${controllers} by ${actor} at ${time} UTC${reason ? `: ${reason}` : ""}. Remove the cause, then reset.`,
     stopped: (what: string, by: string, time: string) => `${what === "estop" ? "E-stop" : "Stopped"} by ${by} at ${time} UTC`,
-    noUsers: "There are no users: everyone on this machine is an operator. To add one: tutti user add NAME",
+    noUsers: "There are no users: everyone on this machine is an operator. Users are added on the computer of the gateway.",
   },
 
   refusal: {
@@ -97,7 +156,7 @@ export const T = {
     noConnection: "there is no connection to the gateway",
     stale: (seconds: number) => `what is shown is ${seconds} s old; wait until it is fresh`,
     role: (role: string) => `the role ${role} may not do this; ask a maintainer for another role`,
-    noCoordinator: "the coordinator is away; start it with tutti up",
+    noCoordinator: "the coordinator is away; it is started on the computer of the fleet",
     unknownController: (id: string) => `there is no controller ${id}`,
     noAdapter: (id: string) => `the adapter of ${id} does not answer; start its adapter host`,
     oldController: (id: string, seconds: number) => `the state of ${id} is ${seconds} s old; look at its link in Service`,
@@ -111,7 +170,7 @@ export const T = {
   stop: {
     bar: "Stop bar",
     label: { stop: "Stop", estop: "E-stop" },
-    title: { stop: "Stop all axes by their ramps (Esc or Pause)", estop: "Stop all axes as fast as they can, and latch" },
+    title: { stop: "Stop all axes by their ramps (Pause; Esc, while nothing is open)", estop: "Stop all axes as fast as they can, and latch" },
     estopReason: "pressed on the operators' page",
     failed: { stop: "The stop was not sent", estop: "The E-stop was not sent" },
     failedRemedy: "Use the E-stop button of the machine now.",
@@ -156,6 +215,7 @@ export const T = {
     homeHint: "The axis moves to find its reference. Its way must be free.",
     valueLabel: (unit: string) => `Position in ${unit}`,
     typeNumber: "type a position first",
+    beyond: (axis: string, value: string, limit: string) => `${axis}: ${value} is beyond the soft limit ${limit}`,
     moveTo: (value: string) => `Move to ${value}`,
     moving: (axis: string) => `Move ${axis}`,
     setTo: (value: string) => `Set the present position to ${value}`,
@@ -164,7 +224,35 @@ export const T = {
     setHint: "Setting a position moves nothing: it changes what the present position is called.",
   },
 
+  start: {
+    begin: "Begin …",
+    beginOf: (name: string) => `Begin ${name}`,
+    first: "This moves first",
+    nothing: "Nothing moves now.",
+    lasting: "These still wait",
+    axes: (axes: string) => `moves ${axes}`,
+    waitedFor: (cause: string) => `had to wait: ${cause}`,
+    waitsFor: (cause: string) => `waits for: ${cause}`,
+    confirm: "Begin now",
+    again: "Look again",
+    cancel: "Not now",
+    busy: "it is being sent",
+    lasts: "what it waits for is still there",
+    unseen: "look at what moves first",
+    changed: "It was not begun: what moves first has changed. This is what it is now.",
+    ready: "ready to begin",
+    readyJobs: (names: string[]) => `Ready to begin: ${names.slice(0, 3).join(", ")}${names.length > 3 ? ` and ${names.length - 3} more` : ""}.`,
+    queueStopped: (waiting: number) => `The queue is stopped; ${waiting === 1 ? "1 job waits" : `${waiting} jobs wait`}.`,
+  },
+
   ready: {
+    get: "Get ready …",
+    title: "Get ready",
+    toEnable: (axes: string) => `Enable the motors of ${axes}.`,
+    toHome: (axes: string) => `Then home ${axes}.`,
+    homeHint: "Axes that are homed move to find their references, in the order of the fleet. Their way must be free.",
+    allReady: "Every axis that is needed is enabled and referenced.",
+    confirm: (enable: boolean, home: boolean) => (enable && home ? "Enable and home these" : home ? "Home these" : "Enable these"),
     ok: "ready",
     moving: "moving",
     homing: "homing",
@@ -269,7 +357,6 @@ export const T = {
 
   plots: {
     title: "Plots",
-    none: "Choose axes to see their positions over the last minute.",
     add: "Add an axis",
     remove: (axis: string) => `Remove ${axis} from the plot`,
     name: (axes: string) => `Positions of ${axes} over the last minute`,
@@ -293,6 +380,7 @@ export const T = {
     cancel: "Cancel",
     verb: (verb: string, name: string) => `${verb.charAt(0).toUpperCase()}${verb.slice(1)} ${name}`,
     last: "Last motion step",
+    lastJob: (job: string) => `Last: ${job}`,
     lastStep: (job: string, step: number, name: string) => `Last: ${job}, step ${step}${name ? ` ${name}` : ""}`,
   },
 
@@ -355,7 +443,7 @@ export const T = {
     use: "Fill in",
     useOf: (name: string) => `Fill in ${name}`,
     tooLarge: "The file is larger than 1 MB.",
-    tooLargeRemedy: "Submit it from a terminal: tutti submit FILE",
+    tooLargeRemedy: "Split it into smaller jobs, or have it submitted on the computer of the fleet.",
     parameters: "Parameters",
     needed: "needed",
     problems: "Problems",
@@ -488,6 +576,8 @@ export const T = {
     of: (name: string) => `Report of ${name}`,
     export: "Export as CSV",
     retry: "Run again …",
+    retryOf: (name: string) => `Run again: ${name}`,
+    within: "within the budget",
     retryNow: "Run these steps now",
     fromStep: "from step",
     step: (step: number, name: string) => `Step ${step}: ${name}`,
@@ -523,7 +613,7 @@ export const T = {
     path: "Field",
     from: "Now",
     to: "Then",
-    tooLargeRemedy: "Load it from a terminal: tutti fleet reload FILE",
+    tooLargeRemedy: "Have it loaded on the computer of the fleet.",
   },
 
   recordings: { title: "Recordings", none: "There are no recordings." },

@@ -1,5 +1,7 @@
 /** Numbers and times as text, with as many places as the unit makes sense of, so that their widths do not change. */
 
+import { onPage } from "../texts.ts";
+
 const PLACES: Record<string, number> = {
   m: 6,
   cm: 4,
@@ -91,6 +93,6 @@ export function withoutAddress(actor: string): string {
 export function explain(problem: { text: string; remedy?: string; controller?: string | null; member?: string | null }): string {
   const source = problem.controller ?? problem.member;
   const text = source && !problem.text.startsWith(source) ? `${source}: ${problem.text}` : problem.text;
-  if (!problem.remedy) return text;
-  return /[.!?;:]$/.test(text) ? `${text} ${problem.remedy}` : `${text}; ${problem.remedy}`;
+  if (!problem.remedy) return onPage(text);
+  return onPage(/[.!?;:]$/.test(text) ? `${text} ${problem.remedy}` : `${text}; ${problem.remedy}`);
 }

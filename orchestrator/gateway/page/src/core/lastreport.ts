@@ -9,6 +9,7 @@ import { whenOpen } from "./stream.ts";
 export const FINISHED = new Set(["done", "failed", "cancelled", "aborted", "interrupted"]);
 
 export interface Report {
+  id: string;
   name: string;
   state: string;
   reason: string;
@@ -62,12 +63,15 @@ async function loadNewest(): Promise<void> {
   if (newest) await load(newest.id);
 }
 
-/** A report with a motion replaces the one before; one without leaves it. */
+/** A report with a motion replaces the one before; one without leaves it, unless its job was not done. */
 async function load(id: string): Promise<void> {
   const answer = await get<JobShown>(`jobs/${encodeURIComponent(id)}`);
   if (!("ok" in answer)) return;
   const { report, entry, last_motion: motion } = answer.ok;
-  const running = entry && motion ? { name: entry.name, state: "running", reason: "", steps: [motion] } : null;
-  const shown = report ?? running;
-  if (shown && (lastMotion(shown) || lastReport.value === null)) lastReport.value = shown;
+  const before = lastReport.value;
+  const running = entry && motion ? { id, name: entry.name, state: "running", reason: "", steps: [motion] } : null;
+  const shown: Report | null = report ? { id, name: report.name, state: report.state, reason: report.reason, steps: report.steps ?? [] } : running;
+  if (shown === null) return;
+  if (shown.state === "running" && before?.id === id && before.state !== "running") return; // an older answer that comes late
+  if (lastMotion(shown) || before === null || before.id === id || !["done", "running"].includes(shown.state)) lastReport.value = shown;
 }

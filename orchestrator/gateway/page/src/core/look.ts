@@ -1,44 +1,24 @@
 /** What this browser remembers: theme, sound, view, chosen axes. And which view is shown. */
 
-import { effect, signal, type Signal } from "@preact/signals";
+import { effect, signal } from "@preact/signals";
 import { isBusy } from "./manual.ts";
 import { showNote } from "./notices.ts";
+import { isFlag, isTexts, remembered } from "./remember.ts";
 import { T } from "../texts.ts";
 
 export type View = "run" | "setup" | "service";
 export const VIEWS: View[] = ["run", "setup", "service"];
 export type Theme = "auto" | "light" | "dark";
 
-/** A signal whose value outlives the page. A browser that keeps nothing is no fault. */
-export function remembered<V>(name: string, first: V, check: (value: unknown) => value is V): Signal<V> {
-  const key = `tutti.${name}`;
-  let value = first;
-  try {
-    const read: unknown = JSON.parse(localStorage.getItem(key) ?? "null");
-    if (check(read)) value = read;
-  } catch {
-    // nothing was kept
-  }
-  const kept = signal(value);
-  effect(() => {
-    const text = JSON.stringify(kept.value);
-    try {
-      localStorage.setItem(key, text);
-    } catch {
-      // nothing can be kept
-    }
-  });
-  return kept;
-}
-
-export const isText = (value: unknown): value is string => typeof value === "string";
-export const isNumber = (value: unknown): value is number => typeof value === "number";
-export const isFlag = (value: unknown): value is boolean => typeof value === "boolean";
-export const isTexts = (value: unknown): value is string[] => Array.isArray(value) && value.every(isText);
-
 export const theme = remembered<Theme>("theme", "auto", (value): value is Theme => ["auto", "light", "dark"].includes(value as string));
 export const soundOn = remembered("sound", false, isFlag);
 export const plotted = remembered<string[]>("plotted", [], isTexts);
+
+/** Whether the panels stand one below the other; the same condition as in the style sheet. */
+export const stacked = signal(false);
+const WIDE = window.matchMedia("(min-width: 1000px) and (min-height: 600px)");
+stacked.value = !WIDE.matches;
+WIDE.addEventListener("change", () => (stacked.value = !WIDE.matches));
 
 export const view = signal<View>(viewOfAddress() ?? "run");
 

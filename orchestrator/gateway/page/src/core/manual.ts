@@ -17,7 +17,9 @@ export const held = signal<string[]>([]);
 /** The jog that a pointer or a key holds. */
 export const jogging = signal<{ axis: string; direction: number } | null>(null);
 /** The running work, in words. */
-export const working = signal<{ words: string; axes: string[]; fraction: number | null } | null>(null);
+export const working = signal<{ words: string; axes: string[]; fraction: number | null; job?: string } | null>(null);
+/** Steps that follow the running one, as soon as it is done. */
+let further: object[] = [];
 /** Why the view cannot be changed now. */
 export const isBusy = computed(() => jogging.value !== null || working.value !== null || held.value.length > 0);
 
@@ -120,24 +122,35 @@ export function release(): void {
   void ask({ do: "release" });
 }
 
-/** Begin a one-step job. It ends with the socket, or by `cancelWork`. */
-export async function beginWork(words: string, axes: string[], step: object): Promise<boolean> {
+/** Begin a one-step job, or several one after the other. They end with the socket, or by `cancelWork`. */
+export async function beginWork(words: string, axes: string[], step: object | object[]): Promise<boolean> {
   endJog();
   if (working.value !== null) {
     showNote(T.work.busy(working.value.words), T.work.busyRemedy);
     return false;
   }
   if (held.value.length > 0) release();
+  const [first, ...rest] = Array.isArray(step) ? (step as object[]) : [step];
+  if (first === undefined) return false;
+  further = rest;
+  return requestWork(words, axes, first);
+}
+
+async function requestWork(words: string, axes: string[], step: object): Promise<boolean> {
   working.value = { words, axes, fraction: null };
   keepAlive();
   const id = takeId();
   workId = id;
   if (accept(words, await ask({ do: "work", step }, id)) !== null) return true;
-  if (workId === id) working.value = null;
+  if (workId === id) {
+    working.value = null;
+    further = [];
+  }
   return false;
 }
 
 export function cancelWork(): void {
+  further = [];
   if (working.value !== null) void ask({ do: "cancel-work" });
 }
 
@@ -147,9 +160,12 @@ function takeWork(work: Work): void {
   const now = working.value;
   if (now === null || work.id !== workId) return; // an earlier work may end late
   if (!ENDED.has(work.state)) {
-    working.value = { ...now, fraction: work.fraction ?? now.fraction };
+    working.value = { ...now, fraction: work.fraction ?? now.fraction, ...(work.job_id ? { job: work.job_id } : {}) };
     return;
   }
+  const [next, ...rest] = work.state === "done" ? further : [];
+  further = rest;
+  if (next !== undefined) return void requestWork(now.words, now.axes, next);
   working.value = null;
   if (work.state === "done") return;
   showRefusal(now.words, { code: work.state, text: work.reason || T.work.ended(work.state), remedy: work.remedy ?? "" });
@@ -189,6 +205,7 @@ listen({
     if (moved !== null) showNote(T.jog.ended(moved.axis), T.jog.socketClosed);
     if (working.value !== null) showNote(working.value.words, T.work.socketClosed);
     working.value = null;
+    further = [];
   },
 });
 

@@ -119,6 +119,24 @@ export interface QueueEntry {
   origin?: string | null;
   from_step?: number;
   proposed?: boolean;
+  /** What it had to wait for is gone; its start has to be asked for. */
+  ready?: boolean;
+}
+
+/** What a job does first. */
+export interface FirstMotion {
+  job_id: string;
+  name: string;
+  text: string;
+  axes?: string[];
+  cause?: string;
+}
+
+/** What would move first; `shown` stands for exactly this in the word for it. */
+export interface StartPreview {
+  motions?: FirstMotion[];
+  lasting?: FirstMotion[];
+  shown: string;
 }
 
 export interface QueueStop {
@@ -149,6 +167,7 @@ export interface JobProgress {
   override_percent?: number | null;
   reason: string;
   utc: string;
+  ready?: boolean;
 }
 
 export interface Members {
@@ -328,6 +347,7 @@ export interface JobReport {
 
 export interface JobShown {
   entry?: QueueEntry | null;
+  job?: { steps?: unknown } | null;
   report?: JobReport | null;
   progress?: JobProgress | null;
   /** Of a running job: its last motion step that has ended. */

@@ -3,7 +3,7 @@
 import { withoutAddress } from "./format.ts";
 import type { ControllerRest } from "./store.ts";
 import type { AxisState, Permit } from "./model.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 
 /** ok: it is ready; busy: it does something; off: it needs a command first; bad: it is abnormal. */
 export type Level = "ok" | "busy" | "off" | "bad";
@@ -16,7 +16,7 @@ export interface Readiness {
 
 export function readinessOf(id: string, axis: AxisState, controller: ControllerRest, permits: Permit[]): Readiness {
   const [owner = "", name = ""] = id.split(".");
-  const bad = (text: string, remedy: string): Readiness => ({ level: "bad", text, remedy });
+  const bad = (text: string, remedy: string): Readiness => ({ level: "bad", text, remedy: onPage(remedy) });
   if (!controller.present) return bad(T.ready.noAdapter, T.ready.noAdapterRemedy(owner));
   if (controller.mode === "offline") return bad(T.ready.offline, firstFault(controller, name)?.remedy || T.ready.offlineRemedy);
   if (controller.estop) return bad(T.ready.estop(withoutAddress(controller.estop.actor)), T.ready.estopRemedy);

@@ -5,27 +5,18 @@ import { useState } from "preact/hooks";
 import { isSetAside, newAlarms, sortedAlarms } from "../core/alarms.ts";
 import { dayAndTime } from "../core/format.ts";
 import { post } from "../core/http.ts";
-import { isFlag, remembered } from "../core/look.ts";
+import { isFlag, remembered } from "../core/remember.ts";
 import type { Alarm } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Act, Empty, Panel } from "./parts.tsx";
 
 const showAside = remembered("alarms.aside", true, isFlag);
 
 export function AlarmsPanel(): JSX.Element {
-  const fresh = newAlarms.value.map((alarm) => alarm.id);
   return (
-    <Panel
-      title={T.alarms.title}
-      area="alarms"
-      tools={
-        fresh.length > 1 ? (
-          <Act label={T.alarms.acknowledgeAll(fresh.length)} kind="small" why={whyNot("acknowledge")} onAct={() => void acknowledge(fresh)} />
-        ) : null
-      }
-    >
+    <Panel title={T.alarms.title} area="alarms">
       <AlarmList />
     </Panel>
   );
@@ -33,6 +24,7 @@ export function AlarmsPanel(): JSX.Element {
 
 export function AlarmList(): JSX.Element {
   const aside = sortedAlarms.value.filter(isSetAside);
+  const fresh = newAlarms.value.map((alarm) => alarm.id);
   const shown = showAside.value ? sortedAlarms.value : sortedAlarms.value.filter((alarm) => !isSetAside(alarm));
   return (
     <>
@@ -41,6 +33,11 @@ export function AlarmList(): JSX.Element {
           <input type="checkbox" checked={showAside.value} onChange={(event) => (showAside.value = event.currentTarget.checked)} />
           {T.alarms.showAside(aside.length)}
         </label>
+      ) : null}
+      {fresh.length > 1 ? (
+        <div class="row">
+          <Act label={T.alarms.acknowledgeAll(fresh.length)} kind="small" why={whyNot("acknowledge")} onAct={() => void acknowledge(fresh)} />
+        </div>
       ) : null}
       {shown.length === 0 ? <Empty text={T.alarms.none} /> : null}
       <ul class="cards" aria-label={T.alarms.title}>
@@ -63,7 +60,7 @@ function AlarmCard({ alarm }: { alarm: Alarm }): JSX.Element {
           <span class="quiet">{T.alarms.state[alarm.state]}</span>
         </div>
         <p>{alarm.text}</p>
-        {alarm.action ? <p class="remedy">{alarm.action}</p> : null}
+        {alarm.action ? <p class="remedy">{onPage(alarm.action)}</p> : null}
         <p class="quiet num">
           {dayAndTime(alarm.raised_utc)} UTC{(alarm.count ?? 1) > 1 ? ` · ${T.alarms.times(alarm.count ?? 1)}` : ""}
           {alarm.acknowledged_by ? ` · ${T.alarms.by(alarm.acknowledged_by)}` : ""}

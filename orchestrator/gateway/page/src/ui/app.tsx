@@ -1,7 +1,7 @@
 /** The page: head, stop bar, messages, and one of the three views. */
 
 import type { JSX } from "preact";
-import { view } from "../core/look.ts";
+import { stacked, view } from "../core/look.ts";
 import { connection } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AlarmsPanel } from "./alarmlist.tsx";
@@ -12,7 +12,7 @@ import { EventsPanel } from "./eventlist.tsx";
 import { Header } from "./header.tsx";
 import { HistoryPanel } from "./history.tsx";
 import { IoPanel } from "./io.tsx";
-import { JobPanel } from "./job.tsx";
+import { JobPanel, runningJobs } from "./job.tsx";
 import { across, JogPanel } from "./jogpad.tsx";
 import { LinksPanel } from "./links.tsx";
 import { LivePlots } from "./liveplots.tsx";
@@ -44,6 +44,16 @@ export function App(): JSX.Element {
 }
 
 function ViewPanels(): JSX.Element {
+  if (view.value === "run" && stacked.value)
+    return (
+      <div class="column">
+        {runningJobs.value.length > 0 ? <JobPanel key="job" /> : null}
+        <AxisTable key="axes" />
+        {runningJobs.value.length > 0 ? null : <JobPanel key="job" />}
+        <QueuePanel key="queue" />
+        <LivePlots key="plots" />
+      </div>
+    );
   if (view.value === "run")
     return (
       <>

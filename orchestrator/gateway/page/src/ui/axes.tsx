@@ -1,25 +1,52 @@
 /** The axis table: where each axis is and goes, why it is not ready what to do, and its holder. */
 
 import type { JSX } from "preact";
-import { computed } from "@preact/signals";
-import { useMemo } from "preact/hooks";
+import { computed, signal } from "@preact/signals";
+import { useLayoutEffect, useMemo, useRef } from "preact/hooks";
+import { attention, rankOf } from "../core/attention.ts";
 import { formatUnit, formatValue, withoutAddress } from "../core/format.ts";
 import { held } from "../core/manual.ts";
 import { plotted } from "../core/look.ts";
 import { readinessOf } from "../core/ready.ts";
-import { controllers, jobs, leases, permits, type AxisStore, type ControllerStore } from "../core/store.ts";
+import { allAxes, controllers, jobs, leases, permits, queue, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AxisMenu } from "./axismenu.tsx";
+import { GetReady, unready } from "./getready.tsx";
 import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
 
+/** With more axes than this the table is dense, and what needs a look comes first. */
+const MANY = 8;
+/** A pointer is over the table, or the keyboard is in it: rows stay where they are. */
+const stays = signal(false);
+
 export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => void; chosen?: string }): JSX.Element {
+  const many = allAxes().length > MANY;
+  const last = useRef<ControllerStore[]>([]);
+  const all = controllers.value;
+  const known = last.current.length === all.length && last.current.every((controller) => all.includes(controller));
+  if (!many) last.current = all;
+  else if (!stays.value || !known) last.current = [...all].sort((a, b) => rankOfController(a) - rankOfController(b));
+  // The queue has a button for what its jobs need, and Set-up one for all axes.
+  const needsReady = !onChoose && unready.value.length > 0 && (queue.value.waiting ?? 0) === 0;
+  const table = useRef<HTMLTableElement>(null);
+  const moving = many && Object.values(attention.value).includes(0);
+  useLayoutEffect(() => {
+    if (moving && !stays.value) table.current?.parentElement?.scrollTo(0, 0);
+  }, [moving, stays.value, last.current.map((controller) => controller.id).join()]);
   return (
-    <Panel title={T.axes.title} area="axes">
+    <Panel title={T.axes.title} area="axes" tools={needsReady ? <GetReady ids={[]} /> : null}>
       {controllers.value.length === 0 ? (
         <Empty text={T.axes.none} />
       ) : (
-        <table class="axistable">
+        <table
+          ref={table}
+          class={`axistable ${many ? "dense" : ""}`}
+          onPointerEnter={(event) => (stays.value = event.pointerType === "mouse")}
+          onPointerLeave={() => (stays.value = false)}
+          onFocusIn={(event) => (stays.value = stays.value || (event.target as Element).matches(":focus-visible"))}
+          onFocusOut={(event) => (stays.value = event.currentTarget.matches(":hover"))}
+        >
           <thead>
             <tr>
               <th scope="col">{T.axes.axis}</th>
@@ -36,13 +63,17 @@ export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => v
               </th>
             </tr>
           </thead>
-          {controllers.value.map((controller) => (
+          {last.current.map((controller) => (
             <ControllerRows key={controller.id} controller={controller} onChoose={onChoose} chosen={chosen} />
           ))}
         </table>
       )}
     </Panel>
   );
+}
+
+function rankOfController(controller: ControllerStore): number {
+  return Math.min(...controller.axes.value.map((axis) => rankOf(axis.id)), Number.MAX_SAFE_INTEGER);
 }
 
 interface RowsProps {
@@ -101,7 +132,7 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
       <td class={`num target ${flags.target === undefined ? "none" : ""}`}>
         <span class="value">{target}</span>
       </td>
-      <td class="state">
+      <td class="state" title={ready.remedy ? `${ready.text}: ${ready.remedy}` : undefined}>
         <Mark level={ready.level} text={ready.text} />
         {ready.remedy ? <small class="remedy">{ready.remedy}</small> : null}
       </td>

@@ -3,11 +3,13 @@
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { formatQuantity, formatUnit } from "../core/format.ts";
+import { whyBeyond } from "../core/limits.ts";
 import { beginWork, working } from "../core/manual.ts";
+import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import type { AxisStore, ControllerStore } from "../core/store.ts";
+import { permits, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { T } from "../texts.ts";
-import { Act, closeDialog, Field } from "./parts.tsx";
+import { Act, closeDialog, Field, Mark } from "./parts.tsx";
 
 export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element {
   const [text, setText] = useState("");
@@ -16,6 +18,8 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
   const why = firstOf(whyNot("work", controller.id), working.value ? T.why.working(working.value.words) : "");
   const value = readNumber(text);
   const valueWhy = firstOf(why, value === null ? T.axes.typeNumber : "");
+  const moveWhy = firstOf(valueWhy, whyBeyond(axis, value));
+  const ready = readinessOf(axis.id, flags, controller.rest.value, permits.value);
   const work = (words: string, step: object): void => {
     void beginWork(words, [axis.id], step);
     closeDialog();
@@ -26,6 +30,11 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
         {T.axes.now}: <b class="num">{formatQuantity(axis.position.value, flags.unit)}</b>{" "}
         {flags.offset && flags.offset !== "0" ? T.axes.offset(flags.offset) : ""}
       </p>
+      {ready.remedy ? (
+        <p>
+          <Mark level={ready.level} text={ready.text} /> <small class="remedy">{ready.remedy}</small>
+        </p>
+      ) : null}
       <div class="row">
         {flags.enabled ? (
           <Act label={T.axes.disable(axis.id)} why={why} onAct={() => work(T.axes.disable(axis.id), { do: "disable", axes: [axis.id] })} />
@@ -49,7 +58,7 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
       <div class="row">
         <Act
           label={T.axes.moveTo(value === null ? "…" : formatQuantity(value, flags.unit))}
-          why={valueWhy}
+          why={moveWhy}
           motion
           onAct={() => work(T.axes.moving(axis.id), { do: "move", to: { [axis.id]: value } })}
         />
@@ -64,6 +73,7 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
           onAct={() => work(T.axes.setting(axis.id), { do: "set-position", axes: { [axis.id]: null } })}
         />
       </div>
+      {whyBeyond(axis, value) ? <p class="reason bad">{`▲ ${whyBeyond(axis, value)}`}</p> : null}
       <p class="hint">{T.axes.setHint}</p>
     </div>
   );

@@ -3,6 +3,7 @@
 import type { JSX } from "preact";
 import { newAlarms, openAlarms, openBus } from "../core/alarms.ts";
 import { timeOfDay } from "../core/format.ts";
+import { STOP_KEYS, stopKey } from "../core/keys.ts";
 import { showView, soundOn, theme, view, VIEWS, type Theme } from "../core/look.ts";
 import { isBusy } from "../core/manual.ts";
 import type { Level } from "../core/ready.ts";
@@ -11,7 +12,7 @@ import { connection, pageAge, session } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AlarmList } from "./alarmlist.tsx";
 import { signOut } from "./login.tsx";
-import { Act, Mark, openDialog } from "./parts.tsx";
+import { Act, Field, Mark, openDialog } from "./parts.tsx";
 
 /** The state of the fleet in words: the worst thing that holds. */
 function fleetState(): { level: Level; text: string } {
@@ -112,6 +113,41 @@ function AlarmButton(): JSX.Element {
   );
 }
 
+function KeyTable(): JSX.Element {
+  return (
+    <section aria-label={T.keys.title}>
+      <h3>{T.keys.title}</h3>
+      <table class="keys">
+        <thead>
+          <tr>
+            <th scope="col">{T.keys.key}</th>
+            <th scope="col">{T.keys.where}</th>
+            <th scope="col">{T.keys.what}</th>
+          </tr>
+        </thead>
+        <tbody>
+          {T.keys.table(T.keys.names(stopKey.value)).map(([key, where, what]) => (
+            <tr key={`${key} ${where}`}>
+              <th scope="row">{key}</th>
+              <td>{where}</td>
+              <td>{what}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+      <Field label={T.keys.choose}>
+        <select value={stopKey.value} onChange={(event) => (stopKey.value = event.currentTarget.value)}>
+          {STOP_KEYS.map((key) => (
+            <option key={key} value={key}>
+              {key ? T.keys.names(key) : T.keys.none}
+            </option>
+          ))}
+        </select>
+      </Field>
+    </section>
+  );
+}
+
 const THEMES: Theme[] = ["auto", "light", "dark"];
 
 function Settings(): JSX.Element {
@@ -131,7 +167,7 @@ function Settings(): JSX.Element {
         {session.value?.user ?? T.user.none}, {session.value ? T.role[session.value.role] : ""}
       </p>
       <p class="quiet">{T.settings.version(session.value?.version ?? "–")}</p>
-      <p class="hint">{T.settings.keys}</p>
+      <KeyTable />
       {session.value?.user ? <Act label={T.user.signOut} onAct={() => void signOut()} /> : null}
     </div>
   );

@@ -4,11 +4,11 @@ import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { dayAndTime, explain, formatNs, formatSeconds, shortId } from "../core/format.ts";
 import { get, newKey, post } from "../core/http.ts";
-import { FINISHED } from "../core/lastreport.ts";
+import { FINISHED, lastReport } from "../core/lastreport.ts";
 import type { JobReport, JobShown, QueueEntry, QueueState, Recording, ScanSummary, StepReport } from "../core/model.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Act, closeDialog, Empty, openDialog, Panel } from "./parts.tsx";
 import { PathFacts } from "./pathbound.tsx";
 import { alignCurves, Plot } from "./plot.tsx";
@@ -55,7 +55,7 @@ export function HistoryPanel(): JSX.Element {
               </th>
               <td class="quiet">{shortId(job.id)}</td>
               <td>{T.jobState(job.state)}</td>
-              <td class="quiet">{job.reason}</td>
+              <td class="quiet">{onPage(job.reason)}</td>
             </tr>
           ))}
         </tbody>
@@ -79,7 +79,7 @@ function JobDetails({ job }: { job: QueueEntry }): JSX.Element {
         <span>{dayAndTime(report.started_utc)}</span>
         <span>{dayAndTime(report.ended_utc)}</span>
       </p>
-      {report.reason ? <p class="reason">{report.reason}</p> : null}
+      {report.reason ? <p class="reason">{onPage(report.reason)}</p> : null}
       <div class="row">
         <a class="act" href={`v1/jobs/${encodeURIComponent(job.id)}/export.csv`} download>
           {T.history.export}
@@ -87,13 +87,13 @@ function JobDetails({ job }: { job: QueueEntry }): JSX.Element {
         <Retry job={job} steps={report.steps?.length ?? 1} />
       </div>
       {report.steps?.map((step) => (
-        <StepDetails key={step.index} job={job.id} step={step} />
+        <StepDetails key={step.index} job={job.id} state={report.state} step={step} />
       ))}
     </div>
   );
 }
 
-function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Element {
+function StepDetails({ job, state, step }: { job: string; state: string; step: StepReport }): JSX.Element {
   const [recording, setRecording] = useState<Recording | null>(null);
   const moved = step.t0_fleet_ns !== null && step.t0_fleet_ns !== undefined;
   const load = async (): Promise<void> => {
@@ -103,10 +103,10 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
     <section class="stepdetails">
       <div class="rowhead">
         <b>{T.history.step(step.index + 1, step.name || step.do)}</b> <span>{step.state}</span>
-        {moved ? <VerdictMark verdict={step.verdict} /> : null} <span class="quiet num">{formatSeconds(step.actual_s)}</span>
+        {moved && step.state === "done" ? <VerdictMark step={step} job={state} /> : null} <span class="quiet num">{formatSeconds(step.actual_s)}</span>
         {moved && recording === null ? <Act label={T.history.recording} kind="small" onAct={() => void load()} /> : null}
       </div>
-      {step.reason ? <p class="reason">{step.reason}</p> : null}
+      {step.reason ? <p class="reason">{onPage(step.reason)}</p> : null}
       {step.refused ? <p class="reason bad">{`▲ ${explain(step.refused)}`}</p> : null}
       {(step.deviations ?? []).map((text) => (
         <p class="reason" key={text}>
@@ -114,7 +114,7 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
         </p>
       ))}
       {step.path ? <PathFacts path={step.path} /> : null}
-      {step.scan ? <ScanDetails scan={step.scan} /> : null}
+      {step.scan ? <ScanDetails scan={step.scan} green={state === "done" && step.state === "done"} /> : null}
       {moved ? (
         <details>
           <summary>{T.history.evidence}</summary>
@@ -128,13 +128,13 @@ function StepDetails({ job, step }: { job: string; step: StepReport }): JSX.Elem
   );
 }
 
-function ScanDetails({ scan }: { scan: ScanSummary }): JSX.Element {
+function ScanDetails({ scan, green }: { scan: ScanSummary; green: boolean }): JSX.Element {
   return (
     <>
       <p class="facts num">
         <span>{T.history.scan(scan.done, scan.points)}</span>
         {Object.entries(scan.verdicts ?? {}).map(([verdict, count]) => (
-          <span key={verdict}>{T.history.verdicts(count, verdict)}</span>
+          <span key={verdict}>{T.history.verdicts(count, verdict === "green" && !green ? T.history.within : verdict)}</span>
         ))}
         {typeof scan.start_skew_worst_ns === "number" ? <span>{T.history.worstStart(formatNs(scan.start_skew_worst_ns))}</span> : null}
         {typeof scan.mean_s === "number" ? (
@@ -183,10 +183,19 @@ interface Retried {
   axes?: { axis: string; unit: string; position: number | null }[];
 }
 
+/** Run the job that ended last again; it is shown at once what that would be. */
+export function RunAgain({ id, name }: { id: string; name: string }): JSX.Element {
+  const steps = lastReport.value?.steps?.length || 1;
+  return <Act label={T.history.retry} name={T.history.retryOf(name)} kind="small" why={whyNot("retry")} onAct={() => openDialog(T.history.retryOf(name), <Retry job={{ id, name }} steps={steps} atOnce />)} />;
+}
+
 /** Run a job again, from one of its steps on; first it is shown what that would be. */
-function Retry({ job, steps }: { job: QueueEntry; steps: number }): JSX.Element {
+function Retry({ job, steps, atOnce = false }: { job: { id: string; name: string }; steps: number; atOnce?: boolean }): JSX.Element {
   const [from, setFrom] = useState(0);
   const [asked, setAsked] = useState<Retried | null>(null);
+  useEffect(() => {
+    if (atOnce) void look();
+  }, []);
   const why = whyNot("retry");
   const body = { job_id: job.id, from_step: from };
   const look = async (): Promise<void> => setAsked(accept(T.history.retry, await post<Retried>("retry", { ...body, client_key: newKey(), dry_run: true })));

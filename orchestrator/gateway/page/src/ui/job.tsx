@@ -1,24 +1,30 @@
 /** The running job: progress, the stage of each member, and what the last motion step has shown. */
 
 import type { JSX } from "preact";
+import { computed } from "@preact/signals";
 import { useState } from "preact/hooks";
 import { formatSeconds, percent, shortId } from "../core/format.ts";
 import { post } from "../core/http.ts";
 import { FINISHED, lastMotion, lastReport } from "../core/lastreport.ts";
+import { working } from "../core/manual.ts";
 import type { JobProgress } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { jobs, members } from "../core/store.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
+import { RunAgain } from "./history.tsx";
+import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Panel, Progress } from "./parts.tsx";
 import { StartStrip } from "./strip.tsx";
 import { BudgetTable, VerdictMark } from "./verdict.tsx";
 
+export const runningJobs = computed(() => Object.values(jobs.value).filter((job) => !FINISHED.has(job.state) && job.state !== "queued"));
+
 export function JobPanel(): JSX.Element {
-  const running = Object.values(jobs.value).filter((job) => !FINISHED.has(job.state) && job.state !== "queued");
+  const running = runningJobs.value;
   return (
     <Panel title={T.job.title} area="job">
-      {running.length === 0 ? <Empty text={T.job.none} /> : running.map((job) => <RunningJob key={job.job_id} job={job} />)}
+      {running.length === 0 ? working.value ? <WorkLine /> : <Empty text={T.job.none} /> : running.map((job) => <RunningJob key={job.job_id} job={job} />)}
       <LastVerdict />
     </Panel>
   );
@@ -45,7 +51,7 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
         {job.point ? <span>{T.job.point(job.point, job.points ?? 0)}</span> : null}
         {typeof job.remaining_s === "number" ? <span>{T.job.remaining(formatSeconds(job.remaining_s))}</span> : null}
       </div>
-      {job.reason ? <p class="reason">{job.reason}</p> : null}
+      {job.reason ? <p class="reason">{onPage(job.reason)}</p> : null}
       <Stages id={id} />
       {typeof job.override_percent === "number" && !paused ? (
         <Override name={job.name} now={job.override_percent} onSet={(wanted) => send("override", { percent: wanted })} />
@@ -129,18 +135,26 @@ function Stages({ id }: { id: string }): JSX.Element | null {
 
 function LastVerdict(): JSX.Element | null {
   const report = lastReport.value;
+  const ended = report !== null && report.state !== "running";
+  const good = report?.state === "done" || report?.state === "running";
   const step = lastMotion(report);
-  if (!report || !step) return null;
+  if (report === null || (good && !step)) return null;
   return (
     <section class="last" aria-label={T.job.last}>
       <div class="rowhead">
-        <span>{T.job.lastStep(report.name, step.index + 1, step.name)}</span>
-        <VerdictMark verdict={step.verdict} />
+        <span>{step ? T.job.lastStep(report.name, step.index + 1, step.name) : T.job.lastJob(report.name)}</span>
+        {step ? <VerdictMark step={step} job={report.state} /> : null}
+        {ended ? <RunAgain id={report.id} name={report.name} /> : null}
       </div>
-      {report.state === "done" || report.state === "running" ? null : <p class="reason">{`${T.jobState(report.state)}: ${report.reason}`}</p>}
-      <BudgetTable step={step} />
-      <StartStrip step={step} />
-      {(step.deviations ?? []).map((text) => (
+      {good ? null : (
+        <p class="reason">
+          <b>{T.jobState(report.state)}</b>
+          {report.reason ? `: ${onPage(report.reason)}` : ""}
+        </p>
+      )}
+      {step ? <BudgetTable step={step} /> : null}
+      {step ? <StartStrip step={step} /> : null}
+      {(step?.deviations ?? []).map((text) => (
         <p class="reason" key={text}>
           {text}
         </p>

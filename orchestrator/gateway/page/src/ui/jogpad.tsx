@@ -6,21 +6,22 @@
  */
 
 import type { JSX } from "preact";
-import { computed, effect, signal } from "@preact/signals";
-import { useEffect, useMemo } from "preact/hooks";
+import { computed, signal } from "@preact/signals";
+import { useEffect, useMemo, useRef } from "preact/hooks";
 import { formatQuantity, formatUnit, formatValue, percent, plainNumber } from "../core/format.ts";
 import { FINISHED } from "../core/lastreport.ts";
-import { isNumber, isText, remembered } from "../core/look.ts";
+import { whyBeyond } from "../core/limits.ts";
+import { isNumber, isText, remembered } from "../core/remember.ts";
 import { beginJog, beginWork, cancelWork, endJog, held, jogging, release, working } from "../core/manual.ts";
-import { closeAll } from "../core/keys.ts";
 import { showNote } from "../core/notices.ts";
 import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { allAxes, findAxis, findController, jobs, leases, permits, type AxisStore } from "../core/store.ts";
+import { allAxes, findAxis, findController, jobs, leases, permits, queue, type AxisStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { holderOf } from "./axes.tsx";
 import { Act, Empty, Mark, Panel, Progress } from "./parts.tsx";
+import { askRelease } from "./start.tsx";
 
 const FRACTIONS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1];
 const STEPS = [0.001, 0.01, 0.1, 1, 10, 100];
@@ -67,6 +68,8 @@ function press(source: string, axis: AxisStore, direction: number): void {
     beginJog(axis.id, direction * speed.value * jogSpeed(axis));
     return;
   }
+  const beyond = whyBeyond(axis, axis.position.value === null ? null : axis.position.value + direction * stepSize.value);
+  if (beyond && axis.flags.value.referenced) return showNote(T.why.cannot(T.jog.name(axis.id)), beyond);
   const words = T.jog.step(axis.id, formatQuantity(direction * stepSize.value, axis.flags.value.unit));
   const limit = axis.flags.value.max_velocity;
   const fraction = limit ? Math.min(1, (speed.value * jogSpeed(axis)) / limit) : speed.value;
@@ -99,7 +102,8 @@ function HoldButton({ axis, direction, sign, place }: { axis: AxisStore; directi
       title={why || undefined}
       onPointerDown={(event) => {
         if (event.button !== 0 || !event.isPrimary) return;
-        event.preventDefault(); // no selection, no drag, no focus that takes the keyboard away
+        event.preventDefault(); // no selection, no drag; the pad gets the focus, so that the arrow keys go on
+        event.currentTarget.closest<HTMLElement>(".pad")?.focus({ preventScroll: true });
         event.currentTarget.setPointerCapture(event.pointerId);
         press(source, axis, direction);
       }}
@@ -157,9 +161,14 @@ const chosenAxes = computed<{ across?: AxisStore; upwards?: AxisStore }>(() => {
 const NO_AXIS = "-";
 
 export function JogPanel(): JSX.Element {
-  useEffect(() => effect(() => (closeAll.value > 0 ? letGo() : undefined)), []);
   useEffect(() => () => letGo(), []);
   const { across: first, upwards: second } = chosenAxes.value;
+  // One Tab from here reaches the pad.
+  const start = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    const now = document.activeElement;
+    if (now === null || now === document.body || now.closest("nav") !== null) start.current?.focus({ preventScroll: true });
+  }, [first === undefined]);
   if (first === undefined) return <Panel title={T.jog.title} children={<Empty text={T.axes.none} />} />;
   return (
     <Panel
@@ -167,10 +176,7 @@ export function JogPanel(): JSX.Element {
       area="jog"
       tools={held.value.length > 0 ? <Act label={T.jog.release(held.value.join(", "))} kind="small" onAct={release} /> : null}
     >
-      <div class="jogselect">
-        <AxisSelect label={T.jog.across} value={first.id} onChange={(id) => (across.value = id)} />
-        <AxisSelect label={T.jog.upwards} value={second?.id ?? NO_AXIS} none onChange={(id) => (upwards.value = id)} />
-      </div>
+      <div class="jogstart" tabIndex={-1} ref={start} />
       <div class="jogarea">
         <div
           class="pad"
@@ -193,6 +199,10 @@ export function JogPanel(): JSX.Element {
           <AxisReadout axis={first} />
           {second ? <AxisReadout axis={second} /> : null}
         </div>
+      </div>
+      <div class="jogselect">
+        <AxisSelect label={T.jog.across} value={first.id} onChange={(id) => (across.value = id)} />
+        <AxisSelect label={T.jog.upwards} value={second?.id ?? NO_AXIS} none onChange={(id) => (upwards.value = id)} />
       </div>
       <p class="hint" id="jog-hint">
         {stepSize.value === 0 ? T.jog.holdHint : T.jog.stepHint}
@@ -231,9 +241,13 @@ export function JogPanel(): JSX.Element {
 export function WorkLine(): JSX.Element | null {
   const work = working.value;
   if (work === null) return null;
+  const id = work.job ?? "";
+  const ready = jobs.value[id]?.ready ?? queue.value.jobs?.some((job) => job.id === id && job.ready);
   return (
     <div class="work" role="status">
       <span>{work.words}</span>
+      {ready ? <Mark level="busy" text={T.start.ready} /> : null}
+      {ready ? <Act label={T.start.begin} name={T.start.beginOf(work.words)} kind="small" motion why={whyNot("release")} onAct={() => void askRelease(id, work.words)} /> : null}
       <Progress fraction={work.fraction ?? 0} label={work.words} />
       <Act label={T.work.cancel} kind="small" onAct={cancelWork} />
     </div>

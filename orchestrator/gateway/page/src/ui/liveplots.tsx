@@ -6,14 +6,16 @@ import { plotted } from "../core/look.ts";
 import { allAxes, findAxis, samples, type AxisStore } from "../core/store.ts";
 import { T } from "../texts.ts";
 import { togglePlot } from "./axes.tsx";
-import { Act, Empty, Panel } from "./parts.tsx";
+import { Act, Panel } from "./parts.tsx";
 import { Plot, type PlotData } from "./plot.tsx";
 
 const WINDOW_S = 60;
 const DRAW_MS = 200;
 
-export function LivePlots(): JSX.Element {
+/** Nothing, until an axis is chosen in the table. */
+export function LivePlots(): JSX.Element | null {
   const axes = plotted.value.map(findAxis).filter((axis): axis is AxisStore => axis !== undefined);
+  if (axes.length === 0) return null;
   const others = allAxes().filter((axis) => !axes.includes(axis));
   return (
     <Panel
@@ -35,19 +37,15 @@ export function LivePlots(): JSX.Element {
         </div>
       }
     >
-      {axes.length === 0 ? (
-        <Empty text={T.plots.none} />
-      ) : (
-        <Plot
-          key={axes.map((axis) => axis.id).join()}
-          series={axes.map((axis) => ({ label: axis.id, unit: axis.flags.value.unit }))}
-          data={collect(axes)}
-          height={0}
-          range={[-WINDOW_S, 0]}
-          name={T.plots.name(axes.map((axis) => axis.id).join(", "))}
-          feed={(draw) => feed(axes, draw)}
-        />
-      )}
+      <Plot
+        key={axes.map((axis) => axis.id).join()}
+        series={axes.map((axis) => ({ label: axis.id, unit: axis.flags.value.unit }))}
+        data={collect(axes)}
+        height={0}
+        range={[-WINDOW_S, 0]}
+        name={T.plots.name(axes.map((axis) => axis.id).join(", "))}
+        feed={(draw) => feed(axes, draw)}
+      />
     </Panel>
   );
 }

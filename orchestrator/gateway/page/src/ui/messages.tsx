@@ -7,14 +7,15 @@
 
 import type { JSX } from "preact";
 import { explain, timeOfDay } from "../core/format.ts";
-import { isText, remembered } from "../core/look.ts";
+import { isText, remembered } from "../core/remember.ts";
 import { dismiss, notices, type Notice } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { resetFleet, stoppedBy } from "../core/stop.ts";
-import { controllers, coordinator, lastStop, loaded } from "../core/store.ts";
+import { controllers, coordinator, lastStop, loaded, queue } from "../core/store.ts";
 import { connection, pageAge, session } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { Act, openDialog } from "./parts.tsx";
+import { askStart, readyJobs } from "./start.tsx";
 
 interface Message {
   key: string;
@@ -24,7 +25,7 @@ interface Message {
   text: string;
   remedy?: string;
   code?: string;
-  act?: { label: string; why: string; onAct: () => void };
+  act?: { label: string; why: string; motion?: boolean; onAct: () => void };
 }
 
 const SLOTS = 2;
@@ -64,7 +65,7 @@ function Line({ message, brief = false }: { message: Message; brief?: boolean })
         <span aria-hidden="true">{message.sign}</span> {message.title ? <b>{message.text ? `${message.title}: ` : message.title}</b> : null}
         {explain(message)} {message.code ? <code>{message.code}</code> : null}
       </span>
-      {message.act ? <Act label={message.act.label} kind="small" why={message.act.why} onAct={message.act.onAct} /> : null}
+      {message.act ? <Act label={message.act.label} kind="small" why={message.act.why} motion={message.act.motion ?? false} onAct={message.act.onAct} /> : null}
     </div>
   );
 }
@@ -104,6 +105,12 @@ function listMessages(): Message[] {
         },
       },
     });
+  const waiting = queue.value.waiting ?? 0;
+  const start = { label: queue.value.stopped ? T.queue.start : T.start.begin, why: whyNot("start-queue"), motion: true, onAct: () => void askStart() };
+  if (readyJobs.value.length > 0)
+    all.push({ key: "ready", level: "warn", sign: "▶", text: T.start.readyJobs(readyJobs.value.map((job) => job.name)), act: start });
+  else if (queue.value.stopped && waiting > 0 && !estop)
+    all.push({ key: "queue", level: "warn", sign: "■", text: T.start.queueStopped(waiting), act: start });
   all.push(...notices.value.filter((notice) => !notice.urgent).map(messageOf));
   if (session.value && !session.value.users) add("users", "quiet", "ℹ", T.messages.noUsers);
   return all;

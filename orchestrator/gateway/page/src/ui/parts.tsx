@@ -1,9 +1,9 @@
 /** Small parts that all panels are made of. */
 
 import type { ComponentChildren, JSX } from "preact";
-import { useEffect, useId, useRef } from "preact/hooks";
-import { effect, signal } from "@preact/signals";
-import { closeAll } from "../core/keys.ts";
+import { useEffect, useId, useLayoutEffect, useRef } from "preact/hooks";
+import { signal } from "@preact/signals";
+import { noteOpen, stopKey } from "../core/keys.ts";
 import { showNote } from "../core/notices.ts";
 import type { Level } from "../core/ready.ts";
 import { T } from "../texts.ts";
@@ -119,14 +119,12 @@ export function closeDialog(): void {
   opener = null;
 }
 
-effect(() => {
-  if (closeAll.value > 0) closeDialog();
-});
-
 export function DialogHost(): JSX.Element | null {
   const now = dialog.value;
   const box = useRef<HTMLDivElement>(null);
   const id = useId();
+  const isOpen = now !== null;
+  useLayoutEffect(() => (isOpen ? noteOpen(closeDialog) : undefined), [isOpen]);
   useEffect(() => {
     if (now !== null) box.current?.focus();
   }, [now?.title]);
@@ -136,6 +134,7 @@ export function DialogHost(): JSX.Element | null {
       <div class={`dialog ${now.wide ? "wide" : ""}`} role="dialog" aria-labelledby={id} tabIndex={-1} ref={box}>
         <div class="head">
           <h2 id={id}>{now.title}</h2>
+          <small>{T.keys.inDialog(T.keys.names(stopKey.value))}</small>
           <Act label={T.close} onAct={closeDialog} kind="small" />
         </div>
         <div class="body">{now.body}</div>

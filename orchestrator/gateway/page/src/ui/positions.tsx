@@ -4,6 +4,7 @@ import type { JSX } from "preact";
 import { signal } from "@preact/signals";
 import { useEffect, useState } from "preact/hooks";
 import { get, post } from "../core/http.ts";
+import { whyBeyondOf } from "../core/limits.ts";
 import { beginWork, working } from "../core/manual.ts";
 import type { NamedPosition } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
@@ -40,7 +41,7 @@ export function PositionsPanel(): JSX.Element {
 }
 
 function PositionCard({ position }: { position: NamedPosition }): JSX.Element {
-  const problems = position.problems ?? [];
+  const problems = [...(position.problems ?? []), ...whyBeyondOf(position.axes)];
   const why = firstOf(whyNot("work"), working.value ? T.why.working(working.value.words) : "", problems[0] ?? "");
   const remove = async (): Promise<void> => {
     if (accept(T.positions.removeOf(position.name), await post("remove-position", { name: position.name })) !== null) await load();

@@ -5,6 +5,7 @@ import { beginWork, working } from "../core/manual.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { allAxes, controllers, jobs, permits } from "../core/store.ts";
 import { T } from "../texts.ts";
+import { GetReady, unready } from "./getready.tsx";
 import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 
@@ -20,7 +21,7 @@ export function PreparePanel(): JSX.Element {
   const work = (words: string, step: object): void => void beginWork(words, ids, step);
   const job = Object.values(jobs.value).find((each) => each.state === "running");
   return (
-    <Panel title={T.prepare.title} area="prepare">
+    <Panel title={T.prepare.title} area="prepare" tools={unready.value.length > 0 ? <GetReady ids={[]} /> : null}>
       <div class="row">
         <Mark level={enabled === axes.length ? "ok" : "off"} text={T.prepare.enabled(enabled, axes.length)} />
         <Act label={T.prepare.enableAll} why={why} motion onAct={() => work(T.prepare.enableAll, { do: "enable", axes: all })} />

@@ -1,25 +1,25 @@
 /** The queue: what waits for what, in which order; moved by dragging, or by "before …". */
 
 import type { JSX } from "preact";
-import { effect, signal } from "@preact/signals";
-import { useEffect } from "preact/hooks";
+import { signal } from "@preact/signals";
 import { dayAndTime, shortId, withoutAddress } from "../core/format.ts";
 import { post } from "../core/http.ts";
-import { closeAll } from "../core/keys.ts";
+import { noteOpen } from "../core/keys.ts";
 import type { QueueEntry } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
-import { whyNot } from "../core/rights.ts";
+import { firstOf, whyNot } from "../core/rights.ts";
 import { jobs, queue } from "../core/store.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Approval } from "./approval.tsx";
-import { Act, Empty, openDialog, Panel } from "./parts.tsx";
+import { GetReady, unready } from "./getready.tsx";
+import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
+import { askRelease, askStart, RESTART } from "./start.tsx";
 import { NewJob } from "./submit.tsx";
 
 /** A card that is being dragged, and the index that it would get. */
 const drag = signal<{ id: string; to: number } | null>(null);
 
 export function QueuePanel(): JSX.Element {
-  useEffect(() => effect(() => (closeAll.value > 0 ? void (drag.value = null) : undefined)), []);
   const { stopped, jobs: list = [], total = 0 } = queue.value;
   // A job's progress is newer than the list in which it waited.
   const waiting = list.filter((job) => job.state === "queued" && (jobs.value[job.id]?.state ?? "queued") === "queued");
@@ -32,10 +32,16 @@ export function QueuePanel(): JSX.Element {
       tools={
         <div class="chips">
           {stopped ? (
-            <Act label={T.queue.start} kind="small" motion why={whyNot("start-queue")} onAct={() => send("start-queue", {}, T.queue.start)} />
+            <Act label={T.queue.start} kind="small" motion why={whyNot("start-queue")} onAct={() => void askStart()} />
           ) : (
-            <Act label={T.queue.stop} kind="small" why={whyNot("stop-queue")} onAct={() => send("stop-queue", {}, T.queue.stop)} />
+            <>
+              {waiting.some((job) => job.ready) ? (
+                <Act label={T.start.begin} kind="small" motion why={whyNot("start-queue")} onAct={() => void askStart()} />
+              ) : null}
+              <Act label={T.queue.stop} kind="small" why={whyNot("stop-queue")} onAct={() => send("stop-queue", {}, T.queue.stop)} />
+            </>
           )}
+          {listed > 0 && unready.value.length > 0 ? <GetReady ids={waiting.map((job) => job.id)} /> : null}
           <Act label={T.queue.add} kind="small" onAct={() => openDialog(T.submit.title, <NewJob />, true)} />
         </div>
       }
@@ -65,6 +71,7 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
   const whyOrder = whyNot("reorder");
   const id = [job.id];
   const held = Boolean(job.held_by);
+  const lasts = job.held_by === RESTART && !job.ready;
   const shift = dragged && dragged.id !== job.id ? shiftOf(index, waiting, dragged) : "";
   const others = waiting.filter((each) => each.id !== job.id);
   return (
@@ -95,7 +102,14 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
         {job.proposed ? (
           <Act label={T.approval.review} name={T.approval.reviewOf(job.name)} kind="small" onAct={() => openDialog(T.approval.title(job.name), <Approval job={job} />, true)} />
         ) : held ? (
-          <Act label={T.queue.release} name={T.queue.releaseOf(job.name)} kind="small" motion why={whyNot("release")} onAct={() => void send("release", { job_ids: id }, T.queue.releaseOf(job.name))} />
+          <Act
+            label={job.ready ? T.start.begin : T.queue.release}
+            name={job.ready ? T.start.beginOf(job.name) : T.queue.releaseOf(job.name)}
+            kind="small"
+            motion
+            why={firstOf(whyNot("release"), lasts ? T.start.lasts : "")}
+            onAct={() => void askRelease(job.id, job.name)}
+          />
         ) : (
           <Act label={T.queue.hold} name={T.queue.holdOf(job.name)} kind="small" why={whyNot("hold")} onAct={() => void send("hold", { job_ids: id }, T.queue.holdOf(job.name))} />
         )}
@@ -117,7 +131,8 @@ function Card({ job, index, waiting }: { job: QueueEntry; index: number; waiting
         </select>
         <Act label="✕" name={T.job.verb("cancel", job.name)} kind="small" why={whyNot("cancel")} onAct={() => void send("cancel", { job_id: job.id }, T.job.verb("cancel", job.name))} />
       </div>
-      <p class="reason">{job.reason || T.queue.next}</p>
+      {job.ready ? <Mark level="busy" text={T.start.ready} /> : null}
+      <p class="reason">{onPage(job.reason) || T.queue.next}</p>
     </li>
   );
 }
@@ -140,7 +155,7 @@ function termsOf(job: QueueEntry): string[] {
   if (terms.at) texts.push(T.queue.at(dayAndTime(terms.at)));
   if (terms.after) texts.push(T.queue.after(shortId(terms.after)));
   if (terms.expires) texts.push(T.queue.expires(dayAndTime(terms.expires)));
-  if (job.held_by && !job.reason.includes("held")) texts.push(T.queue.held(job.held_by));
+  if (job.held_by && job.held_by !== RESTART && !job.reason.includes("held")) texts.push(T.queue.held(job.held_by));
   if (job.from_step) texts.push(T.queue.fromStep(job.from_step + 1));
   return texts;
 }
@@ -177,6 +192,7 @@ function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]):
     if (above !== drag.value.to) drag.value = { id: job.id, to: above };
   };
   const finish = (done: boolean): void => {
+    forgetOpen();
     handle.removeEventListener("pointermove", move);
     handle.removeEventListener("pointerup", drop);
     handle.removeEventListener("pointercancel", lose);
@@ -189,6 +205,7 @@ function beginDrag(event: PointerEvent, job: QueueEntry, waiting: QueueEntry[]):
   };
   const drop = (): void => finish(true);
   const lose = (): void => finish(false);
+  const forgetOpen = noteOpen(lose);
   handle.addEventListener("pointermove", move);
   handle.addEventListener("pointerup", drop);
   handle.addEventListener("pointercancel", lose);

@@ -7,7 +7,16 @@ import { T } from "../texts.ts";
 
 const SIGNS = { green: "✓", amber: "◆", red: "✕", none: "–" };
 
-export function VerdictMark({ verdict }: { verdict: StepReport["verdict"] }): JSX.Element {
+/** The verdict of a step that was done; of any other step, its state. A job that did not get to its end has no green. */
+export function VerdictMark({ step, job }: { step: StepReport; job: string }): JSX.Element {
+  const { verdict } = step;
+  const done = step.state === "done";
+  if (!done || (verdict === "green" && job !== "done" && job !== "running"))
+    return (
+      <span class={`verdict ${done ? "none" : "broken"}`}>
+        <span aria-hidden="true">{done ? SIGNS.none : "■"}</span> {T.jobState(step.state)}
+      </span>
+    );
   return (
     <span class={`verdict ${verdict}`}>
       <span aria-hidden="true">{SIGNS[verdict]}</span> {T.verdict[verdict]}

@@ -1,0 +1,97 @@
+/** Get ready: the axes that jobs need are enabled and homed, after one confirmation that lists them. */
+
+import type { JSX } from "preact";
+import { useEffect, useState } from "preact/hooks";
+import { computed } from "@preact/signals";
+import { get } from "../core/http.ts";
+import { beginWork, working } from "../core/manual.ts";
+import type { JobShown } from "../core/model.ts";
+import { firstOf, whyNot } from "../core/rights.ts";
+import { allAxes, findController, type AxisStore } from "../core/store.ts";
+import { T } from "../texts.ts";
+import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
+
+/** The axes whose motor is off, or whose reference is missing. */
+export const unready = computed(() => allAxes().filter((axis) => !axis.flags.value.enabled || !axis.flags.value.referenced));
+
+const MOST_JOBS = 20;
+
+/** ids: of the jobs that have to be able to begin; none: all axes of the fleet. */
+export function GetReady({ ids }: { ids: string[] }): JSX.Element {
+  return (
+    <Act
+      label={T.ready.get}
+      kind="small"
+      why={firstOf(whyNot("work"), working.value ? T.why.working(working.value.words) : "")}
+      onAct={() => openDialog(T.ready.title, <ReadyDialog ids={ids.slice(0, MOST_JOBS)} />)}
+    />
+  );
+}
+
+function ReadyDialog({ ids }: { ids: string[] }): JSX.Element {
+  const [axes, setAxes] = useState<AxisStore[] | null>(ids.length === 0 ? allAxes() : null);
+  useEffect(() => {
+    if (ids.length > 0) void findNeeded(ids).then(setAxes);
+  }, [ids.join()]);
+  if (axes === null) return <Empty text={T.loading} />;
+  const off = axes.filter((axis) => !axis.flags.value.enabled).map((axis) => axis.id);
+  const lost = axes.filter((axis) => !axis.flags.value.referenced).map((axis) => axis.id);
+  const owners = [...new Set(axes.map((axis) => axis.controller))];
+  const why = firstOf(
+    ...owners.map((owner) => whyNot("work", owner)),
+    working.value ? T.why.working(working.value.words) : "",
+    off.length + lost.length === 0 ? T.ready.allReady : "",
+  );
+  const steps = [...(off.length > 0 ? [{ do: "enable", axes: off }] : []), ...(lost.length > 0 ? [{ do: "home", axes: lost }] : [])];
+  const confirm = (): void => {
+    closeDialog();
+    void beginWork(T.ready.title, [...new Set([...off, ...lost])], steps);
+  };
+  return (
+    <div class="menu">
+      {off.length > 0 ? <p>{T.ready.toEnable(off.join(", "))}</p> : null}
+      {lost.length > 0 ? <p>{T.ready.toHome(lost.join(", "))}</p> : null}
+      {lost.length > 0 ? <p class="hint">{T.ready.homeHint}</p> : null}
+      {off.length + lost.length === 0 ? <Empty text={T.ready.allReady} /> : null}
+      {why && off.length + lost.length > 0 ? <p class="reason bad">{`▲ ${why}`}</p> : null}
+      <div class="row finish">
+        <Act label={T.ready.confirm(off.length > 0, lost.length > 0)} kind="strong" motion why={why} onAct={confirm} />
+        <Act label={T.start.cancel} onAct={closeDialog} />
+      </div>
+    </div>
+  );
+}
+
+/** The axes in the steps of these jobs. A step that names none (a position, a group) may mean any of them. */
+async function findNeeded(ids: string[]): Promise<AxisStore[]> {
+  const all = allAxes();
+  const answers = await Promise.all(ids.map((id) => get<JobShown>(`jobs/${encodeURIComponent(id)}`)));
+  const named = new Set<string>();
+  let unclear = false;
+  for (const answer of answers) {
+    const steps = "ok" in answer ? answer.ok.job?.steps : undefined;
+    if (!Array.isArray(steps)) unclear = true;
+    else for (const step of steps) unclear = collect(step, named) || unclear;
+  }
+  return unclear ? all : all.filter((axis) => named.has(axis.id));
+}
+
+/** Collect the axes that a step names; true: it may mean others too. */
+function collect(step: unknown, named: Set<string>): boolean {
+  if (typeof step !== "object" || step === null) return true;
+  const fields = step as Record<string, unknown>;
+  if (Array.isArray(fields["steps"])) return fields["steps"].map((each) => collect(each, named)).some(Boolean);
+  let unclear = fields["do"] === "home" && !Array.isArray(fields["axes"]);
+  const take = (name: string): void => {
+    if (name.includes(".")) named.add(name);
+    else if (findController(name)) for (const axis of findController(name)?.axes.value ?? []) named.add(axis.id);
+    else unclear = true;
+  };
+  for (const field of ["to", "by", "axes", "from", "via"]) {
+    const value = fields[field];
+    if (typeof value === "string") take(value);
+    else if (Array.isArray(value)) value.filter((each): each is string => typeof each === "string").forEach(take);
+    else if (typeof value === "object" && value !== null) Object.keys(value).forEach(take);
+  }
+  return unclear;
+}
