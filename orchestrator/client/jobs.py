@@ -220,7 +220,7 @@ class JobRequests(QueueRequests):
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
-        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
+        from_step: its index, counted from 0, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         step, point = from_step if isinstance(from_step, tuple) else (from_step, None)

@@ -168,9 +168,9 @@ def test_a_short_report_fits_a_terminal_and_begins_with_the_verdict() -> None:
     lines = render(make_report_tables(make_report(steps)), 80).splitlines()
     assert lines[0] == "job 'scan' 3f2a91c0: done, verdict amber"
     assert len(lines) <= 22
-    assert any(line.split()[:1] == ["150"] for line in lines)
+    assert any(line.split()[:1] == ["151"] for line in lines)
     assert "and 186 more steps, which are done as planned" in lines
-    assert "step 150: took 2 ms longer" in lines
+    assert "step 151: took 2 ms longer" in lines
     assert len(render(make_report_tables(make_report(steps), detailed=True), 80).splitlines()) > 200
 
 
@@ -179,12 +179,12 @@ def make_chained(index: int, chain: StepChain | None) -> StepReport:
 
 
 def test_a_report_states_the_gaps_between_steps_and_why_others_began_from_rest() -> None:
-    waited = StepChain(step=2, kept=False, gap_s=0.64, broken="step 3 (wait) comes before it")
+    waited = StepChain(step=2, kept=False, gap_s=0.64, broken="step 4 (wait) comes before it")
     kept = [StepChain(step=index, kept=True, gap_s=0.012 + index / 1000) for index in range(2)]
     steps = [make_chained(0, None), *(make_chained(chain.step + 1, chain) for chain in kept), make_chained(4, waited)]
     lines = render(make_report_tables(make_report(steps)), 120).splitlines()
     place = lines.index("right behind the step before: 2 of 3, 12.5 ms after its end in the median, 13.0 ms at most")
-    assert lines[place + 1] == "step 4 from rest, 0.640 s after step 2: step 3 (wait) comes before it"
+    assert lines[place + 1] == "step 5 from rest, 0.640 s after step 3: step 4 (wait) comes before it"
 
 
 def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: CommandWorld) -> None:
@@ -196,8 +196,8 @@ def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: Comma
     steps = [line.strip() for line in world.done("job", "show", "last").splitlines() if line.startswith("  ")]
     ends = [line.partition(": done")[2] for line in steps[-4:]]
     assert ends[0] == ends[2] == ""
-    assert re.fullmatch(r", 1\d\.\d ms after step 0", ends[1])
-    assert ends[3] == ", from rest: step 2 (wait) comes before it"
+    assert re.fullmatch(r", 1\d\.\d ms after step 1", ends[1])
+    assert ends[3] == ", from rest: step 3 (wait) comes before it"
 
 
 def test_a_short_report_has_few_lines_about_steps_from_rest() -> None:
@@ -221,5 +221,14 @@ def test_the_report_of_a_move_has_its_members_with_v(world: CommandWorld) -> Non
     short, full = world.done("job", "report", "last"), world.done("job", "report", "last", "-v")
     assert "verdict green" in short.splitlines()[0]
     assert len(short.splitlines()) < 24
-    assert "Predicted, guaranteed, and measured:" not in short
-    assert "Predicted, guaranteed, and measured:" in full
+    assert "Start after T0: predicted by term and all together, and measured:" not in short
+    assert "Start after T0: predicted by term and all together, and measured:" in full
+    assert "predicted" in short.splitlines()[2]
+
+
+def test_a_predicted_skew_is_named_as_such_beside_a_measured_one(world: CommandWorld) -> None:
+    for words in ("enable gantry stage", "home gantry stage", "move gantry.x=10 stage.u=1"):
+        world.done("axis", *words.split())
+    full = world.done("job", "report", "last", "-v").splitlines()
+    ends = [line for line in full if " end skew at most" in line]
+    assert ends and all(line.startswith("step 1: predicted end skew at most ") for line in ends)

@@ -18,6 +18,7 @@ SHORT = {
     "orchestrator/campaign/repairs.py": "what faults and stages share, without importing each other",
     "orchestrator/cli/base/codes.py": "exit codes, which the quick commands import without anything else",
     "orchestrator/coordinator/steps/dwell.py": "a kind of step is one module",
+    "orchestrator/model/steps/numbers.py": "how steps are counted, which commands import without anything else",
     "orchestrator/monitor/open_bus.py": "a text of several parts that import nothing of each other",
     "orchestrator/plan/forecast/dwell.py": "a kind of step is one module",
     "orchestrator/plan/path/errors.py": "an error of all modules of paths",
