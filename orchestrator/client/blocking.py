@@ -307,12 +307,12 @@ class BlockingTutti(BlockingObject[Tutti]):
         """A session for jobs that a person waits for: they end when its context does, or its process."""
         return BlockingAttendance(self._wrapped.attend(), self._worker)
 
-    def find_job(self, reference: str) -> QueueEntry:
+    def find_job(self, reference: str, *, newest: bool = False) -> QueueEntry:
         """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
 
-        Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
+        newest: take the newest of that name. Raises `Refusal`: codes `unknown-job`, and `ambiguous`, with what fits.
         """
-        return self._run(self._wrapped.find_job(reference))
+        return self._run(self._wrapped.find_job(reference, newest=newest))
 
     def job(self, job_id: str) -> BlockingJob:
         """A job by its id, to follow it."""

@@ -4,6 +4,7 @@ import json
 import os
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from cluster.worlds import demo_job, job
@@ -68,7 +69,30 @@ def test_jobs_are_named_by_prefix_by_name_and_as_last(world: CommandWorld) -> No
         assert f"job 'test' {first.id}" in world.done("job", "report", reference)
     again = world.wait(client.submit(job("[{do: dwell, duration: 9 s}]")))
     assert f"several jobs fit 'test': {again.id} 'test', {first.id} 'test'" in world.refused(2, "job", "show", "test")
+    # A report is of the newest job of that name.
+    assert f"job 'test' {again.id} has not ended" in world.refused(1, "job", "report", "test")
     assert world.done("job", "cancel", "last") == f"job 'test' {again.id} is cancelled"
+    assert f"job 'test' {again.id}: cancelled" in world.done("job", "report", "test")
+
+
+def test_enable_without_names_takes_the_fleet_and_disable_asks_for_them(world: CommandWorld) -> None:
+    axes = set(json.loads(world.done("axis", "enable", "--json"))["axes"])
+    assert axes == set(world.fleet.fleet.axis_names)
+    assert "tutti axis disable all" in world.refused(2, "axis", "disable")
+    assert set(json.loads(world.done("axis", "disable", "all", "--json"))["axes"]) == axes
+    for name, state in world.wait(world.fleet.make_client().status()).items():
+        assert not any(axis.enabled for axis in state.axes.values()), name
+
+
+def test_a_space_or_minus_that_looks_like_another_one_is_named(world: CommandWorld) -> None:
+    assert "it has a minus sign of typography (U+2212)" in world.refused(2, "axis", "move", "gantry.x=\u22125")
+    assert "it has a non-breaking space (U+00A0)" in world.refused(2, "axis", "move", "gantry.x=5\u00a0mm")
+    assert "'gantry\\t'; it has a tab (U+0009)" in world.refused(2, "axis", "enable", "gantry\t")
+
+
+def test_a_fleet_file_is_no_job_to_submit(world: CommandWorld) -> None:
+    said = world.refused(2, "submit", str(Path(__file__).parents[3] / "deploy/examples/demo.fleet.yaml"))
+    assert "this is a fleet file; a job file is needed here" in said
 
 
 def test_a_job_waits_for_the_one_that_after_means(world: CommandWorld, tmp_path: os.PathLike[str]) -> None:

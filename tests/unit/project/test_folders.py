@@ -17,6 +17,7 @@ SHORT = {
     "orchestrator/campaign/trigger_outputs.py": "a name that the fleets and the checks of triggers share",
     "orchestrator/campaign/repairs.py": "what faults and stages share, without importing each other",
     "orchestrator/cli/base/codes.py": "exit codes, which the quick commands import without anything else",
+    "orchestrator/cli/entry.py": "what the command runs: it imports nothing before it can be interrupted",
     "orchestrator/coordinator/steps/dwell.py": "a kind of step is one module",
     "orchestrator/model/steps/numbers.py": "how steps are counted, which commands import without anything else",
     "orchestrator/monitor/open_bus.py": "a text of several parts that import nothing of each other",
