@@ -61,6 +61,7 @@ from orchestrator.model.positions.entries import (
     SavePosition,
 )
 from orchestrator.model.report import QueueState
+from orchestrator.model.steps.numbers import name_step
 
 UserRole = Literal["viewer", "proposer", "operator", "maintainer"]
 """A role of people and programs; each may do what those before it may."""
@@ -89,7 +90,7 @@ def _describe_submission(request: SubmitJob) -> str:
 
 
 def _describe_retry(request: RetryJob) -> str:
-    return f"{request.job_id} from step {request.from_step}"
+    return f"{request.job_id} from {name_step(request.from_step)}"
 
 
 def _describe_approval(request: ApproveJob) -> str:

@@ -13,6 +13,7 @@ from orchestrator.cli.base.common import console, json_option, print_json, utc_o
 from orchestrator.cli.base.errors import exit_with_error, run_main
 from orchestrator.cli.base.pictures import picture_option
 from orchestrator.cli.view.path_demo import run_path
+from orchestrator.model.steps.numbers import name_step, number_step
 
 JOB_TIMEOUT_S = 120.0  # for the job, which takes six seconds
 
@@ -102,14 +103,16 @@ def demo(
         for check in truths:
             holds = "the verdict contains it" if check.held else "[yellow]outside the verdict[/]"
             axes_outside = f"; outside their evidence: {', '.join(check.outside)}" if check.outside else ""
-            console.print(f"step {check.step}: true start skew {check.skew_ns / 1e6:.2f} ms; {holds}{axes_outside}")
+            console.print(
+                f"{name_step(check.step)}: true start skew {check.skew_ns / 1e6:.2f} ms; {holds}{axes_outside}"
+            )
         if not all(check.held and not check.outside for check in truths):
             console.print("Simulated controllers react late on a busy machine, unlike real ones.")
     # For programs the summary says all of it.
     if report.state != "done" or (unsure and as_json):
         raise SystemExit(FAILED)
     if unsure:
-        names = ", ".join(f"{step.index} ({step.verdict})" for step in unsure)
+        names = ", ".join(f"{number_step(step.index)} ({step.verdict})" for step in unsure)
         exit_with_error(
             f"the start skew cannot be guaranteed within the limit of the job in step {names}",
             remedy="the machine was perhaps too busy to read the controllers' replies in time; try again",

@@ -307,12 +307,12 @@ class BlockingTutti(BlockingObject[Tutti]):
         """A session for jobs that a person waits for: they end when its context does, or its process."""
         return BlockingAttendance(self._wrapped.attend(), self._worker)
 
-    def find_job(self, reference: str) -> QueueEntry:
+    def find_job(self, reference: str, *, newest: bool = False) -> QueueEntry:
         """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
 
-        Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
+        newest: take the newest of that name. Raises `Refusal`: codes `unknown-job`, and `ambiguous`, with what fits.
         """
-        return self._run(self._wrapped.find_job(reference))
+        return self._run(self._wrapped.find_job(reference, newest=newest))
 
     def job(self, job_id: str) -> BlockingJob:
         """A job by its id, to follow it."""
@@ -379,7 +379,7 @@ class BlockingTutti(BlockingObject[Tutti]):
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
-        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
+        from_step: its index, counted from 0, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         return self._run(

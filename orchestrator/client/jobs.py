@@ -82,14 +82,14 @@ class JobRequests(QueueRequests):
         """A session for jobs that a person waits for: they end when its context does, or its process."""
         return Attendance(self)
 
-    async def find_job(self, reference: str) -> QueueEntry:
+    async def find_job(self, reference: str, *, newest: bool = False) -> QueueEntry:
         """The job that a user means: by the beginning of its id, its name, or `last`, the newest.
 
-        Raises `Refusal`: codes `unknown-job`, and `ambiguous`, which names the jobs that fit.
+        newest: take the newest of that name. Raises `Refusal`: codes `unknown-job`, and `ambiguous`, with what fits.
         """
         request = FindJob(**self.request_fields(), reference=reference)
         jobs = (await self.request_service("find", request, JobsFound)).jobs
-        if len(jobs) == 1:
+        if len(jobs) == 1 or (newest and jobs and all(entry.name == reference for entry in jobs)):
             return jobs[0]
         if jobs:
             fitting = ", ".join(f"{entry.id} {entry.name!r}" for entry in jobs)
@@ -220,7 +220,7 @@ class JobRequests(QueueRequests):
     ) -> JobRetried:
         """Re-run a finished job from a step on, as a new job. Raises `Refusal`: codes `not-ended`, `no-step`.
 
-        from_step: its number, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
+        from_step: its index, counted from 0, or that of a scan and the number of a point of it, from 1: `(2, 17)`.
         dry_run: only report the remaining steps and the present positions of their axes.
         """
         step, point = from_step if isinstance(from_step, tuple) else (from_step, None)

@@ -12,6 +12,7 @@ from pydantic import Field
 from orchestrator.model.errors import Refusal
 from orchestrator.model.report import JobReport, PointRecord, QueueEntry, QueueState, StepRecording
 from orchestrator.model.state import ControllerState
+from orchestrator.model.steps.numbers import name_step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -135,7 +136,7 @@ class JobResult(JobReport):
             from orchestrator.monitor.scan_points import plot_points
 
             first = [point for point in self.points if point.step == self.points[0].step]
-            title = f"{self.name} {self.job_id}: {len(first)} points of step {first[0].step}"
+            title = f"{self.name} {self.job_id}: {len(first)} points of {name_step(first[0].step)}"
             return plot_points(first, title, None if path is None else Path(path))
         if not self.recordings:
             raise Refusal("no-recording", f"job {self.name!r} has no recording of a move", "plot a job that moves axes")

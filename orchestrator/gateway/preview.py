@@ -17,6 +17,7 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.state import ControllerState
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
@@ -109,7 +110,7 @@ class _Drawing:
 
     def note_gap(self, index: int, why: str) -> None:
         """Note why a part is not drawn as it will be; the first one is shown."""
-        self._gap = self._gap or f"step {index}: {why}"
+        self._gap = self._gap or f"{name_step(index)}: {why}"
 
     def finish(self) -> dict[str, Any]:
         for line in self._lines.values():

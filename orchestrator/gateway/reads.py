@@ -23,6 +23,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.queue import format_utc, shift_utc
 from orchestrator.model.report import AxisRecording, StepRecording
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.runtime.trace_frames import FrameList
 
@@ -135,7 +136,7 @@ class FleetReads:
     async def _load_recording(self, request: ReadRequest, step: int) -> StepRecording:
         recording = await self._connect(request).load_recording(request.values["job_id"], step)
         if recording is None:
-            text = f"step {step} has no recording: it moved nothing, or its recording was deleted"
+            text = f"{name_step(step)} (`step={step}`) has no recording: it moved nothing, or its recording was deleted"
             raise Refusal("no-file", text, "choose another step; see /v1/jobs/{job_id}")
         return recording
 

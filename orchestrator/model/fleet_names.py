@@ -10,11 +10,13 @@ from typing import Any, cast
 
 from orchestrator.model.base import Model
 from orchestrator.model.names import is_position_name, split_name
+from orchestrator.model.numbers import name_odd_sign
 from orchestrator.model.problems import Problem
 
 Place = tuple[str | int, ...]
 EACH = "*"
 MAX_LISTED = 20  # names in one message
+WHOLE_FLEET = "all"  # on the command line: no group or controller can have this name
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,8 @@ class DefinedNames:
         if name in known_names or not isinstance(name, str):
             return None  # another type is reported by the field itself
         noun = "axis, group or controller" if kind == "axes" else kind
+        if (odd_sign := name_odd_sign(name)) != "":
+            return f"the fleet has no {noun} {name[:80]!r}; {odd_sign}"
         listed_axes = self.axes if kind == "axes" else known_names
         return f"the fleet has no {noun} {name[:80]}; {suggest_name(name, known_names)}{list_names(listed_axes, kind)}"
 
@@ -125,6 +129,12 @@ def _find_group_problems(plain: Mapping[str, Any], names: DefinedNames) -> Itera
     for group in names.groups:
         if group in names.controllers:
             yield Problem(("groups", group), f"group {group} has the name of a controller; rename one of them")
+    for kind, known_names in (("groups", names.groups), ("controllers", names.controllers)):
+        if WHOLE_FLEET in known_names:
+            text = (
+                f"`{WHOLE_FLEET}` stands for the whole fleet (`tutti axis disable {WHOLE_FLEET}`); choose another name"
+            )
+            yield Problem((kind, WHOLE_FLEET), text)
 
 
 def _find_position_problems(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:

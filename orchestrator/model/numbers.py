@@ -23,8 +23,30 @@ def split_number(text: str) -> tuple[str, str] | None:
     return None if match is None or len(text) > MAX_TEXT else (match[1], match[2] or "")
 
 
+_ODD_SPACES = {
+    "\t": ("a tab", "a space"),
+    "\u00a0": ("a non-breaking space", "a plain one"),
+    "\u202f": ("a narrow non-breaking space", "a plain one"),
+}
+_ODD_MINUSES = {
+    "\u2212": ("a minus sign of typography", "-, the hyphen of the keyboard"),
+    "\u2013": ("a dash", "-, the hyphen of the keyboard"),
+}
+
+
+def name_odd_sign(text: str, *, spaces: bool = True) -> str:
+    """What to write instead of a sign that looks like another one, such as the minus of a text program; empty if there
+    is none. spaces: whether a space of another kind is at fault, too."""
+    for sign, (name, replacement) in (_ODD_MINUSES | (_ODD_SPACES if spaces else {})).items():
+        if sign in text:
+            return f"it has {name} (U+{ord(sign):04X}); write {replacement}"
+    return ""
+
+
 def suggest_number(text: str) -> str:
     """What to write instead of `text`, where a number is expected; empty if nothing is obvious."""
+    if (odd_sign := name_odd_sign(text, spaces=False)) != "":
+        return odd_sign
     text = text.strip()[:MAX_TEXT]
     if _SEXAGESIMAL.fullmatch(text):
         total, sign = Fraction(0), -1 if text.startswith("-") else 1

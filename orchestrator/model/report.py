@@ -49,7 +49,7 @@ class JobProgress(Model):
     step: int
     steps: int
     step_name: str
-    scan_step: Int53 | None = Field(default=None, description="Within a scan: the number of its first step.")
+    scan_step: Int53 | None = Field(default=None, description="Within a scan: the index of its first step, from 0.")
     point: Int53 | None = Field(default=None, description="The point of the scan, from 1.")
     points: Int53 | None = None
     fraction: float = Field(ge=0, le=1)
@@ -432,7 +432,7 @@ class JobReport(Model):
     max_start_skew_ns: Int53
     repeat: int = 1
     origin: str | None = Field(default=None, description="The job that this one re-runs.")
-    from_step: int = Field(default=0, description="The step that it began with.")
+    from_step: int = Field(default=0, description="The step that it began with, from 0.")
     parameters_used: dict[str, str] = Field(
         default={}, description="The parameters of the template that it was made of, with their values."
     )
@@ -486,7 +486,7 @@ class QueueEntry(Model):
     reason: of its state; for a queued job, what it waits for. ready: what it had to wait for is gone, and its start has
     to be asked for. place: position in the queue, 1 is next. held_by:
     originator of the hold, if it is held; `approval` while its plan waits for that. origin: the job that it re-runs,
-    from step `from_step` on. proposed: it needs the approval of its plan.
+    from step `from_step` on, counted from 0. proposed: it needs the approval of its plan.
     """
 
     id: str

@@ -14,7 +14,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.numbers import MAX_TEXT, split_number, suggest_number
+from orchestrator.model.numbers import MAX_TEXT, name_odd_sign, split_number, suggest_number
 
 
 class Unit(StrEnum):
@@ -141,6 +141,8 @@ def _parse_unit(name: str) -> Unit:
     try:
         return Unit(name.replace("µ", "u").replace("μ", "u"))
     except ValueError:
+        if (odd_sign := name_odd_sign(name)) != "":
+            raise UnitError(f"unknown unit {name[:20]!r}; {odd_sign}") from None
         raise UnitError(f"unknown unit {name[:20]!r}; known units: {', '.join(Unit)}") from None
 
 

@@ -14,6 +14,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
 from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.monitor.open_bus import find_openness
 from orchestrator.monitor.queue_words import describe_queue
 from orchestrator.monitor.tables import make_plain_table
@@ -301,7 +302,7 @@ def make_job_bar(job: JobProgress) -> RenderableType:
 
 
 def format_step(job: JobProgress) -> str:
-    """Number the step as reasons and reports do, and as `--from-step` and `--from-point` expect it."""
-    if job.point is not None:
-        return f"{f'step {job.scan_step} {job.step_name}'.rstrip()}, point {job.point} of {job.points}"
-    return f"{f'step {job.step} {job.step_name}'.rstrip()}, {job.step + 1} of {job.steps}"
+    """Number the step as reasons and reports do, and as `--step` and `--from-point` expect it."""
+    if job.scan_step is not None:
+        return f"{f'{name_step(job.scan_step)} {job.step_name}'.rstrip()}, point {job.point} of {job.points}"
+    return f"{name_step(job.step)} of {job.steps} {job.step_name}".rstrip()

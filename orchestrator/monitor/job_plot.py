@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.names import split_name
 from orchestrator.model.report import AxisRecording, StepRecording, StepReport
+from orchestrator.model.steps.numbers import number_step
 
 MARGIN_SHARE = 0.3  # of one move's duration, shown before and after it
 JOB_MARGIN_SHARE = 0.03  # of a job's duration
@@ -134,7 +135,7 @@ def _finish_plot(rows: Sequence[Sequence[Axes]], recordings: Sequence[StepRecord
             for row in rows:
                 row[0].axvline(begin_s, color=COLOUR_PLAN, linewidth=0.5, alpha=0.5, zorder=0)
             top = rows[0][0].get_xaxis_transform()
-            rows[0][0].text(begin_s, 1.01, str(recording.step), transform=top, fontsize=7)
+            rows[0][0].text(begin_s, 1.01, str(number_step(recording.step)), transform=top, fontsize=7)
     # A long arming phase would leave no room for the move.
     end_s = max(begin_s + _longest_s(recording) for begin_s, recording in zip(begins_s, recordings, strict=True))
     margin_s = (MARGIN_SHARE if is_single else JOB_MARGIN_SHARE) * end_s

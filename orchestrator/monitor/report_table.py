@@ -8,6 +8,7 @@ from rich.text import Text
 
 from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget, TriggerReport
 from orchestrator.model.state import AxisEvidence
+from orchestrator.model.steps.numbers import name_step, number_step
 from orchestrator.monitor.path_words import describe_path
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
@@ -25,7 +26,7 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
     detailed: all steps, and the members of each move with their budgets. Otherwise it fits a terminal of 24 lines.
     """
     shown_steps = list(report.steps) if detailed else _select_steps(report.steps)
-    steps = make_plain_table(["#>", "step", "planned>", "actual>", "start skew>", "budget>", "end skew>", "verdict"])
+    steps = make_plain_table(["#>", "step", "planned>", "actual>", "start skew>", "predicted>", "end skew>", "verdict"])
     for step in shown_steps:
         steps.add_row(*_make_step_row(step))
     used = describe_used(report.parameters_used, report.positions_used)
@@ -37,7 +38,7 @@ def make_report_tables(report: JobReport, *, detailed: bool = False) -> Renderab
     parts += [Text(line) for step in report.steps for line in _describe_scan(step)]
     chain_lines = _describe_chain(report.steps)
     parts += [Text(line) for line in (chain_lines if detailed else chain_lines[:MAX_CHAIN_LINES])]
-    deviations = [f"step {step.index}: {line}" for step in report.steps for line in step.deviations]
+    deviations = [f"{name_step(step.index)}: {line}" for step in report.steps for line in step.deviations]
     parts += [Text(line, style="red") for line in (deviations if detailed else deviations[:MAX_DEVIATIONS])]
     reasons = [line for step in report.steps if detailed or step.verdict != "green" for line in _explain_verdict(step)]
     parts += [Text(line) for line in (reasons if detailed else reasons[:MAX_DEVIATIONS])]
@@ -82,14 +83,14 @@ def _select_steps(steps: Sequence[StepReport]) -> list[StepReport]:
 def _make_details(report: JobReport) -> list[RenderableType]:
     """The members of each move, and its budget term by term."""
     members = make_plain_table(["#>", "member", "starts by", "axes", "armed in>", "start after T0>", "clock>", "rate>"])
-    budgets = make_plain_table(["#>", "member", "by its", "start after T0>", "all together>", "measured>"])
+    budgets = make_plain_table(["#>", "member", "by its", "predicted>", "all together>", "measured>"])
     for step in report.steps:
         for row in _make_member_rows(step):
             members.add_row(*row)
         for row in _make_budget_rows(step):
             budgets.add_row(*row)
     texts_later = [Text(line) for step in report.steps for line in _describe_deviations(step)]
-    return ["", members, "", "Predicted, guaranteed, and measured:", budgets, *texts_later]
+    return ["", members, "", "Start after T0: predicted by term and all together, and measured:", budgets, *texts_later]
 
 
 def _make_step_row(step: StepReport) -> list[str | Text]:
@@ -98,7 +99,7 @@ def _make_step_row(step: StepReport) -> list[str | Text]:
         name = name[: _MAX_STEP_NAME - 1] + "…"
     verdict = Text("" if step.verdict == "none" else step.verdict, style=_VERDICT_STYLE[step.verdict])
     return [
-        str(step.index),
+        str(number_step(step.index)),
         name,
         _format_seconds(step.planned_s),
         _format_seconds(step.actual_s),
@@ -122,7 +123,7 @@ def _make_member_rows(step: StepReport) -> list[list[str]]:
             first = index == 0
             rows.append(
                 [
-                    str(step.index) if first else "",
+                    str(number_step(step.index)) if first else "",
                     name if first else "",
                     member.start_class if first else "",
                     axes,
@@ -146,7 +147,7 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
         for index, term in enumerate(member.terms):
             first = index == 0
             columns = [promise, proof] if first else ["", ""]
-            head = [str(step.index), name] if first else ["", ""]
+            head = [str(number_step(step.index)), name] if first else ["", ""]
             rows.append([*head, term.name, _format_interval(term.earliest_ns, term.latest_ns), *columns])
     return rows
 
@@ -154,13 +155,15 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
 def _describe_deviations(step: StepReport) -> list[str]:
     """Describe a path with its bound, triggers, feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
-    lines = [f"step {step.index}: {text}" for text in ([] if step.path is None else describe_path(step.path))]
-    lines += [f"step {step.index}: {_describe_triggers(trigger)}" for trigger in step.triggers]
+    lines = [f"{name_step(step.index)}: {text}" for text in ([] if step.path is None else describe_path(step.path))]
+    lines += [f"{name_step(step.index)}: {_describe_triggers(trigger)}" for trigger in step.triggers]
     latch = step.latch
     if latch is not None:
-        lines.append(f"step {step.index}: {latch.axis} was at {latch.position:g} {latch.unit} when {latch.input} came")
+        lines.append(
+            f"{name_step(step.index)}: {latch.axis} was at {latch.position:g} {latch.unit} when {latch.input} came"
+        )
     lines += [
-        f"step {step.index}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
+        f"{name_step(step.index)}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
         for hold in step.feed_holds
     ]
@@ -168,8 +171,8 @@ def _describe_deviations(step: StepReport) -> list[str]:
         if skew is not None and len(step.members) > 1:
             limit_text = "" if skew.allowed_ns is None else f", allowed {skew.allowed_ns / 1e6:g} ms"
             lines.append(
-                f"step {step.index}: {skew_name} skew at most {skew.predicted_ns / 1e6:.1f} ms{limit_text}; worst is "
-                f"{skew.worst_member}"
+                f"{name_step(step.index)}: predicted {skew_name} skew at most {skew.predicted_ns / 1e6:.1f} ms"
+                f"{limit_text}; worst is {skew.worst_member}"
             )
     return lines
 
@@ -189,7 +192,7 @@ def _describe_scan(step: StepReport) -> list[str]:
     scan = step.scan
     if scan is None:
         return []
-    line = f"step {step.index}: {scan.done} of {scan.points} points"
+    line = f"{name_step(step.index)}: {scan.done} of {scan.points} points"
     if scan.mean_s is not None:
         line += f", {scan.mean_s:.3f} s a point ({scan.least_s:.3f} to {scan.most_s:.3f} s)"
     if scan.start_skew_p50_ns is not None and scan.start_skew_p99_ns is not None:
@@ -198,7 +201,8 @@ def _describe_scan(step: StepReport) -> list[str]:
     other_count = sum(number for verdict, number in scan.verdicts.items() if verdict in ("amber", "red"))
     lines = [line + (f"; {other_count} not green" if other_count else "")]
     return lines + [
-        f"step {step.index}, point {finding.point}: {finding.verdict}" + (f", {finding.text}" if finding.text else "")
+        f"{name_step(step.index)}, point {finding.point}: {finding.verdict}"
+        + (f", {finding.text}" if finding.text else "")
         for finding in scan.not_green
     ]
 
@@ -217,8 +221,8 @@ def _describe_chain(steps: Sequence[StepReport]) -> list[str]:
     for step in steps:
         chain = step.chain
         if chain is not None and not chain.kept and chain.broken:
-            gap_text = "" if chain.gap_s is None else f", {chain.gap_s:.3f} s after step {chain.step}"
-            lines.append(f"step {step.index} from rest{gap_text}: {localize_times(chain.broken)}")
+            gap_text = "" if chain.gap_s is None else f", {chain.gap_s:.3f} s after {name_step(chain.step)}"
+            lines.append(f"{name_step(step.index)} from rest{gap_text}: {localize_times(chain.broken)}")
     return lines
 
 
@@ -228,7 +232,7 @@ def describe_gap(step: StepReport) -> str:
     if chain is None or (chain.kept and chain.gap_s is None):
         return ""
     if chain.kept and chain.gap_s is not None:
-        return f"{chain.gap_s * 1e3:.1f} ms after step {chain.step}"
+        return f"{chain.gap_s * 1e3:.1f} ms after {name_step(chain.step)}"
     return "from rest" + (f": {localize_times(chain.broken)}" if chain.broken else "")
 
 
@@ -238,13 +242,13 @@ def _explain_verdict(step: StepReport) -> list[str]:
     proved_interval, promised_interval = step.start_skew, step.promised_skew
     if proved_interval is not None and promised_interval is not None:
         lines.append(
-            f"step {step.index}: start skew {_format_skew(proved_interval)} by the controllers' evidence, "
+            f"{name_step(step.index)}: start skew {_format_skew(proved_interval)} by the controllers' evidence, "
             f"{_format_skew(promised_interval)} by the promises"
         )
     for name, member in step.members.items():
         late_ns = max((evidence.late_ns for evidence in member.evidence.values()), default=0)
         if late_ns:
-            lines.append(f"step {step.index}: the host was late by {late_ns / 1e6:.1f} ms at the start of {name}")
+            lines.append(f"{name_step(step.index)}: the host was late by {late_ns / 1e6:.1f} ms at the start of {name}")
     return lines
 
 

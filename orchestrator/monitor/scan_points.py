@@ -13,6 +13,7 @@ from rich.console import RenderableType
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.report import PointRecord
+from orchestrator.model.steps.numbers import number_step
 from orchestrator.monitor.job_plot import COLOUR_PLAN, COLOUR_SEEN, COLOURS_TIMING, DPI
 from orchestrator.monitor.tables import make_plain_table
 
@@ -27,7 +28,7 @@ def make_point_table(records: Sequence[PointRecord]) -> RenderableType:
     for record in records:
         skew = "" if record.start_skew is None else f"≤ {record.start_skew.at_most_ns / 1e6:.1f} ms"
         table.add_row(
-            str(record.step),
+            str(number_step(record.step)),
             str(record.point),
             " ".join(f"{axis}={value:g}" for axis, value in record.target.items()),
             " ".join(f"{axis}={'-' if value is None else f'{value:g}'}" for axis, value in record.measured.items()),

@@ -322,7 +322,7 @@ def test_where_axes_are_does_not_matter_for_absolute_steps() -> None:
         assert (await anna.wait_for_job(first)).state == "done"
         again = await anna.retry_job(first, 3, terms=PROPOSED)
         plan = await approve(anna, again.job_id)
-        assert plan.parts["first step"] == "3" and "start of gantry.x" not in plan.parts
+        assert plan.parts["first step"] == "4" and "start of gantry.x" not in plan.parts
         assert (await anna.wait_for_job(again.job_id)).state == "done"
 
     run_fleet(main)

@@ -104,9 +104,9 @@ def test_eight_controllers_follow_together() -> None:
 @pytest.mark.parametrize(
     ("between", "reason"),
     [
-        ("{do: wait, input: gantry.door, value: false, timeout: 1 s}", "step 1 (wait) comes before it"),
-        ("{do: home, axes: [stage.v]}", "step 1 (home) comes before it"),
-        ("{do: enable, axes: [stage.v]}", "step 1 (enable) comes before it"),
+        ("{do: wait, input: gantry.door, value: false, timeout: 1 s}", "step 2 (wait) comes before it"),
+        ("{do: home, axes: [stage.v]}", "step 2 (home) comes before it"),
+        ("{do: enable, axes: [stage.v]}", "step 2 (enable) comes before it"),
     ],
 )
 def test_what_breaks_a_chain_is_in_the_report(between: str, reason: str) -> None:

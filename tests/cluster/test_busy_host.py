@@ -60,7 +60,7 @@ def test_no_job_is_refused_after_the_load_has_gone() -> None:
         assert steps <= {(each.job_id, 0) for each in loaded}
         shown = describe_learned(learned, datetime(2026, 11, 26, tzinfo=UTC))
         first = learned.unusual_starts[0]
-        assert f"the start of job {first.job}, step 0, learned at 2026-11-2" in shown[0], shown
+        assert f"the start of job {first.job}, step 1, learned at 2026-11-2" in shown[0], shown
         # A job that allows the wider bound is done.
         allowed = job("[{do: move, to: {gantry.x: 10, stage.u: 10}}]", max_start_skew="80 ms")
         assert (await outcome(fleet, allowed)).state == "done"

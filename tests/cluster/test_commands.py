@@ -54,7 +54,7 @@ def test_commands_are_recorded_with_what_they_are_about() -> None:
             ("submit", f"{job_id} 'test'", ""),
             ("hold", job_id, ""),
             ("release", "all held jobs", ""),
-            ("retry", f"{again} {job_id} from step 0", ""),
+            ("retry", f"{again} {job_id} from step 1", ""),
             ("cancel", "none", "unknown-job"),
             ("save-position", "gantry", "bad-name"),
             ("save-position", "here", ""),

@@ -163,7 +163,7 @@ def test_a_word_counts_only_for_the_motion_that_was_shown() -> None:
         await asyncio.sleep(1.0)
         shown = await client.preview_start()
         assert [(motion.text, motion.axes) for motion in shown.motions] == [
-            ("step 0: move to gantry.x=5", ["gantry.x"]),
+            ("step 1: move to gantry.x=5", ["gantry.x"]),
         ]
         await client.hold_jobs(waiting)
         for stale in (shown, StartPreview(shown="0123456789abcdef")):
@@ -244,7 +244,7 @@ def test_what_waits_for_a_job_in_python_is_given_what_moves_first(answer: bool |
         assert isinstance(result, JobResult) is bool(answer)
         if answer:
             await running
-            assert sorted(shown) == ["step 0: move to gantry.x=5", "step 0: move to stage.u=1"]
+            assert sorted(shown) == ["step 1: move to gantry.x=5", "step 1: move to stage.u=1"]
             return
         with pytest.raises(ReadyToBegin, match=r"first it would move .*gantry\.x=5") as refused:
             await running

@@ -76,7 +76,7 @@ def test_a_relative_move_that_is_paused_twice_covers_its_distance_once() -> None
         for _ in range(2):
             await held_inside(fleet, submitted, 1.5)
             (entry,) = (await fleet.make_client().list_jobs(1)).jobs
-            assert entry.state == "paused" and "in step 0" in entry.reason
+            assert entry.state == "paused" and "in step 1" in entry.reason
             fractions.append(fleet.controllers["gantry"].position("X") / 200_000)
             await submitted.resume()
         report = await submitted.result()

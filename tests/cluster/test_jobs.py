@@ -113,7 +113,7 @@ def test_a_job_that_names_unknown_axes_is_not_accepted() -> None:
             ),
             (
                 "[{do: move, by: {gantry.x: 300}}, {do: move, by: {gantry.x: 300}}]",
-                "steps[1] (move): axis gantry.x: the moves from step 0 on cover 600 mm; its soft limits are 410 mm apart",
+                "steps[1] (move): axis gantry.x: the moves from step 1 (`steps[0]`) on cover 600 mm; its soft limits are 410 mm apart",
             ),
             ("[{do: move, to: {gantry.x: 10 deg}}]", "deg is a unit of angle"),
         ):

@@ -98,7 +98,7 @@ def test_a_step_behind_another_one_says_which_stages_it_does_not_have(run: Looke
     report, step = of_step(run, 1)
     assert report.chain is not None and report.chain.kept
     assert [each.name for each in step.coordinator] == ["arm", "commit", "fire", "run"]
-    assert any("behind step 0" in each for each in step.remarks)
+    assert any("behind step 1" in each for each in step.remarks)
     assert any("no transitions" in each for each in step.remarks)
     _, rested = of_step(run, 3)
     assert stage(rested, "plan").begin_ns > -2_000_000_000

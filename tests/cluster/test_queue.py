@@ -213,7 +213,7 @@ def test_pause_at_the_end_of_a_step_and_resume() -> None:
         report = await anna.wait_for_job(job_id)
         assert report.state == "done", report.reason
         holding = next(each for each in report.transitions if each.state == "paused")
-        assert (holding.reason, holding.actor) == ("paused by ben after step 0", "ben")
+        assert (holding.reason, holding.actor) == ("paused by ben after step 1", "ben")
         resumed = report.transitions[report.transitions.index(holding) + 1]
         assert (resumed.state, resumed.reason, resumed.actor) == ("running", "resumed by anna", "anna")
 
@@ -237,15 +237,15 @@ def test_an_ended_job_is_retried_from_a_step() -> None:
         here = fleet.controllers["gantry"].position("X") / 1000
         assert 30 < here < 390
         assert [(each.axis, each.position) for each in shown.axes] == [("gantry.x", here), ("gantry.y", 0.0)]
-        assert shown.steps == ["1 move to gantry.x=390, speed=10 %", "2 move by gantry.y=2"]
-        assert shown.warnings == ["step 2 moves gantry.y by a distance, from the current position"]
+        assert shown.steps == ["2 move to gantry.x=390, speed=10 %", "3 move by gantry.y=2"]
+        assert shown.warnings == ["step 3 moves gantry.y by a distance, from the current position"]
         assert len((await client.list_jobs()).jobs) == 2
         fresh = (await client.retry_job(job_id, 1, client_key="k")).job_id
         assert (await client.retry_job(job_id, 1, client_key="k")).job_id == fresh
         report = await client.wait_for_job(fresh)
         assert (report.state, report.origin, report.from_step) == ("done", job_id, 1), report.reason
         assert [step.index for step in report.steps] == [1, 2]
-        with pytest.raises(Refusal, match="has the steps 0 to 2"):
+        with pytest.raises(Refusal, match="has the steps 1 to 3"):
             await client.retry_job(job_id, 3)
 
     run_fleet(main)

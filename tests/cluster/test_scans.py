@@ -67,7 +67,7 @@ def test_a_scan_is_paused_between_points_and_rerun_from_a_point() -> None:
         await client.pause_job(job_id)
         await _wait_for_state(fleet, job_id, "paused")
         shown = await client.show_job(job_id)
-        assert "step 1, point 4 of 12" in shown.transitions[-1].reason
+        assert "step 2, point 4 of 12" in shown.transitions[-1].reason
         await client.resume_job(job_id)
         await wait_for_point(fleet, job_id, 6)
         await client.cancel_job(job_id)
@@ -79,10 +79,10 @@ def test_a_scan_is_paused_between_points_and_rerun_from_a_point() -> None:
         assert scan.do == "scan" and scan.scan is not None and 5 <= scan.scan.done <= 6
         with pytest.raises(Refusal, match="has the points 1 to 12"):
             await client.retry_job(job_id, (1, 13))
-        with pytest.raises(Refusal, match=r"step 0 .* is no scan"):
+        with pytest.raises(Refusal, match=r"step 1 .* is no scan"):
             await client.retry_job(job_id, (0, 1))
         again = await client.retry_job(job_id, (1, 7))
-        assert again.steps == ["19 " + again.steps[0].partition(" ")[2]] and "12 points" in again.steps[0]
+        assert again.steps == ["20 " + again.steps[0].partition(" ")[2]] and "12 points" in again.steps[0]
         repeated = await client.wait_for_job(again.job_id)
         assert repeated.state == "done" and repeated.from_step == 1 + 6 * 3
         assert [tuple(each.target.values()) for each in await client.load_points(again.job_id)] == SNAKE[6:]
@@ -190,7 +190,7 @@ def test_repeats_run_pass_by_pass_and_again_from_any_step() -> None:
         assert report.state == "done" and [step.index for step in report.steps] == list(range(13))
         assert fleet.controllers["gantry"].position("X") == 6_000 and fleet.controllers["stage"].position("1") == 12_000
         again = await client.retry_job(report.job_id, 6)
-        assert again.warnings == ["step 6 moves stage.u by a distance, from the current position"]
+        assert again.warnings == ["step 7 moves stage.u by a distance, from the current position"]
         repeated = await client.wait_for_job(again.job_id)
         assert [step.index for step in repeated.steps] == list(range(6, 13))
         assert fleet.controllers["gantry"].position("X") == 9_000 and fleet.controllers["stage"].position("1") == 20_000
@@ -215,7 +215,7 @@ def test_a_scan_that_fails_at_a_point_says_which() -> None:
         _, scan, failed = report.steps
         assert scan.scan is not None and scan.scan.done >= 3
         point = scan.scan.done + 1
-        assert f"step 1 (scan), point {point} of 9 (wait): input gantry.door did not become active" in report.reason
+        assert f"step 2 (scan), point {point} of 9 (wait): input gantry.door did not become active" in report.reason
         assert failed.do == "wait" and failed.refused is not None and failed.refused.code == "wait-timeout"
         points = await client.load_points(job_id)
         assert [each.state for each in points] == ["done"] * scan.scan.done + ["failed"]
@@ -233,7 +233,7 @@ def test_a_feed_hold_inside_a_scan_continues_to_the_same_point() -> None:
         await client.pause_job(job_id, now=True)
         await _wait_for_state(fleet, job_id, "paused")
         shown = await client.show_job(job_id)
-        assert "in step 0, point 2 of 3" in shown.transitions[-1].reason
+        assert "in step 1, point 2 of 3" in shown.transitions[-1].reason
         assert shown.progress is not None and shown.progress.point == 2
         assert 100_000 < fleet.controllers["gantry"].position("X") < 300_000
         await client.resume_job(job_id)

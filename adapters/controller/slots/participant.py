@@ -28,6 +28,7 @@ from orchestrator.model.messages import (
     Reply,
     StepRequest,
 )
+from orchestrator.model.steps.numbers import name_step
 
 
 class StepParticipant:
@@ -174,7 +175,7 @@ class StepParticipant:
             raise Refusal("late", "T0 has passed, and the step was unloaded", "increase the lead time")
         if armed_step is None or armed_step.t0_fleet_ns != t0_fleet_ns:
             raise Refusal(
-                "not-armed", f"not armed for job {request.job} step {request.step} at that T0", "arm it first"
+                "not-armed", f"not armed for job {request.job} {name_step(request.step)} at that T0", "arm it first"
             )
         if armed_step.phase is not phase:
             raise Refusal("wrong-phase", f"the step is {armed_step.phase.value}, not {phase.value}", "")

@@ -16,6 +16,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest, ReleaseChunkRequest, Reply
+from orchestrator.model.steps.numbers import name_step
 
 
 class PathChunks:
@@ -85,7 +86,7 @@ class PathChunks:
         self._fence.require_no_estop()
         step = self._steps.present
         if step is None or not step.is_for(request, request.t0_fleet_ns):
-            raise Refusal("not-moving", f"job {request.job} step {request.step} is not being executed", "")
+            raise Refusal("not-moving", f"job {request.job} {name_step(request.step)} is not being executed", "")
         if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):
             raise Refusal("wrong-phase", f"the path is {step.phase.value}, not moving", "")
         return step

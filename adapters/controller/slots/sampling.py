@@ -6,6 +6,7 @@ from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.status import ControllerStatus
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import BeginSampling, SamplesTaken, SamplingBegun, TakeSamples
+from orchestrator.model.steps.numbers import name_step
 
 
 class SampleCollection:
@@ -31,7 +32,7 @@ class SampleCollection:
     async def take(self, request: TakeSamples) -> SamplesTaken:
         """Fetch what was recorded for the step. Raises `Refusal`."""
         if self._driver is None or self._recorded_for != (request.job, request.step):
-            raise Refusal("no-samples", f"nothing was recorded for job {request.job} step {request.step}", "")
+            raise Refusal("no-samples", f"nothing was recorded for job {request.job} {name_step(request.step)}", "")
         self._require_rest()
         self._recorded_for = None
         samples, scale = await self._driver.take_samples(), self._context.require_scale()

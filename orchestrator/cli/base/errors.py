@@ -101,6 +101,14 @@ def exit_with_usage_error(error: click.ClickException) -> NoReturn:
         if any(error.option_name in option.opts for option in root.command.params):
             remedy = f"give it before the command: `{root.command_path} {error.option_name} …`"
     text = error.format_message()
+    if isinstance(error, click.exceptions.NoSuchCommand) and context is not None:
+        from orchestrator.cli.base.nearest import find_nearest_commands
+
+        commands = find_nearest_commands(context.find_root(), error.command_name)
+        # What click suggests stands in the same group; a command of that very name elsewhere is nearer.
+        if commands and (commands[0].split()[-1] == error.command_name or "id you mean" not in text):
+            nearest = " or ".join(f"`{command}`" for command in commands)
+            text = f"no such command {error.command_name!r}; did you mean {nearest}?"
     exit_with_error(text[:1].lower() + text[1:], BAD_INPUT if context is not None else error.exit_code, remedy)
 
 

@@ -51,8 +51,9 @@ def name_jobs(*jobs: "QueuedJob") -> str:
 
 
 async def load_report(tutti: "Tutti", reference: str) -> "JobReport":
-    """The report of a finished job; one that has not ended ends the command. Raises `Refusal`."""
-    entry = await tutti.find_job(reference)
+    """The report of a finished job, of several of one name the newest; one that has not ended ends the command. Raises
+    `Refusal`."""
+    entry = await tutti.find_job(reference, newest=True)
     report = (await tutti.show_job(entry.id)).report
     if report is None:
         exit_with_error(

@@ -17,7 +17,11 @@ NEAR = 0.7  # similarity from which a name is suggested
 
 def unknown_name(kind: str, name: str, known: Iterable[str], remedy: str = "see `tutti status`") -> Refusal:
     """The refusal for a name that the fleet does not have, with the near ones, or with those that there are."""
+    from orchestrator.model.numbers import name_odd_sign
+
     known = list(known)
+    if (odd_sign := name_odd_sign(name)) != "":
+        return Refusal("unknown-name", f"the fleet has no {kind} {name!r}; {odd_sign}", remedy)
     matches = get_close_matches(name, known, n=3, cutoff=NEAR)
     if matches:
         hint = f"did you mean {' or '.join(matches)}?"

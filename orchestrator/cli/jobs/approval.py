@@ -10,6 +10,7 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
+from orchestrator.model.steps.numbers import number_step
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -96,7 +97,7 @@ async def _print_plan(tutti: "Tutti", entry: "QueueEntry", planned: "JobPlanned"
     shown_job = (await tutti.show_job(entry.id)).job
     lines = [f"{name_jobs(entry)} of {entry.actor}: {localize_times(entry.reason)}"]
     steps = list(StepOrder(shown_job.steps).iterate_written()) if shown_job is not None else []
-    lines += [f"  {index} {step.describe()}" for index, step in steps[:MAX_SHOWN_STEPS]]
+    lines += [f"  {number_step(index)} {step.describe()}" for index, step in steps[:MAX_SHOWN_STEPS]]
     lines += [f"  and {len(steps) - MAX_SHOWN_STEPS} more steps"] if len(steps) > MAX_SHOWN_STEPS else []
     lines += ["plan:", *(f"  {name}: {text}" for name, text in planned.plan.parts.items())]
     lines += [f"changed since it was approved: {change}" for change in planned.changed]

@@ -12,6 +12,7 @@ from orchestrator.cli.base.common import console, json_option, print_json
 from orchestrator.cli.base.errors import errors, escape_markup, run_main
 from orchestrator.cli.jobs.templates.extremes import check_extremes, list_misfits
 from orchestrator.cli.jobs.templates.options import read_settings, set_options
+from orchestrator.model.steps.numbers import number_step
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -112,7 +113,7 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     for step in forecast.steps:
-        line(f"  {step.index} {step.text}: {_describe_span(step.least_s, step.most_s)}")
+        line(f"  {number_step(step.index)} {step.text}: {_describe_span(step.least_s, step.most_s)}")
         for condition in step.conditions:
             line(f"      if {condition}")
         for text in [] if step.path is None else describe_path(step.path):

@@ -25,6 +25,7 @@ from orchestrator.cli.jobs.terms import (
     terms_options,
 )
 from orchestrator.cli.jobs.timeline import timeline
+from orchestrator.model.steps.numbers import number_step
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -161,7 +162,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             console.print(line, highlight=False, markup=False)
         went = {step.index: step for step in shown_job.report.steps} if shown_job.report else {}
         for index, step in StepOrder(shown_job.job.steps).iterate_written() if shown_job.job else ():
-            line = f"  {index} {step.describe()}"
+            line = f"  {number_step(index)} {step.describe()}"
             if (over := went.get(index)) is not None:
                 line += f": {over.state}" + (f" ({over.reason})" if over.reason else "")
                 line += f", {gap_text}" if (gap_text := describe_gap(over)) else ""

@@ -9,7 +9,9 @@ from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import JobReferenceType, job_argument, jobs_argument, name_jobs
+from orchestrator.cli.base.steps import StepType
 from orchestrator.cli.jobs.terms import print_accepted
+from orchestrator.model.steps.numbers import number_step
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -138,23 +140,35 @@ def resume(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     with_fleet(connect, fleet, resume_job)
 
 
-@click.command(epilog="Example: tutti job retry 3f2a91c0 --from-step 4")
+def _refuse_from_step(ctx: click.Context, param: click.Parameter, value: str | None) -> None:
+    """Refuse the option of version 0.4 in 0.5: it counted from 0, so the same number would mean another step."""
+    del ctx, param
+    if value is not None:
+        exit_with_error(
+            "--from-step is called --step now, and counts from 1",
+            BAD_INPUT,
+            f"what was --from-step {value} is --step {number_step(int(value))}" if value.isdecimal() else "give --step",
+        )
+
+
+@click.command(epilog="Example: tutti job retry 3f2a91c0 --step 4")
 @job_argument
 @click.option(
-    "--from-step",
-    type=click.IntRange(0),
-    default=0,
+    "--step",
+    type=StepType(),
+    default=1,
     show_default=True,
-    help="First step to run; `tutti job show` numbers them, from 0.",
+    help="First step to run; `tutti job show` numbers them, from 1.",
 )
 @click.option(
-    "--from-point", type=click.IntRange(1), default=None, help="First point to run of the scan at --from-step, from 1."
+    "--from-point", type=click.IntRange(1), default=None, help="First point to run of the scan at --step, from 1."
 )
+@click.option("--from-step", default=None, hidden=True, expose_value=False, callback=_refuse_from_step)
 @_yes
 @fleet_options
 @json_option
 def retry(
-    job: str, from_step: int, from_point: int | None, connect: str, fleet: str | None, *, yes: bool, as_json: bool
+    job: str, step: int, from_point: int | None, connect: str, fleet: str | None, *, yes: bool, as_json: bool
 ) -> None:
     """Re-run a finished JOB, from a step, or a point of a scan, on, as a new job.
 
@@ -167,7 +181,7 @@ def retry(
 
     async def retry_job(tutti: "Tutti") -> None:
         job_id = (await tutti.find_job(job)).id
-        first = from_step if from_point is None else (from_step, from_point)
+        first = step if from_point is None else (step, from_point)
         if not as_json:
             _show_retry(await tutti.retry_job(job_id, first, dry_run=True))
         if not yes and not click.confirm("run these steps from here?"):

@@ -10,6 +10,8 @@ from orchestrator.cli.base.common import fleet_options, json_option, print_resul
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
 from orchestrator.cli.base.pictures import picture_option, write_picture
+from orchestrator.cli.base.steps import StepType
+from orchestrator.model.steps.numbers import name_step, number_step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,12 +22,12 @@ if TYPE_CHECKING:
 
 MAX_PLOTTED_STEPS = 200  # of a job
 MAX_PLOTTED_POINTS = 100_000  # of a scan
-WHOLE_JOB = "job"  # beside the numbers of steps
+WHOLE_JOB = "job"  # beside the indices of steps
 
 
 @click.command(epilog="Examples: tutti job plot last; tutti job plot 3f2a91c0 --step 2 -o move.svg")
 @job_argument
-@click.option("--step", type=click.IntRange(0), default=None, help="One motion step, or one scan, only.")
+@click.option("--step", type=StepType(), default=None, help="One motion step, or one scan, only; from 1.")
 @picture_option("Output file; default: JOB_ID.png, with the step number before the suffix for a part of the job.")
 @fleet_options
 @json_option
@@ -34,7 +36,7 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
     intervals. A scan gets a picture of its own, of planned and measured points.
 
     Recordings are kept for the newest jobs only. With --out and several pictures, the number of its first step is
-    inserted before the suffix for a scan.
+    inserted before the suffix for a scan. The fields of --json count steps from 0.
     """
 
     async def plot_job(tutti: "Tutti") -> None:
@@ -42,16 +44,18 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
         assert shown_job.entry is not None
         figures = await _draw_figures(tutti, shown_job, shown_job.entry, step)
         if not figures:
-            text = f"{name_jobs(shown_job.entry)} has no recording" + ("" if step is None else f" of step {step}")
+            text = f"{name_jobs(shown_job.entry)} has no recording" + ("" if step is None else f" of {name_step(step)}")
             exit_with_error(text, FAILED, "recordings are kept for the newest jobs only")
         files: dict[str, str] = {}
         for part, figure in figures.items():
             path = out or Path(f"{shown_job.entry.id}.png")
             if part != WHOLE_JOB and (out is None or len(figures) > 1):
-                path = path.with_stem(f"{path.stem}-{part}")
+                path = path.with_stem(f"{path.stem}-{_name_part(part)}")
             write_picture(figure, path)
             files[part] = str(path)
-        words = "\n".join(f"{part if part == WHOLE_JOB else f'step {part}'}: {path}" for part, path in files.items())
+        words = "\n".join(
+            f"{'' if part == WHOLE_JOB else 'step '}{_name_part(part)}: {path}" for part, path in files.items()
+        )
         print_result(files, words, as_json=as_json)
 
     with_fleet(connect, fleet, plot_job)
@@ -60,7 +64,7 @@ def plot(job: str, step: int | None, out: Path | None, connect: str, fleet: str 
 async def _draw_figures(
     tutti: "Tutti", shown: "JobShown", entry: "QueueEntry", step: int | None
 ) -> "dict[str, Figure]":
-    """The pictures by what they show: the number of a step or scan, or the whole job."""
+    """The pictures by what they show: the index of a step or scan, or the whole job."""
     from orchestrator.monitor.job_plot import plot_recordings
     from orchestrator.monitor.scan_points import plot_points
 
@@ -72,11 +76,16 @@ async def _draw_figures(
     figures: dict[str, Figure] = {}
     if recordings:
         part = WHOLE_JOB if step is None else str(step)
-        words = title if step is None else f"{title}, step {step} {recordings[0].name}".rstrip()
+        words = title if step is None else f"{title}, {name_step(step)} {recordings[0].name}".rstrip()
         figures[part] = plot_recordings(recordings, words, steps=shown.report.steps if shown.report else ())
     for number, records in scans.items():
-        figures[str(number)] = plot_points(records, f"{title}, step {number}: {len(records)} points")
+        figures[str(number)] = plot_points(records, f"{title}, {name_step(number)}: {len(records)} points")
     return figures
+
+
+def _name_part(part: str) -> str:
+    """What a picture shows, in words and names of files; the keys of --json have the index of a step."""
+    return part if part == WHOLE_JOB else str(number_step(int(part)))
 
 
 async def _load_recordings(tutti: "Tutti", job_id: str, steps: list[int]) -> "list[StepRecording]":

@@ -13,6 +13,8 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_result, with_fleet
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
+from orchestrator.cli.base.steps import StepType
+from orchestrator.model.steps.numbers import name_step
 
 if TYPE_CHECKING:
     from orchestrator.client.points import OnPoints, PointProgress
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: tutti job points raster --csv raster.csv")
 @job_argument
-@click.option("--step", type=click.IntRange(0), default=None, help="Only the scan at this step.")
+@click.option("--step", type=StepType(), default=None, help="Only the scan at this step, from 1.")
 @click.option("--csv", "out", type=click.Path(path_type=Path), default=None, help="Write all points to this file.")
 @click.option("--limit", default=50, show_default=True, type=click.IntRange(1), help="Number of points in the table.")
 @fleet_options
@@ -31,7 +33,8 @@ def points(
 ) -> None:
     """Show what was recorded at the points of the scans of JOB: targets, measured positions, verdicts.
 
-    While it runs, the points so far; they are written once a second. --json and --csv give all points.
+    While it runs, the points so far; they are written once a second. --json and --csv give all points, and count steps
+    from 0.
     """
     from orchestrator.client import Tutti
 
@@ -89,7 +92,7 @@ async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path) -> int:
                     skews = ["start_skew_least_ns", "start_skew_most_ns"]
                     writer.writerow(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
                 if list(record.target) != axes:
-                    text = f"the scan at step {record.step} has other axes than the one before"
+                    text = f"the scan at {name_step(record.step)} has other axes than the one before"
                     exit_with_error(text, BAD_INPUT, "choose one scan: --step")
                 skew = record.start_skew
                 writer.writerow(

@@ -10,6 +10,7 @@ from orchestrator.cli.base.common import console
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.instants import InstantType
 from orchestrator.cli.base.jobs import JobReferenceType, name_jobs
+from orchestrator.model.steps.numbers import name_step
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -101,7 +102,7 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     terms = entry.terms
     lines: list[str] = []
     if entry.origin is not None:
-        lines.append(f"retries job {entry.origin}, from step {entry.from_step} on")
+        lines.append(f"retries job {entry.origin}, from {name_step(entry.from_step)} on")
     if terms.at is not None:
         consequence = "begins late" if terms.missed == "run" else "is skipped"
         lines.append(f"at {format_time(terms.at)}; {consequence} if no coordinator leads then")

@@ -8,6 +8,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 from orchestrator.cli.base.completion import complete_controllers
 from orchestrator.model.queue import format_utc
 from orchestrator.model.state import ClockMapping, ClockReply, LearnedCrystal
+from orchestrator.model.steps.numbers import name_step
 
 
 @click.group(epilog="Example: tutti clock ls")
@@ -106,7 +107,7 @@ def describe_learned(reply: ClockReply, now: datetime) -> list[str]:
     lines: list[str] = []
     for start in reply.unusual_starts:
         at = format_time(format_utc(now - timedelta(microseconds=start.age_ns / 1000)))
-        step = f" of job {start.job}, step {start.step}," if start.step is not None else ""
+        step = f" of job {start.job}, {name_step(start.step)}," if start.step is not None else ""
         lines.append(
             f"{reply.controller}: the start{step} learned at {at}, was {abs(start.outside_ns) / 1e6:.1f} ms "
             f"{'later' if start.outside_ns > 0 else 'earlier'} than declared; "

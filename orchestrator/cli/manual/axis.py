@@ -5,8 +5,10 @@ from typing import Any
 
 import click
 
+from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.completion import complete_axes, complete_targets
+from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.speeds import speed_option
 from orchestrator.cli.manual.jog.jog import jog
 from orchestrator.cli.manual.one_step import run_single_step, wait_option
@@ -87,23 +89,29 @@ def limits(axes: tuple[str, ...], connect: str, fleet: str | None, *, as_json: b
     with_fleet(connect, fleet, show_limits)
 
 
-@axis.command(epilog="Example: tutti axis enable gantry stage.u")
-@_AXES
+@axis.command(epilog="Examples: tutti axis enable; tutti axis enable gantry stage.u")
+@click.argument("axes", nargs=-1, shell_complete=complete_axes)
 @wait_option
 @fleet_options
 @json_option
 def enable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, as_json: bool) -> None:
-    """Switch the motors of AXES on (axes, groups or controllers)."""
-    run_single_step(connect, fleet, {"do": "enable", "axes": list(axes)}, "enabled", wait=wait, as_json=as_json)
+    """Switch the motors of AXES on (axes, groups or controllers); without AXES, those of the whole fleet."""
+    from orchestrator.model.fleet_names import WHOLE_FLEET
+
+    step = {"do": "enable", "axes": list(axes) or [WHOLE_FLEET]}
+    run_single_step(connect, fleet, step, "enabled", wait=wait, as_json=as_json)
 
 
-@axis.command(epilog="Example: tutti axis disable gantry")
-@_AXES
+@axis.command(epilog="Examples: tutti axis disable gantry; tutti axis disable all")
+@click.argument("axes", nargs=-1, shell_complete=complete_axes)
 @wait_option
 @fleet_options
 @json_option
 def disable(axes: tuple[str, ...], connect: str, fleet: str | None, *, wait: bool, as_json: bool) -> None:
-    """Switch the motors of AXES off."""
+    """Switch the motors of AXES off (axes, groups or controllers); `all` stands for those of the whole fleet."""
+    if not axes:
+        text = "which motors are to be switched off?"
+        exit_with_error(text, BAD_INPUT, "name axes, groups or controllers, or write `tutti axis disable all`")
     run_single_step(connect, fleet, {"do": "disable", "axes": list(axes)}, "disabled", wait=wait, as_json=as_json)
 
 

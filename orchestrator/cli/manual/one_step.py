@@ -50,7 +50,7 @@ def run_single_step(
     async def submit_step(tutti: "Tutti") -> None:
         nonlocal job
         names = await tutti.list_names()
-        job = job.model_copy(update={"steps": [_spread_groups(names, job.steps[0])]})
+        job = job.model_copy(update={"steps": [_spread_groups(names, _spread_fleet(names, job.steps[0]))]})
         axes = _check_names(names, job.steps[0])
         report = await run_attended(tutti, job, wait=wait, quiet=as_json or not console.is_terminal)
         if report.state != "done":
@@ -58,6 +58,16 @@ def run_single_step(
         await _print_outcome(tutti, report, axes, done, as_json=as_json)
 
     with_fleet(connect, fleet, submit_step)
+
+
+def _spread_fleet(names: "FleetNames", step: "Step") -> "Step":
+    """A step that switches motors, with all controllers of the fleet for the word `all`."""
+    from orchestrator.model.fleet_names import WHOLE_FLEET
+    from orchestrator.model.steps.motors import Disable, Enable
+
+    if not isinstance(step, Enable | Disable) or step.axes != [WHOLE_FLEET]:
+        return step
+    return step.model_copy(update={"axes": list(names.controllers)})
 
 
 def _spread_groups(names: "FleetNames", step: "Step") -> "Step":

@@ -10,8 +10,10 @@ from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import json_option, print_result
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.pictures import picture_option, write_picture
+from orchestrator.cli.base.steps import StepType
 from orchestrator.cli.manual.axis import parse_targets
 from orchestrator.cli.paths.import_command import import_path
+from orchestrator.model.steps.numbers import name_step, number_step
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -33,7 +35,7 @@ path.add_command(import_path)
 @path.command(epilog="Example: tutti path plot part.job.yaml --fleet lab.fleet.yaml --at gantry.x=20 -o part.png")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--fleet", type=click.Path(path_type=Path), required=True, help="The fleet file: axes and their limits.")
-@click.option("--step", type=click.IntRange(0), default=None, help="The step of the job; default: its first path.")
+@click.option("--step", type=StepType(), default=None, help="The step of the job, from 1; default: its first path.")
 @click.option(
     "--at",
     multiple=True,
@@ -55,14 +57,14 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     from orchestrator.runtime.checked import load_checked_fleet
 
     loaded_fleet, job = load_checked_fleet(fleet), load_job(file)
-    number, path = _find_path(job, step)
+    index, path = _find_path(job, step)
     forecaster = JobForecaster(loaded_fleet, _place_axes(loaded_fleet, parse_targets(at, "--at")))
-    path_plan = _run_forward(forecaster, loaded_fleet, job, number)
+    path_plan = _run_forward(forecaster, loaded_fleet, job, index)
     axes = {name: loaded_fleet.axis(name) for name in path.axes}
     offsets = {name: float(forecaster.axes[name].offset) for name in axes}
     lines = describe_path(path_plan.report)
     target = out or file.with_suffix(".png")
-    title = f"{job.name!r}, step {number}: {lines[0].partition(';')[0]}"
+    title = f"{job.name!r}, {name_step(index)}: {lines[0].partition(';')[0]}"
     frame = None if path.frame is None else loaded_fleet.frames[path.frame]
     write_picture(plot_path(path_plan, PathAxes(axes, offsets, frame), title), target)
     print_result({"file": str(target), "path": path_plan.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json)
@@ -71,16 +73,18 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
 def _find_path(job: "Job", step: int | None) -> "tuple[int, FollowPath]":
     from orchestrator.model.steps.path import FollowPath
 
-    paths = {number: path for number, path in enumerate(job.steps) if isinstance(path, FollowPath)}
+    paths = {index: path for index, path in enumerate(job.steps) if isinstance(path, FollowPath)}
     if not paths:
         exit_with_error(f"job {job.name!r} has no step `do: path`", BAD_INPUT, "paths inside repeats are not plotted")
-    number = next(iter(paths)) if step is None else step
-    if number not in paths:
-        number_list = ", ".join(map(str, paths))
+    index = next(iter(paths)) if step is None else step
+    if index not in paths:
+        number_list = ", ".join(str(number_step(known_index)) for known_index in paths)
         exit_with_error(
-            f"step {number} of job {job.name!r} is no path", BAD_INPUT, f"its paths are the steps {number_list}"
+            f"{name_step(index)} of job {job.name!r} is no path",
+            BAD_INPUT,
+            f"its paths are the steps {number_list}",
         )
-    return number, paths[number]
+    return index, paths[index]
 
 
 def _place_axes(fleet: "Fleet", values: Mapping[str, str | float]) -> "dict[str, AxisForecast]":
@@ -97,19 +101,19 @@ def _place_axes(fleet: "Fleet", values: Mapping[str, str | float]) -> "dict[str,
     return placed_forecasts
 
 
-def _run_forward(forecaster: "JobForecaster", fleet: "Fleet", job: "Job", number: int) -> "PlannedPath":
-    """Run the steps forward to the path, and plan it."""
+def _run_forward(forecaster: "JobForecaster", fleet: "Fleet", job: "Job", last: int) -> "PlannedPath":
+    """Run the steps forward to the path, and plan it. last: the index of the path."""
     from orchestrator.model.positions.resolve import PositionResolver, list_file_positions
 
     resolver = PositionResolver(fleet, list_file_positions(fleet), keep_unknown=True)
     forecast = None
-    for index, step in enumerate(job.steps[: number + 1]):
+    for index, step in enumerate(job.steps[: last + 1]):
         forecast = forecaster.take(index, resolver.resolve_step(step))
     if forecaster.problems:
         problem = forecaster.problems[0]
-        exit_with_error(f"step {problem.place[1]}: {problem.text}", BAD_INPUT, problem.remedy)
+        exit_with_error(f"{name_step(int(problem.place[1]))}: {problem.text}", BAD_INPUT, problem.remedy)
     planned_path = None if forecaster.motion is None else forecaster.motion.path
     if planned_path is None:
         reason = "; ".join(forecast.conditions if forecast is not None else ())
-        exit_with_error(f"step {number}: {reason}", BAD_INPUT, "say where they are with --at AXIS=VALUE")
+        exit_with_error(f"{name_step(last)}: {reason}", BAD_INPUT, "say where they are with --at AXIS=VALUE")
     return planned_path

@@ -21,6 +21,7 @@ from orchestrator.model.operation.approval import JobPlan
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.numbers import number_step
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import find_digests, iterate_steps
 from orchestrator.model.units import format_quantity
@@ -152,7 +153,7 @@ async def _describe_job(planned: PlannedJob) -> dict[str, str]:
     if planned.repeat > 1:
         parts["repeat"] = f"{planned.repeat} times"
     if planned.from_step:
-        parts["first step"] = str(planned.from_step)
+        parts["first step"] = str(number_step(planned.from_step))
     points = find_digests(planned.steps)
     return parts | ({"points": ", ".join(points)} if points else {})
 

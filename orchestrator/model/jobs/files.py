@@ -124,6 +124,17 @@ def require_mapping(file: LoadedFile, model: type[Model]) -> None:
     if not isinstance(file.root.children, dict):
         text = f"must be a mapping that starts with `schema:`, e.g. {_example_line(model)}"
         raise FileError([FileProblem(file.name, 1, "", text)])
+    _require_kind(file, model)
+
+
+def _require_kind(file: LoadedFile, model: type[Model]) -> None:
+    """Raises `FileError`, and nothing about the fields, for a fleet file in place of a job file, or the reverse."""
+    schema, example = str(file.root.value.get("schema")), _example_line(model)
+    kind = next((kind for kind in ("fleet", "job") if schema.startswith(f"tutti.{kind}/")), None)
+    if kind is not None and f"tutti.{kind}/" not in example:
+        needed_kind = "job" if kind == "fleet" else "fleet"
+        problem = file.problem(("schema",), f"this is a {kind} file; a {needed_kind} file is needed here: {example}")
+        raise FileError([problem])
 
 
 def validate_value(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:

@@ -64,7 +64,7 @@ class DryRunDone(Reply):
 class RetryJob(Request):
     """Re-run a finished job, from one of its steps on: a new job, linked to the old one by its `origin`.
 
-    from_point: of the scan that step `from_step` belongs to, from 1.
+    from_step: counted from 0. from_point: of the scan that step `from_step` belongs to, from 1.
     dry_run: only report the current positions of its axes. terms: None keeps the old job's repeats, and no other terms.
     """
 
@@ -89,7 +89,7 @@ class AxisPosition(Model):
 class JobRetried(JobSubmitted):
     """axes: those that the remaining steps move. warnings: what to consider before they are run."""
 
-    steps: list[str] = Field(default=[], description="The remaining steps, in words.")
+    steps: list[str] = Field(default=[], description="The remaining steps, in words, numbered from 1.")
     axes: list[AxisPosition] = Field(default=[])
     warnings: list[str] = Field(default=[])
 

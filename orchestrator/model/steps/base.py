@@ -150,7 +150,7 @@ class Step(Model):
         return []
 
     def describe_relative(self, number: int, axes: str) -> str:
-        """What it does, as step `number`, with `axes` from where they stand. axes: some of `relative_axes`."""
+        """What it does, as step `number`, from 1, with `axes` from where they stand. axes: some of `relative_axes`."""
         return f"step {number} depends on where {axes} stands"
 
     @property

@@ -1,8 +1,8 @@
 """The steps of a job in the order in which they run, by arithmetic: repeats and scans are never written out.
 
 Every pass of a repeat and every point of a scan has step numbers of its own, from 0: a point is one move, then the
-steps at it. These are the numbers on the bus, in reports and of a re-run. Points and passes are counted from 1 for
-people.
+steps at it. These are the numbers in fields: on the bus, and of reports and re-runs. People count steps, points and
+passes from 1: `number_step`.
 """
 
 from bisect import bisect_right
@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 
@@ -59,8 +60,8 @@ class StepPlace:
         return self.point is not None and self.index > self.first
 
     def describe(self, *, kinds: bool = True) -> str:
-        """The place in words: `step 2 (scan), point 17 of 66 (move)`. kinds: with what is done there."""
-        words = f"step {self.first}" + f" ({self.step.kind})" * kinds
+        """The place in words: `step 3 (scan), point 17 of 66 (move)`. kinds: with what is done there."""
+        words = name_step(self.first) + f" ({self.step.kind})" * kinds
         if self.scan is not None and self.point is not None:
             words += f", point {self.point + 1} of {self.scan.point_count}" + f" ({self.kind})" * kinds
         return words + "".join(f", pass {number} of {times}" for number, times in self.passes)
@@ -90,7 +91,7 @@ class StepOrder:
     def locate(self, index: int) -> StepPlace:
         """Where step number `index` stands. Raises `IndexError`."""
         if not 0 <= index < len(self):
-            raise IndexError(f"no step {index}; the steps are 0 to {len(self) - 1}")
+            raise IndexError(f"no step {index}; counted from 0, the steps are 0 to {len(self) - 1}")
         block, offset, passes = self._block, index % self._block.size, tuple[tuple[int, int], ...]()
         while True:
             number, offset = block.find(offset)

@@ -75,7 +75,7 @@ class Scan(MotionOptions, ScanPoints):
         for number, step in enumerate(steps):
             kind = str(step.get("do") if isinstance(step, dict) else getattr(step, "do", ""))  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
             if kind in _NOT_AT_EACH:
-                raise ValueError(f"step {number}: `do: {kind}` cannot stand in `at_each`: {_NOT_AT_EACH[kind]}")
+                raise ValueError(f"at_each[{number}]: `do: {kind}` cannot stand in `at_each`: {_NOT_AT_EACH[kind]}")
         return value  # pyright: ignore[reportUnknownVariableType]
 
     @model_validator(mode="after")

@@ -1,12 +1,15 @@
 """Fields of a step in words."""
 
 import json
+import re
 from typing import Any, cast
 
 from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.steps.speed import describe_speed
 from orchestrator.model.triggers import Trigger
+
+_NANOSECONDS = re.compile(r"\d+ ns")  # the JSON form of a duration
 
 
 def describe_trigger(trigger: Trigger) -> str:
@@ -25,10 +28,12 @@ def describe_field(key: str, value: dict[str, object] | list[str] | str | float 
         return f"{key} " + " ".join(f"{name}={_format_value(item)}" for name, item in value.items())
     if isinstance(value, list):
         return f"{key} " + " ".join(value)
-    if isinstance(value, str) and value.endswith(" ns"):
-        return f"{key}={format_ns(parse_duration(value))}"
     return f"{key}={_format_value(value)}"
 
 
 def _format_value(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+    if isinstance(value, list):
+        return ",".join(map(_format_value, value))  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+    if isinstance(value, str):
+        return format_ns(parse_duration(value)) if _NANOSECONDS.fullmatch(value) else value
+    return json.dumps(value)

@@ -7,6 +7,7 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from orchestrator.clock.utc import format_utc_ns
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.monitor.logs.line import LogLine
 from orchestrator.monitor.logs.placing import PlacedLine
 from orchestrator.monitor.times import format_time
@@ -41,7 +42,7 @@ class LineLayout:
 
 def _make_cells(line: LogLine) -> tuple[str, str, str]:
     step = line.fields.get("step")
-    job = (line.job or "") + ("" if line.job is None or step is None else f"/{step}")
+    job = (line.job or "") + ("" if line.job is None or step is None else f" {name_step(step)}")
     return escape_control(line.process), escape_control(line.controller or ""), escape_control(job)
 
 

@@ -15,6 +15,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.report import FeedHold, JobReport, JobState, JobTransition, MemberReport, StepChain, StepReport
 from orchestrator.model.state import AxisEvidence, TimeInterval
+from orchestrator.model.steps.numbers import name_step
 
 
 class TimelineStage(Model):
@@ -89,7 +90,7 @@ def _make_step(step: StepReport, transitions: Sequence[JobTransition], since_ns:
     remarks: list[str] = []
     if step.chain is not None and step.chain.kept:
         remarks.append(
-            f"loaded behind step {step.chain.step}, as it moved: members that hold one move arm after its end"
+            f"loaded behind {name_step(step.chain.step)}, as it moved: members that hold one move arm after its end"
         )
     members = {name: _make_member(member, step, t0_ns, remarks) for name, member in step.members.items()}
     return StepTimeline(

@@ -5,6 +5,7 @@ from rich.text import Text
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.state import TimeInterval
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.timeline.stages import JobTimeline, StepTimeline, TimelineAxis, TimelineStage
 from orchestrator.monitor.times import format_time, localize_times
@@ -22,7 +23,7 @@ def make_timeline_tables(timeline: JobTimeline) -> RenderableType:
 def _describe_step(step: StepTimeline) -> str:
     name = f" {step.name}" if step.name else ""
     verdict = "" if step.verdict == "none" else f", {step.verdict}"
-    return f"step {step.step}{name}: {step.state}{verdict}; 0 ms is T0, fleet time {step.t0_fleet_ns / 1e9:.6f} s"
+    return f"{name_step(step.step)}{name}: {step.state}{verdict}; 0 ms is T0, fleet time {step.t0_fleet_ns / 1e9:.6f} s"
 
 
 def _list_remarks(step: StepTimeline) -> list[str]:

@@ -10,6 +10,7 @@ from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.forecast import AxisForecast, StepProblem
 from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.ways import ForecastMotion
@@ -129,7 +130,7 @@ class ForecastState:
         low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
         begin, end = float(low - state.lowest), float(high - state.highest)
         self.conditions[
-            f"{name} stands between {begin:g} and {end:g} {axis.unit} (motor position) before step {state.since}"
+            f"{name} stands between {begin:g} and {end:g} {axis.unit} (motor position) before {name_step(state.since)}"
         ] = None
 
     def check_name(self, at: ForecastContext, name: str, kind: Literal["output", "input"]) -> bool:

@@ -5,6 +5,7 @@ from fractions import Fraction
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.passes import TargetCheck
 from orchestrator.plan.forecast.state import ForecastState, Order, unknown_position
@@ -40,7 +41,7 @@ def _find_target(
     if relative:
         target = state_before.motor + amount
     elif state_before.offset_kind == "unknown":
-        state.conditions[f"the target of {name} in step {at.index} depends on its user offset"] = None
+        state.conditions[f"the target of {name} in {name_step(at.index)} depends on its user offset"] = None
         return state_before.model_copy(update=unknown_position(at)), False
     elif state_before.offset_kind == "motor" and not state_before.known:
         state.note_room(name, state_before)
@@ -97,8 +98,8 @@ def check_room(state: ForecastState, at: ForecastContext, field: TargetField, af
     span = abs(axis.to_unit(axis.to_counts(after.highest - after.lowest)))
     width = abs(axis.to_unit(limits[1] - limits[0]))
     text = (
-        f"axis {field.name}: the moves from step {after.since} on cover {span:g} {axis.unit}; its soft limits are "
-        f"{width:g} {axis.unit} apart"
+        f"axis {field.name}: the moves from {name_step(after.since)} (`steps[{after.since}]`) on cover "
+        f"{span:g} {axis.unit}; its soft limits are {width:g} {axis.unit} apart"
     )
     remedy = "move less far, or change the soft limits"
     state.add_problem(at, field.place, Refusal("soft-limit", text, remedy, field.controller))

@@ -30,7 +30,7 @@ def proposal(world: CommandWorld, tmp_path: Path) -> str:
 def test_a_plan_is_shown_and_approved_by_the_first_digits_of_its_hash(world: CommandWorld, proposal: str) -> None:
     shown = world.done("job", "plan", proposal).splitlines()
     assert shown[0].startswith(f"job 'of bob' {proposal} of anna: waits for approval")
-    assert shown[1] == "  0 move to sample"
+    assert shown[1] == "  1 move to sample"
     assert "  position sample of gantry.x: 10 mm" in shown and "  offset of gantry.x: 0 mm" in shown
     assert f"proposed; its plan: `tutti job plan {proposal}`" in world.done("job", "show", proposal)
     planned = json.loads(world.done("job", "plan", proposal, "--json"))

@@ -4,6 +4,7 @@ import json
 import os
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from cluster.worlds import demo_job, job
@@ -68,7 +69,30 @@ def test_jobs_are_named_by_prefix_by_name_and_as_last(world: CommandWorld) -> No
         assert f"job 'test' {first.id}" in world.done("job", "report", reference)
     again = world.wait(client.submit(job("[{do: dwell, duration: 9 s}]")))
     assert f"several jobs fit 'test': {again.id} 'test', {first.id} 'test'" in world.refused(2, "job", "show", "test")
+    # A report is of the newest job of that name.
+    assert f"job 'test' {again.id} has not ended" in world.refused(1, "job", "report", "test")
     assert world.done("job", "cancel", "last") == f"job 'test' {again.id} is cancelled"
+    assert f"job 'test' {again.id}: cancelled" in world.done("job", "report", "test")
+
+
+def test_enable_without_names_takes_the_fleet_and_disable_asks_for_them(world: CommandWorld) -> None:
+    axes = set(json.loads(world.done("axis", "enable", "--json"))["axes"])
+    assert axes == set(world.fleet.fleet.axis_names)
+    assert "tutti axis disable all" in world.refused(2, "axis", "disable")
+    assert set(json.loads(world.done("axis", "disable", "all", "--json"))["axes"]) == axes
+    for name, state in world.wait(world.fleet.make_client().status()).items():
+        assert not any(axis.enabled for axis in state.axes.values()), name
+
+
+def test_a_space_or_minus_that_looks_like_another_one_is_named(world: CommandWorld) -> None:
+    assert "it has a minus sign of typography (U+2212)" in world.refused(2, "axis", "move", "gantry.x=\u22125")
+    assert "it has a non-breaking space (U+00A0)" in world.refused(2, "axis", "move", "gantry.x=5\u00a0mm")
+    assert "'gantry\\t'; it has a tab (U+0009)" in world.refused(2, "axis", "enable", "gantry\t")
+
+
+def test_a_fleet_file_is_no_job_to_submit(world: CommandWorld) -> None:
+    said = world.refused(2, "submit", str(Path(__file__).parents[3] / "deploy/examples/demo.fleet.yaml"))
+    assert "this is a fleet file; a job file is needed here" in said
 
 
 def test_a_job_waits_for_the_one_that_after_means(world: CommandWorld, tmp_path: os.PathLike[str]) -> None:
@@ -168,9 +192,9 @@ def test_a_short_report_fits_a_terminal_and_begins_with_the_verdict() -> None:
     lines = render(make_report_tables(make_report(steps)), 80).splitlines()
     assert lines[0] == "job 'scan' 3f2a91c0: done, verdict amber"
     assert len(lines) <= 22
-    assert any(line.split()[:1] == ["150"] for line in lines)
+    assert any(line.split()[:1] == ["151"] for line in lines)
     assert "and 186 more steps, which are done as planned" in lines
-    assert "step 150: took 2 ms longer" in lines
+    assert "step 151: took 2 ms longer" in lines
     assert len(render(make_report_tables(make_report(steps), detailed=True), 80).splitlines()) > 200
 
 
@@ -179,12 +203,12 @@ def make_chained(index: int, chain: StepChain | None) -> StepReport:
 
 
 def test_a_report_states_the_gaps_between_steps_and_why_others_began_from_rest() -> None:
-    waited = StepChain(step=2, kept=False, gap_s=0.64, broken="step 3 (wait) comes before it")
+    waited = StepChain(step=2, kept=False, gap_s=0.64, broken="step 4 (wait) comes before it")
     kept = [StepChain(step=index, kept=True, gap_s=0.012 + index / 1000) for index in range(2)]
     steps = [make_chained(0, None), *(make_chained(chain.step + 1, chain) for chain in kept), make_chained(4, waited)]
     lines = render(make_report_tables(make_report(steps)), 120).splitlines()
     place = lines.index("right behind the step before: 2 of 3, 12.5 ms after its end in the median, 13.0 ms at most")
-    assert lines[place + 1] == "step 4 from rest, 0.640 s after step 2: step 3 (wait) comes before it"
+    assert lines[place + 1] == "step 5 from rest, 0.640 s after step 3: step 4 (wait) comes before it"
 
 
 def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: CommandWorld) -> None:
@@ -196,8 +220,8 @@ def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: Comma
     steps = [line.strip() for line in world.done("job", "show", "last").splitlines() if line.startswith("  ")]
     ends = [line.partition(": done")[2] for line in steps[-4:]]
     assert ends[0] == ends[2] == ""
-    assert re.fullmatch(r", 1\d\.\d ms after step 0", ends[1])
-    assert ends[3] == ", from rest: step 2 (wait) comes before it"
+    assert re.fullmatch(r", 1\d\.\d ms after step 1", ends[1])
+    assert ends[3] == ", from rest: step 3 (wait) comes before it"
 
 
 def test_a_short_report_has_few_lines_about_steps_from_rest() -> None:
@@ -221,5 +245,14 @@ def test_the_report_of_a_move_has_its_members_with_v(world: CommandWorld) -> Non
     short, full = world.done("job", "report", "last"), world.done("job", "report", "last", "-v")
     assert "verdict green" in short.splitlines()[0]
     assert len(short.splitlines()) < 24
-    assert "Predicted, guaranteed, and measured:" not in short
-    assert "Predicted, guaranteed, and measured:" in full
+    assert "Start after T0: predicted by term and all together, and measured:" not in short
+    assert "Start after T0: predicted by term and all together, and measured:" in full
+    assert "predicted" in short.splitlines()[2]
+
+
+def test_a_predicted_skew_is_named_as_such_beside_a_measured_one(world: CommandWorld) -> None:
+    for words in ("enable gantry stage", "home gantry stage", "move gantry.x=10 stage.u=1"):
+        world.done("axis", *words.split())
+    full = world.done("job", "report", "last", "-v").splitlines()
+    ends = [line for line in full if " end skew at most" in line]
+    assert ends and all(line.startswith("step 1: predicted end skew at most ") for line in ends)

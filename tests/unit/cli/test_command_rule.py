@@ -60,6 +60,11 @@ def test_a_wrong_option_is_bad_input_in_both_forms(name: str) -> None:
     [
         (["stattus"], "did you mean one of: 'stats', 'status'"),
         (["axis", "mvoe"], "did you mean 'move'"),
+        (["move", "gantry.x=1"], "did you mean `tutti axis move`?"),
+        (["jog", "gantry.x"], "did you mean `tutti axis jog` or `tutti bench jog`?"),
+        (["enabel"], "did you mean `tutti axis enable`?"),
+        (["job", "home"], "did you mean `tutti axis home`?"),
+        (["axis", "disable"], "which motors are to be switched off?"),
         (["status", "--conect", "x"], "--connect"),
         (["status", "--connect", "garbage"], "'garbage' is not an endpoint"),
         (["status", "--connect", "tcp/127.0.0.1:99999"], "is not an endpoint"),

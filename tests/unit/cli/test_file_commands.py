@@ -31,6 +31,24 @@ def test_a_job_is_checked_without_a_fleet_in_its_form_alone(tmp_path: Path) -> N
     assert "x.job.yaml:5: steps[1].duration: 5 is not a duration" in bad.output
 
 
+def test_a_fleet_file_in_place_of_a_job_file_is_named_and_the_reverse() -> None:
+    said = run("job", "check", str(DEMO))
+    assert (said.exit_code, said.output.count("\n")) == (2, 1)
+    assert "this is a fleet file; a job file is needed here" in said.output
+    said = run("up", str(EXAMPLES / "demo.job.yaml"), "--sim")
+    assert said.exit_code == 2
+    assert "demo.job.yaml:2: schema: this is a job file; a fleet file is needed here" in said.output
+
+
+def test_all_is_no_name_of_a_group_or_a_controller(tmp_path: Path) -> None:
+    path = tmp_path / "x.fleet.yaml"
+    text = (EXAMPLES / "smc30.fleet.yaml").read_text()
+    path.write_text(text + "groups: {all: [smc30.z]}\n")
+    assert "groups.all: `all` stands for the whole fleet" in run("fleet", "check", str(path)).output
+    path.write_text(text.replace("smc30:", "all:"))
+    assert "controllers.all: `all` stands for the whole fleet" in run("fleet", "check", str(path)).output
+
+
 def test_a_job_is_checked_against_a_fleet_file(tmp_path: Path) -> None:
     demo = run("job", "check", str(EXAMPLES / "demo.job.yaml"), "--fleet", str(DEMO))
     assert demo.exit_code == 0
@@ -66,10 +84,10 @@ def test_every_mistake_of_a_fleet_file_by_the_rules_of_its_makes(tmp_path: Path)
     ):
         assert old in text
         text = text.replace(old, new)
-    path.write_text(text + "groups: {all: [smc30.q]}\n")
+    path.write_text(text + "groups: {every: [smc30.q]}\n")
     shown = run("fleet", "check", str(path))
     assert shown.exit_code == 2
-    assert "groups.all[0]: the fleet has no axis smc30.q; did you mean smc30.z?" in shown.output
+    assert "groups.every[0]: the fleet has no axis smc30.q; did you mean smc30.z?" in shown.output
     path.write_text(text)
     shown = run("fleet", "check", str(path))
     for expected in (

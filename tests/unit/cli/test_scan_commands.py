@@ -27,8 +27,8 @@ def test_a_raster_is_submitted_shown_written_plotted_and_run_again(world: Comman
     shown = world.done("submit", str(tmp_path / "raster.job.yaml"), "--wait")
     assert "6 of 6 points" in shown and "verdict green" in shown
     lines = world.done("job", "show", "last").splitlines()
-    assert lines[3].startswith("  2 scan 'field' gantry.x=10…110 (3) stage.u=0…5 (2 snake), 6 points, at each dwell")
-    assert lines[4].startswith("  20 move to gantry.x=0 stage.u=0: done")
+    assert lines[3].startswith("  3 scan 'field' gantry.x=10…110 (3) stage.u=0…5 (2 snake), 6 points, at each dwell")
+    assert lines[4].startswith("  21 move to gantry.x=0 stage.u=0: done")
     table = world.done("job", "points", "last", "--limit", "3")
     assert "gantry.x=10 stage.u=0" in table and "more with --limit" in table
     points = json.loads(world.done("job", "points", "last", "--json"))
@@ -38,21 +38,25 @@ def test_a_raster_is_submitted_shown_written_plotted_and_run_again(world: Comman
     assert len(rows) == 6 and all(row["gantry.x measured"] for row in rows)
     assert abs(float(rows[2]["gantry.x measured"]) - 60) < 0.01
     picture = tmp_path / "raster.png"
-    assert "step 2: " in world.done("job", "plot", "last", "--out", str(picture), "--step", "2")
+    assert "step 3: " in world.done("job", "plot", "last", "--out", str(picture), "--step", "3")
     assert picture.stat().st_size > 10_000
     parts = json.loads(world.done("job", "plot", "last", "--out", str(tmp_path / "all.svg"), "--json"))
-    assert parts == {"job": str(tmp_path / "all.svg"), "2": str(tmp_path / "all-2.svg")}
+    assert parts == {"job": str(tmp_path / "all.svg"), "2": str(tmp_path / "all-3.svg")}
     assert all("<svg" in Path(each).read_text(encoding="utf-8") for each in parts.values())
     drawn = world.done("job", "timeline", "last", "-o", str(tmp_path / "stages.png"))
-    assert drawn == f"step 20: {tmp_path / 'stages.png'}" and (tmp_path / "stages.png").stat().st_size > 10_000
+    assert drawn == f"step 21: {tmp_path / 'stages.png'}" and (tmp_path / "stages.png").stat().st_size > 10_000
     assert "coordinator" in world.done("job", "timeline", "last") and "start x" in world.done("job", "timeline", "last")
     assert json.loads(world.done("job", "timeline", "last", "--json"))["schema"] == "tutti.timeline/1"
-    assert "it has: 20" in world.refused(2, "job", "timeline", "last", "--step", "7")
+    assert "it has: 21" in world.refused(2, "job", "timeline", "last", "--step", "7")
     assert "ends in .png or .svg" in world.refused(2, "job", "plot", "last", "-o", "x.jpg")
     assert "cannot be written" in world.refused(1, "job", "plot", "last", "-o", str(tmp_path / "none" / "x.png"))
-    assert "no scan" in world.refused(1, "job", "retry", "last", "--from-step", "1", "--from-point", "3", "--yes")
-    again = world.run("job", "retry", "last", "--from-step", "2", "--from-point", "4", "--yes")
-    assert again.exit_code == 0 and "11 scan" in again.output
+    assert "no scan" in world.refused(1, "job", "retry", "last", "--step", "2", "--from-point", "3", "--yes")
+    old = world.refused(2, "job", "retry", "last", "--from-step", "2", "--from-point", "4", "--yes")
+    assert "what was --from-step 2 is --step 3" in old
+    for command in (("retry", "last", "--yes"), ("plot", "last"), ("points", "last"), ("timeline", "last")):
+        assert "0 is not in the range x>=1" in world.refused(2, "job", *command, "--step", "0")
+    again = world.run("job", "retry", "last", "--step", "3", "--from-point", "4", "--yes")
+    assert again.exit_code == 0 and "12 scan" in again.output
     world.let_pass(10)
     assert [each["point"] for each in json.loads(world.done("job", "points", "last", "--json"))] == [4, 5, 6]
 

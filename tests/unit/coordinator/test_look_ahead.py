@@ -48,11 +48,11 @@ def test_dwells_outputs_and_pulses_ride_in_the_gap(between: list[str], pause_ms:
 @pytest.mark.parametrize(
     ("between", "reason"),
     [
-        ([WAIT], "step 1 (wait) comes before it"),
-        (["{do: home, axes: [stage.v]}"], "step 1 (home) comes before it"),
-        (["{do: enable, axes: [stage.v]}"], "step 1 (enable) comes before it"),
-        (["{do: set-position, axes: {gantry.x: 0}}"], "step 1 (set-position) comes before it"),
-        ([DWELL, WAIT, "{do: home, axes: [stage.v]}"], "step 2 (wait) comes before it"),
+        ([WAIT], "step 2 (wait) comes before it"),
+        (["{do: home, axes: [stage.v]}"], "step 2 (home) comes before it"),
+        (["{do: enable, axes: [stage.v]}"], "step 2 (enable) comes before it"),
+        (["{do: set-position, axes: {gantry.x: 0}}"], "step 2 (set-position) comes before it"),
+        ([DWELL, WAIT, "{do: home, axes: [stage.v]}"], "step 3 (wait) comes before it"),
     ],
 )
 def test_the_first_step_that_breaks_the_chain_is_named(between: list[str], reason: str) -> None:

@@ -211,7 +211,7 @@ def test_the_report_of_a_scan_sums_up_its_points() -> None:
 
 def test_a_point_that_fails_has_its_own_report_behind_that_of_the_scan() -> None:
     (summary, failed), _, _ = run_scan(50, fail_at=20)
-    assert (summary.state, summary.reason) == ("failed", "step 0 (scan), point 21 of 50 (move): stalled")
+    assert (summary.state, summary.reason) == ("failed", "step 1 (scan), point 21 of 50 (move): stalled")
     assert summary.scan is not None and (summary.scan.done, summary.steps_done) == (20, 20)
     assert (failed.index, failed.do, failed.state) == (20, "move", "failed")
 

@@ -97,7 +97,7 @@ def test_names_of_positions_stand_where_positions_do_and_are_no_positions_themse
         ("speed: 0.5", "a scan needs one of `axes`, `points` and `scanspec`"),
         (
             "axes: {gantry.x: {values: [0]}}, at_each: [{do: home}]",
-            "steps[0].at_each: step 0: `do: home` cannot stand in `at_each`: it would take the reference away",
+            "steps[0].at_each: at_each[0]: `do: home` cannot stand in `at_each`: it would take the reference away",
         ),
         (
             "axes: {gantry.x: {values: [0]}}, at_each: [{do: move, by: {gantry.x: 1}}]",
@@ -154,7 +154,7 @@ def test_numbers_of_steps_are_those_of_the_written_out_job() -> None:
     places = [order.locate(index) for index in range(len(order))]
     assert [(each.kind, each.point, each.part) for each in places] == expected
     assert places[6].passes == ((1, 3), (2, 2)) and places[6].first == 6
-    assert places[9].describe() == "step 6 (scan), point 2 of 2 (dwell), pass 1 of 3, pass 2 of 2"
+    assert places[9].describe() == "step 7 (scan), point 2 of 2 (dwell), pass 1 of 3, pass 2 of 2"
     assert count_reports(given) == 1 + 3 * 3 + 1
     with pytest.raises(IndexError):
         order.locate(len(order))

@@ -16,6 +16,10 @@ STEPS = TypeAdapter[JobStep](JobStep)
             "move 'far' to a.x=12 cm b.u=1, by b.v=-0.5, align=1.5 s",
         ),
         ({"do": "home"}, "home"),
+        (
+            {"do": "move", "by": {"a.x": 1}, "record": {"axes": ["a.x", "a.y"], "period": "10 ms"}},
+            "move by a.x=1, record axes=a.x,a.y period=10 ms",
+        ),
         ({"do": "enable", "axes": ["a", "b.u"]}, "enable axes a b.u"),
         ({"do": "output", "output": "a.lamp", "value": True}, "output output=a.lamp, value=true"),
         ({"do": "set-position", "axes": {"a.x": None, "a.y": 1}}, "set-position axes a.x=null a.y=1"),

@@ -56,8 +56,8 @@ def test_a_long_queue_is_cut_after_the_running_jobs() -> None:
     assert "zzzz" in shown and "and 4 more jobs" in shown
 
 
-def test_a_step_has_the_number_that_from_step_takes() -> None:
+def test_a_step_has_the_number_that_step_takes() -> None:
     view = LiveView(FleetKeys("lab"), lambda: 0.0)
     line = view.take_sample(progress("aaaa", "running", 1))
-    assert line is not None and "step 1 move, 2 of 3" in line
-    assert "step 1 move, 2 of 3" in screen(view)
+    assert line is not None and "step 2 of 3 move" in line
+    assert "step 2 of 3 move" in screen(view)

@@ -39,12 +39,12 @@ HUNDRED = "{do: move, by: {gantry.x: 100}}"
 def test_moves_by_a_distance_are_added_up_from_an_unknown_position() -> None:
     assert texts(forecast(f"[{', '.join([HUNDRED] * 4)}]")) == []
     found = forecast(f"[{', '.join([HUNDRED] * 4)}]")
-    assert "gantry.x stands between -10 and 0 mm (motor position) before step 0" in found.conditions
+    assert "gantry.x stands between -10 and 0 mm (motor position) before step 1" in found.conditions
     assert texts(forecast(f"[{', '.join([HUNDRED] * 5)}]")) == [
-        "4 soft-limit: axis gantry.x: the moves from step 0 on cover 500 mm; its soft limits are 410 mm apart"
+        "4 soft-limit: axis gantry.x: the moves from step 1 (`steps[0]`) on cover 500 mm; its soft limits are 410 mm apart"
     ]
     assert texts(forecast(f"[{HUNDRED}, {HUNDRED}]", repeat=3)) == [
-        "0 soft-limit: axis gantry.x: the moves from step 0 on cover 500 mm; its soft limits are 410 mm apart"
+        "0 soft-limit: axis gantry.x: the moves from step 1 (`steps[0]`) on cover 500 mm; its soft limits are 410 mm apart"
     ]
 
 
@@ -66,13 +66,13 @@ def test_set_position_shifts_targets_and_not_soft_limits() -> None:
     ]
     unknown = "{do: set-position, axes: {gantry.x: 0}}, {do: move, to: {gantry.x: 300}}"
     assert (
-        "gantry.x stands between -10 and 100 mm (motor position) before step 0" in forecast(f"[{unknown}]").conditions
+        "gantry.x stands between -10 and 100 mm (motor position) before step 1" in forecast(f"[{unknown}]").conditions
     )
     assert texts(forecast(f"[{unknown}, {{do: move, to: {{gantry.x: -200}}}}]")) == [
-        "2 soft-limit: axis gantry.x: the moves from step 0 on cover 500 mm; its soft limits are 410 mm apart"
+        "2 soft-limit: axis gantry.x: the moves from step 1 (`steps[0]`) on cover 500 mm; its soft limits are 410 mm apart"
     ]
     lost = f"[{unknown}, {{do: home, axes: [gantry.x]}}, {{do: move, to: {{gantry.x: 999}}}}]"
-    assert "the target of gantry.x in step 3 depends on its user offset" in forecast(lost).conditions
+    assert "the target of gantry.x in step 4 depends on its user offset" in forecast(lost).conditions
     cleared = "[{do: set-position, axes: {gantry.x: null}}, {do: move, to: {gantry.x: 401}}]"
     assert [text[:12] for text in texts(forecast(cleared))] == ["1 soft-limit"]
 

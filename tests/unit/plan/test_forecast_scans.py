@@ -50,7 +50,7 @@ def to(position: float) -> str:
         (repeat(10, by(401)), "target 401 mm is beyond its soft limits -10 to 400 mm"),
         (
             repeat(10, by(61), before=""),
-            "from step 0 on cover 427 mm; its soft limits are 410 mm apart, in pass 7 of 10",
+            "from step 1 (`steps[0]`) on cover 427 mm; its soft limits are 410 mm apart, in pass 7 of 10",
         ),
         (repeat(1_000_000, f"{by(300)}, {by(-300)}"), ""),
         # A position that is given ends what was added up before.
@@ -76,7 +76,7 @@ def test_a_repeat_is_refused_in_the_pass_that_leaves_the_limits(steps: str, text
 def test_after_a_repeat_the_axes_are_where_it_leaves_them() -> None:
     after = f"{HOME}, {{do: repeat, times: 7, steps: [{by(10)}]}}, {by(330)}"
     assert not texts(forecast(f"[{after}]")) and "target 401 mm" in texts(forecast(f"[{after}, {by(1)}]"))[0]
-    assert "before step 0" in forecast(repeat(30, by(10), before="")).conditions[-1]
+    assert "before step 1" in forecast(repeat(30, by(10), before="")).conditions[-1]
     assert "gantry.x stands between -10 and 100 mm" in forecast(repeat(30, by(10), before="")).conditions[-1]
 
 

@@ -61,7 +61,7 @@ async def check_orders(fleet: VirtualFleet) -> None:
     await submitted.pause()
     await sleep_ns(fleet.clock, 5 * NS_PER_S)
     shown = await client.show_job(submitted)
-    assert shown.progress is not None and shown.progress.reason.endswith("after step 2"), shown.progress
+    assert shown.progress is not None and shown.progress.reason.endswith("after step 3"), shown.progress
     await submitted.resume()
     report = await submitted.result()
     assert report.state == "done" and report.steps[1].mark is not None

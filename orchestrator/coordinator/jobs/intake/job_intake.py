@@ -17,6 +17,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
 from orchestrator.model.report import FINISHED_STATES
+from orchestrator.model.steps.numbers import name_step, number_step
 from orchestrator.model.steps.order import RemainingStep, StepOrder, count_reports
 from orchestrator.model.steps.tree import iterate_steps
 
@@ -63,7 +64,7 @@ class JobIntake:
         axes = find_axes(services.view.fleet, [step.step for step in remaining])
         described_steps = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
         reply = JobRetried(
-            steps=[f"{step.first} {step.step.describe()}" for step in described_steps],
+            steps=[f"{number_step(step.first)} {step.step.describe()}" for step in described_steps],
             axes=[self._axis_position(axis) for axis in axes],
             warnings=_find_warnings(remaining),
         )
@@ -184,17 +185,19 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
     """The number of the step that a re-run begins with. Raises `Refusal`, code `no-step`."""
     first = request.from_step
     if first >= len(order):
-        text = f"job {job_id} has the steps 0 to {len(order) - 1}"
-        raise Refusal("no-step", text, "choose one of them with --from-step")
+        text = f"job {job_id} has the steps 1 to {len(order)}"
+        raise Refusal("no-step", text, "choose one of them with --step; `from_step` counts them from 0")
     if request.from_point is None:
         return first
     location = order.locate(first)
     scan = location.scan
     if scan is None:
-        text = f"step {first} of job {job_id} is no scan ({location.kind}), so it has no point {request.from_point}"
-        raise Refusal("no-step", text, "choose the step of a scan with --from-step; `tutti job show` numbers them")
+        text = (
+            f"{name_step(first)} of job {job_id} is no scan ({location.kind}), so it has no point {request.from_point}"
+        )
+        raise Refusal("no-step", text, "choose the step of a scan with --step; `tutti job show` numbers them")
     if request.from_point > scan.point_count:
-        text = f"the scan of step {location.first} of job {job_id} has the points 1 to {scan.point_count}"
+        text = f"the scan of {name_step(location.first)} of job {job_id} has the points 1 to {scan.point_count}"
         raise Refusal("no-step", text, "choose one of them with --from-point")
     return location.first + (request.from_point - 1) * scan.points_steps
 
@@ -206,5 +209,5 @@ def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
         for step in iterate_steps([written_step]):
             axes = ", ".join(places.take_step(step))
             if axes:
-                return [step.describe_relative(index, axes)]
+                return [step.describe_relative(number_step(index), axes)]
     return []

@@ -49,7 +49,7 @@ class RunRequests:
         """Resume a job that is paused, or about to be."""
         run = self._register.running.get(job_id)
         if run is None:
-            remedy = "for a held job: `tutti job release`; for a finished one: `tutti job retry --from-step`"
+            remedy = "for a held job: `tutti job release`; for a finished one: `tutti job retry --step`"
             raise await self._register.make_refusal(job_id, "not-running", remedy)
         if run.paused_by is None:
             raise Refusal("not-paused", f"job {job_id} is not paused; it is {run.state}")

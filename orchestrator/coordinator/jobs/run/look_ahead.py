@@ -7,6 +7,7 @@ from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.tree import as_motion
 
 BETWEEN_MOST = 20  # steps between two motion steps that are looked at
@@ -52,7 +53,7 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
                 ChainBreak(number, hindrance) if hindrance else NextMotion(number, motion, BetweenSteps(pause_ns, acts))
             )
         if step.pause_ns is None:
-            obstacle = obstacle or f"step {number} ({step.kind}) comes before it"
+            obstacle = obstacle or f"{name_step(number)} ({step.kind}) comes before it"
         else:
             pause_ns += step.pause_ns
             acts = acts or step.acts
