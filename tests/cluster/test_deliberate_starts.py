@@ -152,6 +152,20 @@ def test_a_word_while_the_cause_lasts_counts_for_nothing() -> None:
     run_fleet(main, guarded())
 
 
+def test_the_preview_names_a_cause_that_a_job_has_not_met_because_the_queue_is_stopped() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client("anna")
+        await client.stop_queue()
+        waiting = await client.submit(SHORT)
+        await set_door(fleet, is_open=True)
+        preview = await client.preview_start()
+        assert (preview.motions, [motion.job_id for motion in preview.lasting]) == ([], [waiting])
+        assert "permit door-closed" in preview.lasting[0].cause
+
+    run_fleet(main, guarded())
+
+
 def test_a_word_counts_only_for_the_motion_that_was_shown() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)

@@ -114,7 +114,7 @@ def test_two_controllers_on_one_port() -> None:
         ("{do: move, by: {a.x: sample}}", "'sample' is not a quantity"),
         ("{do: set-position, axes: {a.x: sample}}", "'sample' is not a quantity"),
         ("{do: move, to: {'*': 5}}", "5 for all axes (`*`) must be the name of a position"),
-        ("{do: move, to: {a.x: 1}, speed: 2}", "found 2; must be at most 1"),
+        ("{do: move, to: {a.x: 1}, speed: 2}", 'with a unit it is a speed: "2 mm/s"'),
         ("{do: wait, input: a.b}", "steps[0].timeout: is missing"),
         ("{name: x}", "needs the field 'do'"),
     ],

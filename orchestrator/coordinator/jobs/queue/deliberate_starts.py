@@ -74,11 +74,13 @@ class DeliberateStarts:
         """What would move first if the queue was started, with the word for all jobs whose cause is gone."""
         order = self._register.list_waiting()
         asked_jobs = [replace(job, row=job.row._replace(held_by="")) if job.awaits_word else job for job in order]
-        begin_ids = {job.row.id for job in self._choose_from(asked_jobs, "").begin}
-        lasting = [job for job in self._register.waiting.values() if job.awaits_word and self._find_cause(job)]
+        choice = self._choose_from(asked_jobs, "")
+        begin_ids = {job.row.id for job in choice.begin}
+        # Also those that have not met their cause yet, because the queue is stopped.
+        causes = {job.row.id: self._find_cause(job) for job in order if job.awaits_word or job.row.id in choice.causes}
         return StartPreview.of(
             [self._find_first_motion(job) for job in order if job.row.id in begin_ids],
-            [self._describe_lasting(job, self._find_cause(job)) for job in lasting],
+            [self._describe_lasting(job, causes[job.row.id]) for job in order if causes.get(job.row.id)],
         )
 
     def preview_release(self, jobs: Collection[WaitingJob]) -> StartPreview:

@@ -148,7 +148,7 @@ class _Claims:
         self._causes: dict[str, str] = {}
         """The cause of a job that keeps its claim."""
         self._of_world: set[str] = set()
-        """Claimed by jobs that wait for the world: that keeps nothing from a person, who may be about to change it."""
+        """Claimed by jobs that wait for the world: a person may be about to change that, and is not kept from it."""
 
     def find_in_the_way(self, job: WaitingJob, needs: frozenset[str]) -> list[str]:
         """The controllers of `needs` that this job does not get."""
