@@ -101,8 +101,8 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         self._run(self._wrapped.pause(now=now))
 
     def override(self, percent: float) -> None:
-        """Play the path that the job moves on at `percent` (10 to 120) of its planned speed. Raises `Refusal`: codes
-        `not-running`, `not-on-path`, `override`."""
+        """Play the path that the job moves on at `percent` (10 to 120) of its planned speed; where it is on none, plan
+        its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         self._run(self._wrapped.override(percent))
 
     def resume(self) -> None:
@@ -361,7 +361,8 @@ class BlockingTutti(BlockingObject[Tutti]):
 
     def override_job(self, job_id: str, percent: float) -> None:
         """Play the path that a job moves on at `percent` (10 to 120) of its planned speed, from as soon as all members
-        can. Raises `Refusal`: codes `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
+        can; where it is on none, plan its next moves for `percent` (10 to 100) of theirs. Raises `Refusal`: codes
+        `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
         self._run(self._wrapped.override_job(job_id, percent))
 
     def resume_job(self, job_id: str) -> None:

@@ -200,7 +200,8 @@ class JobRequests(QueueRequests):
 
     async def override_job(self, job_id: str, percent: float) -> None:
         """Play the path that a job moves on at `percent` (10 to 120) of its planned speed, from as soon as all members
-        can. Raises `Refusal`: codes `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
+        can; where it is on none, plan its next moves for `percent` (10 to 100) of theirs. Raises `Refusal`: codes
+        `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
         await self.request_service(
             "override", OverrideJob(**self.request_fields(), job_id=job_id, percent=percent), Reply
         )
@@ -385,8 +386,8 @@ class SubmittedJob(str):
         await self._requests.pause_job(self, now=now)
 
     async def override(self, percent: float) -> None:
-        """Play the path that the job moves on at `percent` (10 to 120) of its planned speed. Raises `Refusal`: codes
-        `not-running`, `not-on-path`, `override`."""
+        """Play the path that the job moves on at `percent` (10 to 120) of its planned speed; where it is on none, plan
+        its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         await self._requests.override_job(self, percent)
 
     async def resume(self) -> None:

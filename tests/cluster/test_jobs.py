@@ -407,3 +407,24 @@ def test_a_permit_must_hold_to_arm_and_its_loss_stops_the_step() -> None:
         assert all(end_ns is not None and end_ns - lost_ns < 500_000_000 for end_ns in ends_ns)
 
     run_fleet(main, demo_fleet().model_copy(update={"permits": {"door-closed": closed}}))
+
+
+def test_an_override_slows_the_moves_that_follow() -> None:
+    """Between steps: the present move goes on as it was planned, and what is prepared behind it is planned anew."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client = fleet.make_client()
+        steps = "[{do: move, to: {gantry.x: 100}, speed: 0.2}, {do: move, to: {gantry.x: 0}, speed: 0.2}]"
+        moving = await client.submit(job(steps))
+        await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
+        with pytest.raises(Refusal, match="cannot be faster"):
+            await client.override_job(moving, 110)
+        await client.override_job(moving, 50)
+        report = await client.wait_for_job(moving)
+        first, second = (step.planned_s for step in report.steps)
+        assert first is not None and second is not None
+        assert second == pytest.approx(2 * first, rel=0.1)
+        await outcome(fleet, job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
+
+    run_fleet(main)

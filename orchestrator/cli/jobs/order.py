@@ -109,11 +109,12 @@ def pause(job: str, connect: str, fleet: str | None, *, now: bool, as_json: bool
 @fleet_options
 @json_option
 def override(job: str, percent: float, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Play the path of a running JOB at PERCENT of its planned speed.
+    """Play the path of a running JOB at PERCENT of its planned speed, or plan its next moves so.
 
     From 10 to 120 %; 100 as planned. All axes change their speed together, on the path, within a second or two: for as
     long as controllers need to load what they play next. More than 100 % is possible where only the path's own `speed`
-    limits it, not the axes.
+    limits it, not the axes. In moves and scans the present move goes on as it was planned; those after it are planned
+    with 10 to 100 % of their speed.
     """
 
     async def override_job(tutti: "Tutti") -> None:

@@ -197,6 +197,11 @@ class MotionStep:
         if self._motion is not None:
             await self._motion.feed_hold(self._services.fleet, actor)
 
+    @property
+    def is_path(self) -> bool:
+        """Whether it moves along a path."""
+        return self._request.move.follows_path
+
     async def override(self, rate: float) -> None:
         """Play a path at another rate. Raises `Refusal`."""
         feed = self._motion.feed if self._motion is not None else None

@@ -11,7 +11,7 @@ from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
 from orchestrator.model.state import StartWish
-from orchestrator.model.steps.speed import Speed
+from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.units import Quantity
 
@@ -74,6 +74,8 @@ class Step(Model):
     """Whether it finds the references of its axes."""
     plans_long: ClassVar[bool] = False
     """Whether its plan can take so long that heartbeats must go on meanwhile."""
+    follows_path: ClassVar[bool] = False
+    """Its speed is changed along its path, while it moves."""
     acts: ClassVar[bool] = False
     """Whether it waits for a controller that does something."""
 
@@ -152,6 +154,11 @@ class Step(Model):
     def describe_relative(self, number: int, axes: str) -> str:
         """What it does, as step `number`, from 1, with `axes` from where they stand. axes: some of `relative_axes`."""
         return f"step {number} depends on where {axes} stands"
+
+    def slow_down(self, rate: float, fleet: Fleet) -> Self:
+        """The step at `rate` times its speed, above 0 to 1; itself where it has none."""
+        del rate, fleet
+        return self
 
     @property
     def frames(self) -> list[str]:
@@ -239,6 +246,12 @@ class MotionOptions(Step):
     """How axes move together."""
 
     moves: ClassVar[bool] = True
+
+    def slow_down(self, rate: float, fleet: Fleet) -> Self:
+        speed = self.speed
+        if speed == MANUAL:
+            speed = {axis: fleet.axis(axis).manual_speed for axis in self.find_axes(fleet)}
+        return self.model_copy(update={"speed": scale_speed(speed, rate)})
 
     speed: Speed = Field(
         default=1.0,

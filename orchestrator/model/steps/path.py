@@ -34,6 +34,7 @@ class FollowPath(Step, PathSpec):
     is_motion: ClassVar[bool] = True
     rests: ClassVar[bool] = True
     plans_long: ClassVar[bool] = True
+    follows_path: ClassVar[bool] = True
     UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "start", "pieces", "names"})
 
     do: Literal["path"] = "path"

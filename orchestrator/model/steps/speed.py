@@ -60,6 +60,20 @@ Speed = Annotated[
 """A fraction of the limits (0.5, `"50 %"`), a speed (`"5 mm/s"`), one of both by axis, or `manual`."""
 
 
+def scale_speed(speed: float | str | Mapping[str, float | str], rate: float) -> float | str | dict[str, float | str]:
+    """A speed times `rate`, above 0 to 1. `manual` is scaled by axis before."""
+    if isinstance(speed, Mapping):
+        return {axis: _scale_one(value, rate) for axis, value in speed.items()}
+    return _scale_one(speed, rate)
+
+
+def _scale_one(speed: float | str, rate: float) -> float | str:
+    if not isinstance(speed, str):
+        return speed * rate
+    number, unit = split_number(speed) or ("0", "")
+    return f"{float(number) * rate:.9g} {unit}"
+
+
 def describe_speed(speed: float | str | Mapping[str, float | str]) -> str:
     """A speed with its unit: `50 %`, `5 mm/s`, `gantry.x=5 mm/s`."""
     if isinstance(speed, Mapping):

@@ -33,12 +33,10 @@ class RunRequests:
             await run.feed_hold(actor)
 
     async def override_job(self, job_id: str, percent: float) -> None:
-        """Play the present path of a running job at another speed. Raises `Refusal`."""
+        """Play the path of a running job at another speed, or plan its next moves for it. Raises `Refusal`."""
         run = self._register.running.get(job_id)
         if run is None:
-            raise await self._register.make_refusal(
-                job_id, "not-running", "an override is for the path that a job is moving on"
-            )
+            raise await self._register.make_refusal(job_id, "not-running", "an override is for a job that runs")
         low, high = OVERRIDE_PERCENT
         if not low <= percent <= high:
             text = f"{percent:g} % is not between {low} and {high} %"

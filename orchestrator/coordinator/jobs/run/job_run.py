@@ -114,11 +114,18 @@ class JobRun:
         return motion is not None and motion.leaves_path
 
     async def override(self, rate: float) -> None:
-        """Play the path that it moves on at another rate. Raises `Refusal`."""
-        if self._state.motion_step is None:
-            text = f"job {self.row.id} is not on a path now"
-            raise Refusal("not-on-path", text, "an override is for paths; see `tutti job ls`")
-        await self._state.motion_step.override(rate)
+        """Play the path that it moves on at another rate; elsewhere, plan the moves that follow for it. Raises
+        `Refusal`."""
+        step = self._state.motion_step
+        if step is not None and step.is_path:
+            await step.override(rate)
+        elif rate > 1.0:
+            text = "a move is planned at the limits that its speed states, and cannot be faster"
+            raise Refusal("override", text, "moves can be slowed down, to 10 to 100 %")
+        else:
+            self._chain.rate = self._state.rate = rate
+            if self._chain.is_prepared and not self._chain.is_decided:
+                await self._chain.drop("its speed was changed", self.row.actor)
         self._state.publish_progress()
 
     def resume(self, actor: str) -> None:

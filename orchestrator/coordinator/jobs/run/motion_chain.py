@@ -30,6 +30,8 @@ class MotionChain:
         """The last step that began behind the one before it."""
         self._paused = False
         self._rested_ns = 0
+        self.rate = 1.0
+        """Of the speed of moves that are not planned yet."""
 
     @property
     def is_prepared(self) -> bool:
@@ -99,6 +101,8 @@ class MotionChain:
         return motion
 
     def _make_request(self, index: int, move: Motion) -> StepRequest:
+        if self.rate < 1.0:
+            move = move.slow_down(self.rate, self._services.fleet.view.fleet)
         return StepRequest(self._job_id, self._job, index, move)
 
     def _note_rest(self, index: int) -> None:

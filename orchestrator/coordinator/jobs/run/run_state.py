@@ -44,8 +44,8 @@ class JobPause:
 class RunState:
     """The state of job `row`.
 
-    needs: controllers that no other job may use meanwhile. is_recorded: its beginning is in the journal. motion_step:
-    the present step, if it is a motion.
+    needs: controllers that no other job may use meanwhile. rate: of the speed of its next moves. is_recorded: its
+    beginning is in the journal. motion_step: the present step, if it is a motion.
     """
 
     def __init__(self, services: JobServices, row: JobRecord, steps: StepSequence, needs: frozenset[str]) -> None:
@@ -53,6 +53,7 @@ class RunState:
         self.needs = needs
         self.state: JobState = "queued"
         self.is_recorded = False
+        self.rate = 1.0
         self.step = row.from_step
         self.motion_step: MotionStep | None = None
         self._services = services
@@ -63,6 +64,10 @@ class RunState:
         self._step_s = 0.0
         self._part = 0.0
         self._doing = ""
+
+    @property
+    def _is_on_path(self) -> bool:
+        return self.motion_step is not None and self.motion_step.is_path
 
     def describe_place(self) -> str:
         """Where a pause is: in a step, before the first one or after one."""
@@ -120,13 +125,8 @@ class RunState:
         step_share, remaining_s = self._step_fraction(), None
         if self._step_t0_ns and self._step_s > 0:
             remaining_s = self._find_times()[1]
-        location, reason = self._steps.locate(self.step), self._reason
+        location, rate = self._steps.locate(self.step), self._find_rate()
         within_scan = location.point is not None
-        rate = None if self.motion_step is None else self.motion_step.rate
-        if rate is not None and rate != 1.0:
-            reason = f"{reason}; " * bool(reason) + f"on its path at {rate:.0%} of the planned speed"
-        if self.pause.paused_by is not None and self.state != "paused":
-            reason = f"pauses after this step: {self.pause.paused_by}"
         return JobProgress(
             job_id=self._row.id,
             name=self._row.name,
@@ -141,9 +141,22 @@ class RunState:
             fraction=min(1.0, (self.step + step_share) / len(self._steps)),
             remaining_s=remaining_s,
             override_percent=None if rate is None else round(100 * rate, 3),
-            reason=reason,
+            reason=self._describe_reason(rate),
             utc=self._services.clock.utc(),
         )
+
+    def _find_rate(self) -> float | None:
+        """The rate of its path, or of its next moves; None where nothing has changed it."""
+        rate = None if self.motion_step is None else self.motion_step.rate
+        return self.rate if rate is None and self.rate != 1.0 else rate
+
+    def _describe_reason(self, rate: float | None) -> str:
+        if self.pause.paused_by is not None and self.state != "paused":
+            return f"pauses after this step: {self.pause.paused_by}"
+        if rate is None or rate == 1.0:
+            return self._reason
+        scope = "on its path" if self._is_on_path else "its next moves"
+        return f"{self._reason}; " * bool(self._reason) + f"{scope} at {rate:.0%} of the planned speed"
 
     def _find_times(self) -> tuple[float, float]:
         """How long the current step has moved, and how long it will, s; on a path, at its present speed."""
