@@ -91,7 +91,7 @@ def plans_beyond_the_limits(patch: Patch) -> None:
     def fast(moves: list[AxisMove], sync: Any, speed: float, ramps: Any) -> Any:
         return plan_step([replace(each, velocity=each.velocity * 8) for each in moves], sync, speed, ramps)
 
-    patch.setattr("orchestrator.coordinator.motion.planning.plan_step", fast)
+    patch.setattr("orchestrator.plan.speeds.plan_step", fast)
     patch.setattr("adapters.controller.slots.step_checks.check_profiles", nothing)
 
 

@@ -185,7 +185,7 @@ def test_a_rerun_inside_the_last_pass_needs_no_position_of_the_steps_before() ->
         await client.remove_position("here")
         assert (await refused(client.retry_job(done.job_id, 0))).code == "unknown-name"
         again = await client.retry_job(done.job_id, 4)
-        assert again.steps[-1] == "5 move to sample"
+        assert again.steps[-1] == "6 move to sample"
         report = await client.wait_for_job(again.job_id)
         assert report.state == "done" and set(report.positions_used) == {"sample"}
 
