@@ -13,11 +13,13 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.names import controller_of
+from orchestrator.model.numbers import split_number
 from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
+from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
 from orchestrator.plan.path.resolve import parse_along, parse_speed
 from orchestrator.plan.path_course import PathCourse
@@ -86,6 +88,7 @@ def plan_path_step(
     step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
 ) -> PlannedPath:
     """Plan a path whose axes stand at its start. frames: those of the fleet file. Raises `Refusal`, `PlanError`."""
+    step, starts = _apply_fraction(step, starts)
     unit = _find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
     _require_start(step, starts, frames or {})
@@ -151,6 +154,23 @@ def plan_path_step(
         course=course,
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
+
+
+def _apply_fraction(step: FollowPath, starts: Sequence[PathStart]) -> tuple[FollowPath, Sequence[PathStart]]:
+    """A path at a speed in percent: without limit along it, and with that fraction of what its axes allow. Raises
+    `PathRefusal`."""
+    parts = split_number(step.speed) if isinstance(step.speed, str) else None
+    if parts is None or parts[1] != "%":
+        return step, starts
+    fraction = float(parts[0]) / 100
+    if not 0.0 < fraction <= 1.0:
+        text = f"`speed` of the path is {step.speed}, of what its axes allow"
+        raise PathRefusal("bad-limit", text, "choose a value above 0 to 100 %")
+    slow_starts: list[PathStart] = []
+    for start in starts:
+        limits = start.axis.limits.model_copy(update={"velocity": start.axis.limits.velocity * fraction})
+        slow_starts.append(start._replace(axis=start.axis.model_copy(update={"limits": limits})))
+    return step.model_copy(update={"speed": None}), slow_starts
 
 
 def _find_line_limits(step: FollowPath, unit: Unit) -> AlongLimits:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from cluster.test_contour import two_gantries
-from cluster.worlds import demo_fleet, job, outcome, refusal, run_fleet
+from cluster.worlds import PREPARE, demo_fleet, job, outcome, refusal, run_fleet
 
 from adapters.controller.slots.path_chunks import PathChunks
 from adapters.yaskawa.common.course_refill import ContourRefill
@@ -477,3 +477,23 @@ def test_a_path_that_cannot_be_continued_ends_on_the_path(monkeypatch: pytest.Mo
         assert not is_moving(fleet, TWO) and circle_errors(np.array([positions(fleet, TWO)])).max() < 0.3
 
     run_fleet(main, gantries())
+
+
+def test_a_path_at_a_speed_in_percent_uses_that_part_of_what_its_axes_allow() -> None:
+    steps = "{{do: path, axes: [gantry.x, gantry.y], start: [0, 0], pieces: [{{piece: line, to: [{}, 0]}}], tolerance: 1 mm{}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        planned_s: list[float] = []
+        for target, speed in ((300, ""), (0, ", speed: 50 %")):
+            start = "[0, 0]" if target else "[300, 0]"
+            report = await outcome(fleet, job(f"[{steps.format(target, speed).replace('[0, 0]', start, 1)}]"))
+            assert report.state == "done", report.reason
+            planned_s.append(report.steps[0].planned_s or 0.0)
+        # 200 mm/s, then 100 mm/s, with ramps.
+        assert planned_s[0] == pytest.approx(1.7, abs=0.3)
+        assert planned_s[1] == pytest.approx(3.1, abs=0.3)
+        with pytest.raises(Refusal, match="120 %, of what its axes allow"):
+            await outcome(fleet, job(f"[{steps.format(300, ', speed: 120 %')}]"))
+
+    run_fleet(main)

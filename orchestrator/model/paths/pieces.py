@@ -19,7 +19,10 @@ Pair = Annotated[list[Quantity], Field(min_length=2, max_length=2)]
 
 Rate = Annotated[
     float | Annotated[str, Field(max_length=60)],
-    Field(description='A number per second (², ³) in the first coordinate\'s unit, or text such as "100 mm/s".'),
+    Field(
+        description='A number per second (², ³) in the first coordinate\'s unit, or text such as "100 mm/s"; for the '
+        'speed of a path also "50 %", of what its axes allow.'
+    ),
 ]
 
 
