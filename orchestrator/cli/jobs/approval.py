@@ -10,6 +10,7 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
+from orchestrator.cli.base.words import confirm_shown
 from orchestrator.model.steps.numbers import number_step
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def approve(job: str, seen: str | None, connect: str, fleet: str | None, *, yes:
             plan_hash = planned_job.plan.hash
             if not as_json:
                 await _print_plan(tutti, entry, planned_job)
-            if not yes and not click.confirm("approve this plan?"):
+            if not yes and not confirm_shown("approve this plan?"):
                 console.print("nothing is approved")
                 return
         await tutti.approve_job(entry.id, plan_hash)

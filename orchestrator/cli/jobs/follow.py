@@ -8,6 +8,7 @@ from rich.live import Live
 
 from orchestrator.cli.base.common import can_redraw, console
 from orchestrator.cli.base.errors import errors
+from orchestrator.cli.base.words import forget_typed_ahead
 from orchestrator.client import Tutti
 from orchestrator.client.ready import ReadyToBegin
 from orchestrator.model.errors import Refusal
@@ -37,10 +38,11 @@ async def follow_job(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
 
 
 async def _ask_to_begin(preview: StartPreview) -> bool:
-    """Show what would move first, and wait for Enter."""
+    """Show what would move first, and wait for Enter. What was typed before it was shown counts for nothing."""
     for line in describe_start(preview):
         errors.print(line, highlight=False, markup=False, soft_wrap=True)
     errors.print("what it waited for is gone: Enter begins, Ctrl-C leaves", highlight=False, markup=False)
+    forget_typed_ahead()
     loop, line_event = asyncio.get_running_loop(), asyncio.Event()
     loop.add_reader(sys.stdin, line_event.set)
     try:

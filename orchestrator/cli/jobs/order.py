@@ -10,6 +10,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import JobReferenceType, job_argument, jobs_argument, name_jobs
 from orchestrator.cli.base.steps import StepType
+from orchestrator.cli.base.words import confirm_shown
 from orchestrator.cli.jobs.terms import print_accepted
 from orchestrator.model.steps.numbers import number_step
 
@@ -185,7 +186,7 @@ def retry(
         first = step if from_point is None else (step, from_point)
         if not as_json:
             _show_retry(await tutti.retry_job(job_id, first, dry_run=True))
-        if not yes and not click.confirm("run these steps from here?"):
+        if not yes and not confirm_shown("run these steps from here?"):
             console.print("no job is submitted")
             return
         retried_job = await tutti.retry_job(job_id, first)
