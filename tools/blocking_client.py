@@ -38,14 +38,18 @@ TUTTI_START = '''
         super().__init__(Tutti(connect, fleet, actor), worker or LoopThread())
         self._closed = False
 
-    def __enter__(self) -> Self:
-        """Connect. Raises `RouterUnreachable`, or `Refusal` with code `no-fleet` or `which-fleet`."""
+    def connect(self) -> Self:
+        """Connect, for a notebook; entering the context does it, and `close` ends it. Raises `RouterUnreachable`, or
+        `Refusal` with code `no-fleet` or `which-fleet`."""
         try:
             self._run(self._wrapped.open())
         except BaseException:
             self.close()
             raise
         return self
+
+    def __enter__(self) -> Self:
+        return self.connect()
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -1,7 +1,11 @@
 """What a notebook shows of an object: short, and what a person looks for."""
 
+import pytest
+
 from orchestrator.client.api import Tutti
+from orchestrator.client.blocking import BlockingTutti
 from orchestrator.client.results import REPR_LENGTH, FleetStates, JobQueue, JobResult
+from orchestrator.model.errors import TuttiError
 from orchestrator.model.report import JobReport, QueueEntry, StepReport
 
 HEAD = {"job_id": "j", "actor": "a", "epoch": 1, "submitted_utc": "2026-01-01T00:00:00Z", "max_start_skew_ns": 1}
@@ -35,3 +39,10 @@ def test_long_ones_are_cut() -> None:
 def test_a_connection_shows_its_fleet_and_its_endpoint() -> None:
     assert repr(Tutti("tcp/127.0.0.1:7447", "demo", "anna")) == "<Tutti demo at tcp/127.0.0.1:7447, as anna>"
     assert "not connected" in repr(Tutti("tcp/127.0.0.1:7447"))
+
+
+def test_a_notebook_connects_without_a_context() -> None:
+    tutti = BlockingTutti("tcp/127.0.0.1:1")
+    with pytest.raises(TuttiError, match="no router"):
+        tutti.connect()
+    tutti.close()
