@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -354,12 +355,8 @@ class SubmittedJob(str):
         """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
         move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. Raises
         `Refusal` for a job that does not exist."""
-
-        async def decide(preview: StartPreview) -> bool:
-            return await ask_callback(on_ready, preview)
-
         try:
-            report = await self._requests.wait_for_job(self, on_ready=decide)
+            report = await self._requests.wait_for_job(self, on_ready=partial(ask_callback, on_ready))
         except ReadyToBegin as ready:
             return ready.preview
         return await self._requests.load_result(report)

@@ -11,6 +11,7 @@ import asyncio
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Literal
 
 from orchestrator.client.jobs import JobRequests
@@ -18,7 +19,6 @@ from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobResult
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry
 from orchestrator.model.steps.base import Step
@@ -57,16 +57,15 @@ class StepRequests(JobRequests):
         interruption.
         """
 
-        async def decide(preview: StartPreview) -> bool:
-            return await ask_callback(on_ready, preview)
-
         async with self.attend() as attendance:
             terms = QueueTerms(session=attendance.session, now=not wait)
             submitting = asyncio.ensure_future(self.enqueue_job(_make_job(job), None, terms))
             try:
                 # Not cancelled: a job whose id is unknown cannot be stopped.
                 entry = await asyncio.shield(submitting)
-                report = await self.load_result(await self.wait_for_job(entry.id, on_ready=decide))
+                report = await self.load_result(
+                    await self.wait_for_job(entry.id, on_ready=partial(ask_callback, on_ready))
+                )
             except ReadyToBegin:
                 await self.cancel_job((await submitting).id)
                 raise

@@ -35,6 +35,15 @@ async def set_door(fleet: VirtualFleet, *, is_open: bool) -> None:
     await fleet.wait_until(lambda states: states["gantry"].inputs["door"] == is_open)
 
 
+async def submit_behind_the_door(fleet: VirtualFleet, client: Tutti) -> str:
+    """Submit a job that has to wait for the door, and close the door."""
+    await set_door(fleet, is_open=True)
+    waiting = await client.submit(SHORT)
+    await asyncio.sleep(1.0)
+    await set_door(fleet, is_open=False)
+    return waiting
+
+
 async def find_entry(client: Tutti, job_id: str) -> QueueEntry:
     entry = (await client.show_job(job_id)).entry
     assert entry is not None
@@ -170,10 +179,7 @@ def test_a_word_counts_only_for_the_motion_that_was_shown() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.make_client("anna")
-        await set_door(fleet, is_open=True)
-        waiting = await client.submit(SHORT)
-        await asyncio.sleep(1.0)
-        await set_door(fleet, is_open=False)
+        waiting = await submit_behind_the_door(fleet, client)
         await asyncio.sleep(1.0)
         shown = await client.preview_start()
         assert [(motion.text, motion.axes) for motion in shown.motions] == [
@@ -194,10 +200,7 @@ def test_a_new_leader_asks_as_well() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.make_client("anna")
-        await set_door(fleet, is_open=True)
-        waiting = await client.submit(SHORT)
-        await asyncio.sleep(1.0)
-        await set_door(fleet, is_open=False)
+        waiting = await submit_behind_the_door(fleet, client)
         fleet.start_coordinator("second", standby=True)
         fleet.kill("coordinator/first")
         await asyncio.sleep(LONG_S)
@@ -222,10 +225,7 @@ def test_the_fleet_file_may_let_jobs_begin_when_a_cause_is_gone(permit: Permit, 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.make_client("anna")
-        await set_door(fleet, is_open=True)
-        waiting = await client.submit(SHORT)
-        await asyncio.sleep(1.0)
-        await set_door(fleet, is_open=False)
+        waiting = await submit_behind_the_door(fleet, client)
         await asyncio.sleep(LONG_S)
         assert ((await find_entry(client, waiting)).state == "queued") is asks
 

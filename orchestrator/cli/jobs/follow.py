@@ -52,10 +52,6 @@ async def _ask_to_begin(preview: StartPreview) -> bool:
     return bool(sys.stdin.readline())
 
 
-async def _stay(_: StartPreview) -> bool:
-    return False
-
-
 async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:
     if quiet:
         waits = ""
@@ -66,7 +62,7 @@ async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobR
                 waits = progress.reason
                 errors.print(waits, highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait_for_job(job_id, print_waiting, on_ready=_stay)
+        return await tutti.wait_for_job(job_id, print_waiting, on_ready=lambda _: False)
     if not can_redraw():
         last = ""
 
@@ -77,7 +73,7 @@ async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobR
                 last = words
                 console.print(format_job_line(progress), highlight=False, markup=False, soft_wrap=True)
 
-        return await tutti.wait_for_job(job_id, print_progress, on_ready=_stay)
+        return await tutti.wait_for_job(job_id, print_progress, on_ready=lambda _: False)
     view = LiveView(tutti.keys, time.monotonic)
     async with tutti.subscribe_samples(*view.key_expressions) as samples:
         view.take_states(await tutti.status(), await tutti.list_leases())
@@ -88,4 +84,4 @@ async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobR
                 while not samples.empty():
                     view.take_sample(samples.get_nowait())
 
-            return await tutti.wait_for_job(job_id, take_progress, poll_s=0.25, on_ready=_stay)
+            return await tutti.wait_for_job(job_id, take_progress, poll_s=0.25, on_ready=lambda _: False)

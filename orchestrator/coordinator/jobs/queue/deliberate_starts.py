@@ -98,7 +98,7 @@ class DeliberateStarts:
             return
         self._require_shown(self.preview_start(), shown)
         for job in [job for job in self._register.list_waiting() if job.awaits_word and not self._find_cause(job)]:
-            await self._clear_mark(job, actor)
+            await self._register.clear_hold(job, f"its start was asked for by {actor}", actor)
 
     def require_release(self, jobs: Collection[WaitingJob], shown: str) -> None:
         """Raise `Refusal` unless the first motions of these jobs were shown, and their causes are gone."""
@@ -116,13 +116,6 @@ class DeliberateStarts:
             motions = "; ".join(f"{motion.name!r}: {motion.text}" for motion in preview.motions) or "nothing"
             text = f"what moves first was not shown, or has changed since; now it is {motions}"
             raise Refusal("not-shown", text, "look at it again, then give the word: `tutti queue start`")
-
-    async def _clear_mark(self, job: WaitingJob, actor: str) -> None:
-        services = self._services
-        change = services.make_transition("queued", f"its start was asked for by {actor}", actor)
-        await services.execute(services.journal.hold_jobs, [job.row.id], "", change)
-        job.row = job.row._replace(held_by="", reason=change.reason)
-        self._register.wake_up()
 
     def _find_cause(self, job: WaitingJob) -> str:
         """The cause that lasts for a job; empty: none. Behind another job, whose steps may enable and home, the state

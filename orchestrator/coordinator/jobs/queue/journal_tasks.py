@@ -1,9 +1,9 @@
 """Background work on the journal: a journal that cannot be written is logged, and ends nothing."""
 
-import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any, ParamSpec
 
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 
@@ -16,7 +16,7 @@ class JournalTasks:
     def __init__(self, services: JobServices, failure: str = "") -> None:
         self._services = services
         self._failure = failure
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = TaskOwner(services.fleet.tasks.on_defect)
 
     def spawn(self, function: Callable[P, Coroutine[Any, Any, None]], *values: P.args, **names: P.kwargs) -> None:
         """Start a task. One that ends with another error than `JournalError` is a defect of the coordinator."""
@@ -27,11 +27,8 @@ class JournalTasks:
             except JournalError as error:
                 self._services.log.warning(f"{self._failure}{error}")
 
-        task = self._services.fleet.tasks.spawn(work(), vital=True)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.spawn(work(), vital=True)
 
     def cancel_all(self) -> None:
         """Cancel all tasks that run."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel_all()

@@ -77,11 +77,7 @@ class QueueRequests:
                 remedy = f"look at its plan and approve it: `tutti job approve {job_id}`"
                 raise Refusal("awaits-approval", f"job {job_id} waits for the approval of its plan", remedy)
             if waiting_job.row.held_by:
-                services = self._services
-                change = services.make_transition("queued", f"released by {actor}", actor)
-                await services.execute(services.journal.hold_jobs, [job_id], "", change)
-                waiting_job.row = waiting_job.row._replace(held_by="", reason=change.reason)
-                self._register.wake_up()
+                await self._register.clear_hold(waiting_job, f"released by {actor}", actor)
 
     async def approve_job(self, waiting: WaitingJob, approval: JobApproval) -> None:
         """Record the approval of a job's plan, and release the job if it waits for that. A hold by a user stays."""

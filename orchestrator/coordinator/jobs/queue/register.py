@@ -91,6 +91,14 @@ class JobRegister:
             raise await self.make_refusal(job_id, "not-queued", remedy)
         return waiting_job
 
+    async def clear_hold(self, waiting: WaitingJob, reason: str, actor: str) -> None:
+        """Record that a job is not held any more. Raises `JournalError`; then it is."""
+        services = self._services
+        change = services.make_transition("queued", reason, actor)
+        await services.execute(services.journal.hold_jobs, [waiting.row.id], "", change)
+        waiting.row = waiting.row._replace(held_by="", reason=change.reason)
+        self.wake_up()
+
     async def make_refusal(self, job_id: str, code: str, remedy: str) -> Refusal:
         """The refusal of a request that does not fit the state of the job."""
         row = await self._services.execute(self._services.journal.load_record, job_id)
