@@ -99,6 +99,8 @@ class MockedStream:
 
     sent: what the page has sent. replies: what requests are answered, by their paths without query; a list is
     answered one after the other, its last element for ever. asked: the requests with these paths, and their bodies.
+    beating: an empty patch is sent three times a second, as a gateway does whose state does not change; without it
+    the page shows after 1 s that its state is old, and refuses what moves.
     """
 
     def __init__(self, page: Page, state: dict[str, Any], **hello: Any) -> None:
@@ -108,6 +110,7 @@ class MockedStream:
         self.replies: dict[str, Any] = {}
         self.asked: list[tuple[str, Any]] = []
         self._state, self._hello = state, {**HELLO, "role": "operator", "may": MAY, **hello}
+        self.beating = True
         self._number = 0
         self._socket: WebSocketRoute | None = None
         page.route(f"{MOCKED}**", self._serve)
@@ -125,6 +128,16 @@ class MockedStream:
     def patch(self, patch: dict[str, Any]) -> None:
         self._number += 1
         self.send({"n": self._number, "patch": patch})
+
+    def beat(self) -> None:
+        if self.beating and self._socket is not None:
+            self.patch({})
+
+    def close(self) -> None:
+        """Close the socket. The page opens another."""
+        assert self._socket is not None
+        socket, self._socket = self._socket, None
+        socket.close()
 
     def find(self, do: str) -> list[dict[str, Any]]:
         """The frames of the page with this verb."""
@@ -242,11 +255,16 @@ def make_entry(name: str, **fields: Any) -> dict[str, Any]:
 
 @pytest.fixture
 def mock(page: Page) -> Callable[..., MockedStream]:
+    streams: list[MockedStream] = []
+    page.expose_function("beat", lambda: streams[-1].beat())
+    page.add_init_script("setInterval(() => beat(), 333)")
+
     def open_mock(
         state: dict[str, Any] | None = None, view: str = "run", replies: dict[str, Any] | None = None, **hello: Any
     ) -> MockedStream:
         stream = MockedStream(page, make_state() if state is None else state, **hello)
         stream.replies |= replies or {}
+        streams.append(stream)
         return stream.open(view)
 
     return open_mock
