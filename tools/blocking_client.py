@@ -72,7 +72,7 @@ CONTEXT = """
 
 # asynchronous class: (blocking class, is a context, properties and attributes)
 CLASSES = {
-    "SubmittedJob": ("BlockingJob", False, ("id",)),
+    "SubmittedJob": ("BlockingJob", False, ("id", "waits_for")),
     "ManualControl": ("BlockingManualControl", True, ("axes", "lost", "holder")),
     "Attendance": ("BlockingAttendance", True, ("session",)),
     "Tutti": ("BlockingTutti", False, ("actor",)),
@@ -84,6 +84,7 @@ LEFT_OUT = {
 }  # fmt: skip
 ATTRIBUTES = {
     "id": ("str", "The id as plain text."),
+    "waits_for": ("str", "What the job waited for when it was submitted; empty: nothing."),
     "axes": ("list[str]", "The leased axes, as `controller.axis`."),
     "lost": ("Refusal | None", "Why the lease ended before it was released; None while it lasts."),
     "holder": ("str", "The holder of the lease, as others are shown it."),

@@ -50,7 +50,6 @@ from orchestrator.model.report import (
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
 from orchestrator.model.steps.base import Step
 from orchestrator.model.templates.template import Template
-from orchestrator.model.units import Quantity
 
 
 class BlockingJob(BlockingObject[SubmittedJob]):
@@ -61,6 +60,11 @@ class BlockingJob(BlockingObject[SubmittedJob]):
     def id(self) -> str:
         """The id as plain text."""
         return self._wrapped.id
+
+    @property
+    def waits_for(self) -> str:
+        """What the job waited for when it was submitted; empty: nothing."""
+        return self._wrapped.waits_for
 
     def events(self) -> Iterator[JobTransition | JobProgress]:
         """All transitions from the beginning on, each once, from the journal, and progress in between from the bus.
@@ -242,8 +246,8 @@ class BlockingTutti(BlockingObject[Tutti]):
 
     def move(
         self,
-        to: Mapping[str, Quantity] | str | None = None,
-        by: Mapping[str, Quantity] | None = None,
+        to: Mapping[str, int | float | str] | str | None = None,
+        by: Mapping[str, int | float | str] | None = None,
         *,
         speed: float | str | Mapping[str, float | str] = "manual",
         sync: Literal["time", "phase", "none"] = "time",
@@ -272,7 +276,7 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Switch the motors of axes (groups, controllers) off. Raises `Refusal`, `JobFailed`."""
         return self._run(self._wrapped.disable(*axes, wait=wait))
 
-    def set_position(self, axes: Mapping[str, Quantity | None], *, wait: bool = False) -> JobResult:
+    def set_position(self, axes: Mapping[str, int | float | str | None], *, wait: bool = False) -> JobResult:
         """Set the present positions of axes; None removes an axis's offset. Nothing moves. Raises `Refusal`,
         `JobFailed`."""
         return self._run(self._wrapped.set_position(axes, wait=wait))
@@ -299,7 +303,7 @@ class BlockingTutti(BlockingObject[Tutti]):
         parameters: Mapping[str, object] | None = None,
     ) -> BlockingJob:
         """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file or a
-        template.
+        template. What it returns prints with what the job waits for, such as a stopped queue.
 
         job: a job, a template, or the path of a job file; without an actor it gets the actor of this connection.
         client_key: the same key is the same job, however often it is submitted. terms: priority, repeats, predecessor
@@ -515,7 +519,7 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._run(self._wrapped.list_positions())
 
     def save_position(
-        self, name: str, *axes: str, at: Mapping[str, Quantity] | None = None, description: str | None = None
+        self, name: str, *axes: str, at: Mapping[str, int | float | str] | None = None, description: str | None = None
     ) -> PositionEntry:
         """Save the present user positions of axes (groups, controllers) under a name; an earlier saved position of
         this name is replaced. Without axes and `at`: of all axes that are referenced.

@@ -11,7 +11,8 @@ from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.queue import QueueRequests
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
-from orchestrator.client.results import JobQueue, JobResult
+from orchestrator.client.results import JobQueue, JobResult, shorten_repr
+from orchestrator.client.tracebacks import end_tracebacks
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.jobs.job import UNKNOWN_ACTOR, Job
@@ -71,13 +72,14 @@ class JobRequests(QueueRequests):
         parameters: Mapping[str, object] | None = None,
     ) -> "SubmittedJob":
         """Submit a job; it is in the journal when this returns. Raises `Refusal`, and `FileError` for a file or a
-        template.
+        template. What it returns prints with what the job waits for, such as a stopped queue.
 
         job: a job, a template, or the path of a job file; without an actor it gets the actor of this connection.
         client_key: the same key is the same job, however often it is submitted. terms: priority, repeats, predecessor
         and start time. parameters: values for those of the template or file, `{"width": "20 mm"}`.
         """
-        return self.job((await self.enqueue_job(_fill_job(job, parameters), client_key, terms)).id)
+        entry = await self.enqueue_job(_fill_job(job, parameters), client_key, terms)
+        return SubmittedJob(entry.id, self, entry)
 
     def attend(self) -> Attendance:
         """A session for jobs that a person waits for: they end when its context does, or its process."""
@@ -307,16 +309,30 @@ class JobRequests(QueueRequests):
                 raise
 
 
+@end_tracebacks
 class SubmittedJob(str):
     """The id of a job, with methods to follow it. As text it can be stored and passed to other processes, which get
     the same object from `tutti.job(id)`."""
 
     _requests: JobRequests
+    _entry: QueueEntry | None
 
-    def __new__(cls, job_id: str, requests: JobRequests) -> Self:
+    def __new__(cls, job_id: str, requests: JobRequests, entry: QueueEntry | None = None) -> Self:
+        """entry: its place in the queue when it was submitted."""
         job = super().__new__(cls, job_id)
         job._requests = requests
+        job._entry = entry
         return job
+
+    def __repr__(self) -> str:
+        words = self.id if self._entry is None else f"{self._entry.name!r} {self.id} {self._entry.state}"
+        return shorten_repr("SubmittedJob", f"{words}: {self.waits_for}" if self.waits_for else words)
+
+    @property
+    def waits_for(self) -> str:
+        """What the job waited for when it was submitted, such as a stopped queue or a controller; empty: nothing."""
+        entry = self._entry
+        return "" if entry is None or entry.reason in ("", "submitted") else entry.reason
 
     @property
     def id(self) -> str:

@@ -12,7 +12,6 @@ from orchestrator.model.positions.entries import (
     RemovePosition,
     SavePosition,
 )
-from orchestrator.model.units import Quantity
 
 
 class PositionRequests(FleetConnection):
@@ -26,7 +25,7 @@ class PositionRequests(FleetConnection):
         self,
         name: str,
         *axes: str,
-        at: Mapping[str, Quantity] | None = None,
+        at: Mapping[str, int | float | str] | None = None,
         description: str | None = None,
     ) -> PositionEntry:
         """Save the present user positions of axes (groups, controllers) under a name; an earlier saved position of

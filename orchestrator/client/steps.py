@@ -28,7 +28,6 @@ from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.set_position import SetPosition
-from orchestrator.model.units import Quantity
 
 STOP_S = 5.0  # for an interrupted job to come to rest
 
@@ -78,8 +77,8 @@ class StepRequests(JobRequests):
 
     async def move(
         self,
-        to: Mapping[str, Quantity] | str | None = None,
-        by: Mapping[str, Quantity] | None = None,
+        to: Mapping[str, int | float | str] | str | None = None,
+        by: Mapping[str, int | float | str] | None = None,
         *,
         speed: float | str | Mapping[str, float | str] = "manual",
         sync: Literal["time", "phase", "none"] = "time",
@@ -110,7 +109,7 @@ class StepRequests(JobRequests):
         """Switch the motors of axes (groups, controllers) off. Raises `Refusal`, `JobFailed`."""
         return await self.run(Disable(axes=list(axes)), wait=wait)
 
-    async def set_position(self, axes: Mapping[str, Quantity | None], *, wait: bool = False) -> JobResult:
+    async def set_position(self, axes: Mapping[str, int | float | str | None], *, wait: bool = False) -> JobResult:
         """Set the present positions of axes; None removes an axis's offset. Nothing moves. Raises `Refusal`,
         `JobFailed`."""
         return await self.run(SetPosition(axes=dict(axes)), wait=wait)

@@ -6,6 +6,9 @@ from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, Protocol, TypeVar
 
+from orchestrator.client.tracebacks import shorten_traceback
+from orchestrator.model.errors import TuttiError
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -76,22 +79,25 @@ class BlockingObject(Generic[T]):
         self._worker = worker
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self._wrapped}>"
+        words = repr(self._wrapped).removeprefix(f"<{type(self._wrapped).__name__} ").removesuffix(">")
+        return f"<{type(self).__name__} {words}>"
 
     def _run(self, work: Coroutine[Any, Any, R]) -> R:
-        return self._worker.run_coroutine(work)
+        try:
+            return self._worker.run_coroutine(work)
+        except TuttiError as error:
+            raise shorten_traceback(error) from None
 
     def _iterate(self, items: AsyncGenerator[R]) -> Iterator[R]:
         """The items as they come; leaving the loop ends them."""
-        worker = self._worker
         try:
             while True:
                 try:
-                    yield worker.run_coroutine(_next(items))
+                    yield self._run(_next(items))
                 except StopAsyncIteration:
                     return
         finally:
-            worker.run_coroutine(items.aclose())
+            self._run(items.aclose())
 
 
 async def _next(items: AsyncGenerator[R]) -> R:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from orchestrator.model.base import Model
+from orchestrator.model.script import ScriptModel
 
 SESSION_PATTERN = r"^[a-z0-9_-]{1,64}$"
 SIGN_PERIOD_NS = 200_000_000
@@ -53,7 +54,7 @@ Utc = Annotated[str, BeforeValidator(_in_utc)]
 """An RFC 3339 instant, kept as UTC with microseconds."""
 
 
-class QueueTerms(Model):
+class QueueTerms(ScriptModel):
     """Queue options that are given at submission."""
 
     priority: int = Field(default=0, ge=-100, le=100, description="Higher ones come first.")

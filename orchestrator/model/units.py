@@ -133,6 +133,21 @@ def parse_rate(text: str, unit: Unit, order: int) -> float:
     return float(convert_units(Fraction(number), _parse_unit(match[1]), unit) / seconds)
 
 
+def check_rate(text: str, order: int) -> None:
+    """Check that text such as `"5 mm/s"` is a number and a known unit per second (order 1), second² or second³.
+
+    Raises `UnitError`. Whether the unit fits an axis is known only together with the fleet.
+    """
+    parts = split_number(text)
+    if parts is None:
+        raise UnitError(_explain_quantity(text, f"mm/s{_MARKS[order]}"))
+    number, name = parts
+    match = _PER_TIME.fullmatch("rev/min" if name == "rpm" else name)
+    if match is None or _order_of(match) != order:
+        raise UnitError(f'{text[:MAX_TEXT]!r} has no unit per time; write e.g. "{number} mm/s{_MARKS[order]}"')
+    _parse_unit(match[1])
+
+
 def _order_of(found: re.Match[str]) -> int:
     return int(found[3] or {"²": 2, "³": 3}.get(found[4], 1))
 
@@ -174,3 +189,20 @@ Quantity = Annotated[
     WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
 ]
 """A value for an axis whose unit is known only together with the fleet: convert it with `parse_quantity`."""
+
+
+def check_position(value: object) -> object:
+    """`check_quantity`, and a unit is one of axes. Raises `ValueError`."""
+    quantity = check_quantity(value)
+    if isinstance(quantity, str) and (parts := split_number(quantity)) is not None and parts[1]:
+        _parse_unit(parts[1])
+    return quantity
+
+
+AxisQuantity = Annotated[
+    int | float | str,
+    BeforeValidator(check_position),
+    Field(description='A number in the axis\'s own unit, or text with a convertible unit, e.g. "12.5 um".'),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
+]
+"""A position or a distance of an axis. That its unit fits the axis is known only together with the fleet."""

@@ -5,8 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
+from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.base import Step, require_in_files
 from orchestrator.model.steps.repeat import JobStep
 from orchestrator.model.steps.tree import iterate_steps
@@ -18,11 +18,11 @@ _MISSING: Any = object()
 ParameterText = Annotated[str, Field(max_length=120)]
 
 
-class Job(Model):
+class Job(ScriptModel):
     """A sequence of steps that a user submits to the fleet.
 
     In Python: `Job("scan", [Home(), Move(to={"gantry.x": 120, "stage.u": "6 mm"})], max_start_skew="5 ms")`; skews and
-    durations are text with a unit. Raises `pydantic.ValidationError` with every mistake.
+    durations are text with a unit. Raises `WrongValue` with every mistake.
     """
 
     model_config = ConfigDict(json_schema_extra=require_in_files("schema"))

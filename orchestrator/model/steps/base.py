@@ -10,6 +10,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
+from orchestrator.model.script import ScriptModel
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
@@ -53,7 +54,7 @@ class InnerSteps:
     word: str
 
 
-class Step(Model):
+class Step(ScriptModel):
     """A step of a job: the fields that every kind has, and the questions that a kind answers about itself.
 
     A kind has a field `do` with its name in files. What a method here returns is right for a kind that neither moves

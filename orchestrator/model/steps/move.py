@@ -11,7 +11,7 @@ from orchestrator.model.state import StartWish
 from orchestrator.model.steps.base import MotionOptions, Step, StepSampling, TargetResolver
 from orchestrator.model.steps.words import describe_trigger
 from orchestrator.model.triggers import Triggers, check_step_triggers
-from orchestrator.model.units import Quantity
+from orchestrator.model.units import AxisQuantity, Quantity
 
 NAME_AXES = "name the axes of the position that are to move: `to: {axis: position}`"
 
@@ -26,7 +26,7 @@ class MoveTargets(Step):
         default={},
         description="Absolute targets by axis: quantities, or names of positions; or one name, for all its axes.",
     )
-    by: dict[str, Quantity] = Field(default={}, description="Relative moves by axis.")
+    by: dict[str, AxisQuantity] = Field(default={}, description="Relative moves by axis.")
     record: StepSampling | None = Field(
         default=None, description="Have controllers record positions by themselves, for the recording of the job."
     )

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.names import Target, is_position_name
+from orchestrator.model.script import ScriptModel
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_with_unit
 
 MAX_POINTS = 10_000_000  # of one scan
@@ -26,7 +27,7 @@ DIGEST_PATTERN = r"^sha256:[0-9a-f]{64}$"
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class ScanAxis(Model):
+class ScanAxis(ScriptModel):
     """The positions of one axis of a scan: from one end to the other, or listed."""
 
     from_: Target | None = Field(
@@ -143,7 +144,7 @@ class PointColumn(Model):
     most_step: Finite = 0.0
 
 
-class PointTable(Model):
+class PointTable(ScriptModel):
     """The points of a scan as a table: listed here, in a CSV file, or stored by the coordinator.
 
     A job that is submitted names stored points: the client reads the file, and sends the points before.

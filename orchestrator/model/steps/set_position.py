@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field
 
 from orchestrator.model.steps.base import Step
-from orchestrator.model.units import Quantity
+from orchestrator.model.units import AxisQuantity
 
 
 class SetPosition(Step):
     """Set the current position of axes to the given user positions; null removes an axis's offset. Nothing moves."""
 
     do: Literal["set-position"] = "set-position"
-    axes: dict[str, Quantity | None] = Field(min_length=1, description="User positions by axis.")
+    axes: dict[str, AxisQuantity | None] = Field(min_length=1, description="User positions by axis.")
 
     if TYPE_CHECKING:
 

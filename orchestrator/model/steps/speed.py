@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import BeforeValidator, WithJsonSchema
 
 from orchestrator.model.numbers import split_number
+from orchestrator.model.units import check_rate
 
 MANUAL: Literal["manual"] = "manual"
 """The speed of what a person asks for one at a time: `manual_speed` of each axis."""
@@ -22,6 +23,7 @@ def read_speed(value: object, owner: str) -> float | str:
         if unit and unit != "%":
             if float(number) <= 0:
                 raise ValueError(f"{owner} is {value}; a speed is above 0")
+            check_rate(value, 1)
             return value
         if unit:
             fraction = float(number) / 100
