@@ -215,8 +215,9 @@ def _describe_chain(steps: Sequence[StepReport]) -> list[str]:
     lines: list[str] = []
     if gaps_ms:
         lines = [
-            f"right behind the step before: {len(gaps_ms)} of {sum(report.chain is not None for report in steps)}, "
-            f"{median(gaps_ms):.1f} ms after its end in the median, {max(gaps_ms):.1f} ms at most"
+            f"begun right behind the motion before: {len(gaps_ms)} of "
+            f"{sum(report.chain is not None for report in steps)} steps, {median(gaps_ms):.1f} ms after its end in the "
+            f"median, {max(gaps_ms):.1f} ms at most"
         ]
     for step in steps:
         chain = step.chain

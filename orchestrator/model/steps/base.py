@@ -207,12 +207,16 @@ class Step(ScriptModel):
     UNSAID: ClassVar[frozenset[str]] = frozenset()
     """Fields that `describe` does not list."""
 
+    def describe_value(self, key: str, value: Any) -> str:
+        """One field and its value."""
+        return describe_field(key, value)
+
     def describe(self) -> str:
         """What its file says, without defaults: `move to gantry.x=120 stage.u=6, speed=0.5`. Of a repeat only how many
         steps it has."""
         exclusions = {"do", "name", "steps", "triggers", *self.UNSAID}
         fields = self.model_dump(mode="json", exclude_defaults=True, exclude=exclusions)
-        words = self.complete_words([describe_field(key, value) for key, value in fields.items()])
+        words = self.complete_words([self.describe_value(key, value) for key, value in fields.items()])
         return " ".join(part for part in (self.kind, self.name and f"'{self.name}'", ", ".join(words)) if part)
 
     def complete_words(self, fields: list[str]) -> list[str]:

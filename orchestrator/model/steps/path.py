@@ -24,6 +24,9 @@ def _describe_path_axes(schema: dict[str, Any]) -> None:
     schema["required"] = ["do", *(name for name in schema["required"] if name not in ("start", "pieces"))]
 
 
+_RATE_UNITS = {"speed": "units/s", "acceleration": "units/s²", "jerk": "units/s³"}
+
+
 class FollowPath(Step, PathSpec):
     """Move axes together along a path, without a stop where corners are rounded. How far they may be off it is known
     before they move."""
@@ -121,6 +124,12 @@ class FollowPath(Step, PathSpec):
     @property
     def placed_axes(self) -> list[str]:
         return list(self.axes)
+
+    def describe_value(self, key: str, value: Any) -> str:
+        """A bare number is of the first coordinate's unit, which only the fleet says."""
+        if key in _RATE_UNITS and isinstance(value, int | float):
+            return f"{key}={value:.9g} {_RATE_UNITS[key]}"
+        return super().describe_value(key, value)
 
     def describe_relative(self, number: int, axes: str) -> str:
         return f"step {number}, a path, begins at the current position of {axes}"

@@ -33,11 +33,28 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         state.add_problem(at, (), Refusal(code, text, remedy))
         state.lose_positions(at, axes)
         return Span()
+    _note_bare_speed(state, step)
     for name, (end, _) in path.exact.items():
         state.axes[name] = state.find_state(at, name).model_copy(update={"motor": end, "known": True})
     state.motion = ForecastMotion(path.moves, path.exact, path.plan, path)
     check_triggers(state, at, step)
     return Span(path.plan.duration_s, path.plan.duration_s)
+
+
+def _note_bare_speed(state: ForecastState, step: FollowPath) -> None:
+    """In a move a bare number below 1 is a fraction of the limits; on a path it is a speed, and a slow one."""
+    speeds = [
+        speed for speed in (step.speed, *(piece.speed for piece in step.pieces)) if isinstance(speed, int | float)
+    ]
+    slowest = min(speeds, default=1.0)
+    if slowest < 1:
+        frame = None if step.frame is None else state.fleet.frames.get(step.frame)
+        unit = state.fleet.axis(step.axes[0]).unit if frame is None else frame.unit
+        percent = f'"{100 * slowest:g} %"'
+        state.notes[
+            f"speed {slowest:g} is {slowest:g} {unit}/s along the path; "
+            f"if a part of what its axes allow is meant, write {percent}"
+        ] = None
 
 
 def _find_starts(

@@ -207,7 +207,9 @@ def test_a_report_states_the_gaps_between_steps_and_why_others_began_from_rest()
     kept = [StepChain(step=index, kept=True, gap_s=0.012 + index / 1000) for index in range(2)]
     steps = [make_chained(0, None), *(make_chained(chain.step + 1, chain) for chain in kept), make_chained(4, waited)]
     lines = render(make_report_tables(make_report(steps)), 120).splitlines()
-    place = lines.index("right behind the step before: 2 of 3, 12.5 ms after its end in the median, 13.0 ms at most")
+    place = lines.index(
+        "begun right behind the motion before: 2 of 3 steps, 12.5 ms after its end in the median, 13.0 ms at most"
+    )
     assert lines[place + 1] == "step 5 from rest, 0.640 s after step 3: step 4 (wait) comes before it"
 
 

@@ -176,3 +176,16 @@ def test_ten_thousand_steps() -> None:
     moves = ", ".join(f"{{do: move, to: {{gantry.x: {k % 300}, stage.u: {k % 40}}}}}" for k in range(10_000))
     assert forecast(f"[{moves}]").problems == []
     assert time.process_time() - began_s < 10
+
+
+def test_a_bare_speed_of_a_path_below_1_is_noted_with_its_unit() -> None:
+    def path(speed: str) -> str:
+        line = "{piece: line, to: [5]}"
+        return f"[{{do: path, axes: [gantry.x], start: [0], pieces: [{line}], tolerance: 0.1, speed: {speed}}}]"
+
+    assert (
+        'speed 0.5 is 0.5 mm/s along the path; if a part of what its axes allow is meant, write "50 %"'
+    ) in forecast(path("0.5")).steps[0].conditions
+    for speed in ('"0.5 mm/s"', '"50 %"', "1"):
+        assert not [note for note in forecast(path(speed)).steps[0].conditions if "along the path" in note]
+    assert "speed=0.5 units/s" in forecast(path("0.5")).steps[0].text  # not of the limits, as in a move
