@@ -44,6 +44,8 @@ export interface AxisState {
   max?: number;
   max_velocity?: number;
   jog_velocity?: number;
+  /** The part of `max_velocity` for what a person asks for one at a time. */
+  manual_speed?: number;
 }
 
 export interface ClockQuality {

@@ -13,6 +13,7 @@ import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AxisMenu } from "./axismenu.tsx";
 import { GetReady, unready } from "./getready.tsx";
+import { MoveDialog } from "./movedialog.tsx";
 import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
 
 /** With more axes than this the table is dense, and what needs a look comes first. */
@@ -141,6 +142,12 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
         {holder.by ? <small class="remedy">{holder.by}</small> : null}
       </td>
       <td class="tools">
+        <Act
+          label={T.axes.go}
+          kind="small"
+          name={T.axes.moving(axis.id)}
+          onAct={() => openDialog(T.axes.moving(axis.id), <MoveDialog axis={axis} controller={controller} />)}
+        />
         <Act
           label="⋯"
           kind="small"
