@@ -16,22 +16,21 @@ from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.job_files import JobFiles
+from orchestrator.gateway.job_plot import draw_job_steps, draw_step, find_plotted_steps, list_samples
 from orchestrator.gateway.openapi import make_openapi
 from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.queue import format_utc, shift_utc
-from orchestrator.model.report import AxisRecording, StepRecording
+from orchestrator.model.report import StepRecording
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.runtime.trace_frames import FrameList
 
 MAX_RECORDINGS = 1000
 MAX_TRACE_FRAMES = 2000
-PLAN_POINTS = 400
 STATISTICS_S = 30 * 24 * 3600  # unless a day is given
-DIGITS = 6
 RECORDED = ".mcap"
 
 Values = Mapping[str, str]
@@ -73,6 +72,7 @@ class FleetReads:
             "/v1/jobs/{job_id}/plan": self._read_plan,
             "/v1/jobs/{job_id}/points": self._read_points,
             "/v1/jobs/{job_id}/recording/{step}": self._read_recording,
+            "/v1/jobs/{job_id}/plot": self._plot_job,
             "/v1/jobs/{job_id}/export.csv": self._export_job,
             "/v1/alarms": self._list_alarms,
             "/v1/names": self._list_names,
@@ -122,8 +122,10 @@ class FleetReads:
         return await self._ask(request, "show", job_id=request.values["job_id"])
 
     async def _read_points(self, request: ReadRequest) -> Response:
-        limit = request.read_int("limit", 1000)
-        return await self._ask(request, "points", job_id=request.values["job_id"], limit=limit)
+        cursor = {"after_point": request.read_int("after", 0), "limit": request.read_int("limit", 1000)}
+        if request.values.get("step"):
+            cursor["after_step"] = request.read_int("step", 0)
+        return await self._ask(request, "points", job_id=request.values["job_id"], **cursor)
 
     async def _read_plan(self, request: ReadRequest) -> Response:
         """What a queued job will do now, and its plan for approval."""
@@ -142,8 +144,20 @@ class FleetReads:
 
     async def _read_recording(self, request: ReadRequest) -> Response:
         recording = await self._load_recording(request, request.read_int("step", 0))
-        axes = {name: _draw_axis(axis, recording.t0_fleet_ns) for name, axis in recording.axes.items()}
+        axes = await self._execute(draw_step, recording)
         return JSONResponse({"step": recording.step, "t0_fleet_ns": recording.t0_fleet_ns, "axes": axes})
+
+    async def _plot_job(self, request: ReadRequest) -> Response:
+        """All motion steps of a job that have a recording, over one time."""
+        tutti, job_id = self._connect(request), request.values["job_id"]
+        locations, steps_before = find_plotted_steps(await tutti.show_job(job_id))
+        recordings = [(location, await tutti.load_recording(job_id, location.index)) for location in locations]
+        kept_recordings = [(location, recording) for location, recording in recordings if recording is not None]
+        if not kept_recordings:
+            text = f"job {job_id} has no recording: it has moved nothing yet, or its recordings were deleted"
+            raise Refusal("no-file", text, "recordings are kept for the newest jobs only")
+        drawing = await self._execute(draw_job_steps, kept_recordings)
+        return JSONResponse({**drawing, "left_out": steps_before})
 
     async def _export_job(self, request: ReadRequest) -> Response:
         """Polled and planned positions of all its moves that have a recording, as CSV."""
@@ -157,7 +171,7 @@ class FleetReads:
         rows.writerow(["step", "axis", "unit", "fleet_ns", "after_t0_s", "planned", "actual"])
         for recording in result.recordings:
             for name, axis in recording.axes.items():
-                rows.writerows(_list_samples(recording, name, axis))
+                rows.writerows(list_samples(recording, name, axis))
         headers = {"Content-Disposition": f'attachment; filename="{report.job_id}.csv"'}
         return Response(text.getvalue(), media_type="text/csv", headers=headers)
 
@@ -224,31 +238,3 @@ class FleetReads:
 
     async def _read_openapi(self, _: ReadRequest) -> Response:
         return JSONResponse(make_openapi(list(self.readers)))
-
-
-def _draw_axis(axis: AxisRecording, t0_ns: int) -> dict[str, Any]:
-    """Planned and polled positions over the time after T0, for a drawing. Motor positions."""
-    evaluate, duration_s = axis.profile.make_evaluator(), axis.profile.duration_s
-    instants = [duration_s * number / PLAN_POINTS for number in range(PLAN_POINTS + 1)]
-    start, scale = axis.profile.start_counts, axis.counts_per_unit
-    plan = [round((start + evaluate(at).position) / scale, DIGITS) for at in instants]
-    return {
-        "unit": axis.unit,
-        "planned": {"t": [round(at, DIGITS) for at in instants], "v": plan},
-        "actual": {
-            "t": [round((at_ns - t0_ns) / 1e9, DIGITS) for at_ns, _ in axis.sampled],
-            "v": [round(counts / scale, DIGITS) for _, counts in axis.sampled],
-        },
-    }
-
-
-def _list_samples(recording: StepRecording, name: str, axis: AxisRecording) -> list[list[Any]]:
-    evaluate, start, scale = axis.profile.make_evaluator(), axis.profile.start_counts, axis.counts_per_unit
-    rows: list[list[Any]] = []
-    for at_ns, counts in axis.sampled:
-        after_s = (at_ns - recording.t0_fleet_ns) / 1e9
-        planned_position = (start + evaluate(after_s).position) / scale
-        rows.append(
-            [recording.step, name, axis.unit, at_ns, after_s, round(planned_position, 9), round(counts / scale, 9)]
-        )
-    return rows

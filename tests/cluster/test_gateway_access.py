@@ -385,6 +385,55 @@ def test_what_is_read_of_a_run(tmp_path: Path) -> None:
     run_with_gateway(main)
 
 
+def test_all_steps_of_a_job_are_drawn_over_one_time(tmp_path: Path) -> None:
+    steps: list[dict[str, Any]] = [
+        {"do": "move", "name": "out", "to": {"gantry.x": 20}},
+        {"do": "dwell", "duration": "1 s"},
+        {"do": "scan", "axes": {"gantry.x": {"from": 22, "to": 26, "points": 3}}},
+    ]
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        job = {"schema": "tutti.job/1", "name": "m", "steps": steps}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        assert (await gateway.get(f"/v1/jobs/{job_id}/plot")).status == 404  # nothing has moved
+        await fleet.make_client().wait_for_job(job_id)
+        drawing = (await gateway.get(f"/v1/jobs/{job_id}/plot")).json
+        assert [step["index"] for step in drawing["steps"]] == [0, 2, 3, 4]
+        assert [step["text"] for step in drawing["steps"]][:2] == ["step 1", "step 3, point 1 of 3"]
+        assert drawing["steps"][0]["t0"] == 0 and drawing["steps"][0]["name"] == "out"
+        assert drawing["steps"][1]["t0"] >= drawing["steps"][0]["t1"] + 1
+        assert drawing["left_out"] == 0
+        axis = drawing["axes"]["gantry.x"]
+        assert axis["planned"]["v"][-1] == pytest.approx(26)
+        for curve in (axis["planned"], axis["actual"]):
+            assert curve["t"] == sorted(set(curve["t"])) and len(curve["t"]) == len(curve["v"])
+        points = (await gateway.get(f"/v1/jobs/{job_id}/points?step=2&after=1&limit=1")).json["points"]
+        assert [(point["point"], point["target"]) for point in points] == [(2, {"gantry.x": 24.0})]
+        assert len((await gateway.get(f"/v1/jobs/{job_id}/points")).json["points"]) == 3
+        assert (await gateway.get(f"/v1/jobs/{job_id}/points?after=x")).status == 400
+
+    run_with_gateway(main)
+
+
+def test_of_a_long_job_the_last_steps_are_drawn(tmp_path: Path) -> None:
+    move = {"do": "repeat", "times": 110, "steps": [{"do": "move", "by": {"gantry.x": by}} for by in (1, -1)]}
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        job = {"schema": "tutti.job/1", "name": "m", "steps": [move]}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        await fleet.make_client().wait_for_job(job_id)
+        drawing = (await gateway.get(f"/v1/jobs/{job_id}/plot")).json
+        assert [step["index"] for step in drawing["steps"]] == list(range(20, 220))
+        assert drawing["left_out"] == 20
+        assert max(len(axis[kind]["t"]) for axis in drawing["axes"].values() for kind in ("planned", "actual")) <= 4000
+
+    run_with_gateway(main)
+
+
 def test_a_job_file_is_checked_drawn_and_submitted(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         gateway = await open_gateway(fleet, tmp_path)

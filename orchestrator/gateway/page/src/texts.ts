@@ -610,6 +610,37 @@ export const T = {
     plot: (axis: string) => `Planned and actual position of ${axis}`,
   },
 
+  jobPlot: {
+    open: "Plot",
+    openOf: (name: string) => `Plot of ${name}`,
+    title: (name: string) => `All steps of ${name}`,
+    name: (axes: string, first: number, last: number) => `Planned and actual positions of ${axes}, steps ${first} to ${last}`,
+    hint: "Lines are planned, dots are read from the controllers. Numbers are the steps, each at its T0; 0 s is the first of them.",
+    leftOut: (count: number) => `Left out: the ${count} step${s(count)} before.`,
+    steps: (count: number) => `${count} step${s(count)} with their times`,
+    span: (from: string, to: string) => `${from} s … ${to} s`,
+  },
+
+  points: {
+    show: "Points",
+    showOf: (step: number) => `Points of step ${step}`,
+    point: "Point",
+    target: "Position",
+    off: "Deviation",
+    verdict: "Verdict",
+    skew: "Start skew",
+    none: "No point was recorded.",
+    earlier: "Earlier points",
+    later: "Later points",
+    isFirst: "these are the first points",
+    isLast: "these are the last points",
+    range: (first: number, last: number, all: number) => `points ${first} to ${last} of ${all}`,
+    plot: (axes: string) => `Deviation of ${axes} over the points`,
+    plotted: (count: number) => `The plot has the first ${count} points.`,
+    offAxis: (axis: string) => `${axis} off its position`,
+    at: (point: number) => `point ${point}`,
+  },
+
   configuration: {
     title: "Configuration",
     file: "Fleet file",

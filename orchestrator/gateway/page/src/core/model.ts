@@ -366,6 +366,24 @@ export interface Recording {
   axes: Record<string, { unit: string; planned: Curve; actual: Curve }>;
 }
 
+/** All motion steps of a job over the seconds after T0 of the first. */
+export interface JobCurves {
+  steps: { index: number; name: string; text: string; t0: number; t1: number }[];
+  axes: Recording["axes"];
+  left_out: number;
+}
+
+export interface ScanPoint {
+  step: number;
+  point: number;
+  state: string;
+  verdict: "green" | "amber" | "red" | "none";
+  target: Record<string, number>;
+  measured: Record<string, number | null>;
+  start_skew?: Skew | null;
+  took_s?: number | null;
+}
+
 export interface Preview {
   duration_s: number;
   steps: { index: number; text: string; t0: number; t1: number }[];
