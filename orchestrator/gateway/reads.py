@@ -18,6 +18,7 @@ from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.job_plot import draw_job_steps, draw_step, find_plotted_steps, list_samples
 from orchestrator.gateway.openapi import make_openapi
+from orchestrator.gateway.preview import draw_path, look_at_axes
 from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
@@ -25,6 +26,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.queue import format_utc, shift_utc
 from orchestrator.model.report import StepRecording
 from orchestrator.model.steps.numbers import name_step
+from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.runtime.trace_frames import FrameList
 
@@ -73,6 +75,7 @@ class FleetReads:
             "/v1/jobs/{job_id}/points": self._read_points,
             "/v1/jobs/{job_id}/recording/{step}": self._read_recording,
             "/v1/jobs/{job_id}/plot": self._plot_job,
+            "/v1/jobs/{job_id}/path/{step}": self._read_path,
             "/v1/jobs/{job_id}/export.csv": self._export_job,
             "/v1/alarms": self._list_alarms,
             "/v1/names": self._list_names,
@@ -158,6 +161,21 @@ class FleetReads:
             raise Refusal("no-file", text, "recordings are kept for the newest jobs only")
         drawing = await self._execute(draw_job_steps, kept_recordings)
         return JSONResponse({**drawing, "left_out": steps_before})
+
+    async def _read_path(self, request: ReadRequest) -> Response:
+        """The planned path of a step, in a thread: a long one takes seconds."""
+        tutti, index = self._connect(request), request.read_int("step", 0)
+        shown_job = await tutti.show_job(request.values["job_id"])
+        order = (
+            None
+            if shown_job.job is None or shown_job.entry is None
+            else StepOrder(shown_job.job.steps, shown_job.entry.terms.repeat)
+        )
+        if order is None or index >= len(order):
+            raise Refusal("no-file", f"there is no {name_step(index)} (`step={index}`)", "choose another step")
+        fleet, positions = await tutti.load_fleet(), await tutti.list_positions()
+        axes = look_at_axes(fleet, await tutti.status())
+        return JSONResponse(await self._execute(draw_path, fleet, positions, axes, order.locate(index)))
 
     async def _export_job(self, request: ReadRequest) -> Response:
         """Polled and planned positions of all its moves that have a recording, as CSV."""

@@ -417,6 +417,33 @@ def test_all_steps_of_a_job_are_drawn_over_one_time(tmp_path: Path) -> None:
     run_with_gateway(main)
 
 
+def test_a_running_path_is_named_and_drawn(tmp_path: Path) -> None:
+    pieces = [{"piece": "arc", "to": [50, 60], "centre": [40, 60]}, {"piece": "line", "to": [50, 20], "corner": "stop"}]
+    path = {"do": "path", "axes": ["gantry.x", "gantry.y"], "start": [30, 60], "tolerance": "1 mm", "pieces": pieces}
+    steps = [{"do": "move", "to": {"gantry.x": 30, "gantry.y": 60}}, {**path, "speed": "20 mm/s", "corner": "stop"}]
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        socket = await gateway.connect()
+        await outcome(fleet, PREPARE)
+        job = {"schema": "tutti.job/1", "name": "m", "max_start_skew": "20 ms", "steps": steps}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        while not socket.state.get("paths"):
+            await asyncio.sleep(0.1)
+        assert socket.state["paths"] == {job_id: {"step": 1, "axes": ["gantry.x", "gantry.y"]}}
+        drawing = (await gateway.get(f"/v1/jobs/{job_id}/path/1")).json
+        assert drawing["unknown"] is None
+        x, y = (drawing["axes"][axis]["v"] for axis in ("gantry.x", "gantry.y"))
+        assert (x[0], y[0]) == pytest.approx((30, 60)) and (x[-1], y[-1]) == pytest.approx((50, 20))
+        await fleet.make_client().wait_for_job(job_id)
+        await asyncio.sleep(0.2)
+        assert not socket.state["paths"]
+        for step, code in ((0, "no-path"), (2, "no-file")):
+            assert (await gateway.get(f"/v1/jobs/{job_id}/path/{step}")).json["refused"]["code"] == code
+
+    run_with_gateway(main)
+
+
 def test_of_a_long_job_the_last_steps_are_drawn(tmp_path: Path) -> None:
     move = {"do": "repeat", "times": 110, "steps": [{"do": "move", "by": {"gantry.x": by}} for by in (1, -1)]}
 

@@ -378,6 +378,17 @@ export const T = {
     name: (axes: string) => `Positions of ${axes} over the last minute`,
   },
 
+  plane: {
+    open: "XY",
+    show: "XY view",
+    title: "XY view",
+    hide: "Hide the XY view",
+    across: "Axis to the right",
+    upwards: "Axis upwards",
+    whole: "Limits",
+    name: (x: string, y: string, atX: string, atY: string) => `${x} at ${atX}, ${y} at ${atY}`,
+  },
+
   job: {
     title: "Running job",
     none: "No job is running.",

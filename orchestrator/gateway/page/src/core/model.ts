@@ -223,6 +223,8 @@ export interface State {
   queue?: QueueState;
   jobs?: Record<string, JobProgress>;
   members?: Record<string, Members>;
+  /** Of a job whose running step is a path: its index, from 0, and its axes. */
+  paths?: Record<string, { step: number; axes: string[] }>;
   alarms?: Record<string, Alarm>;
   events?: FleetEvent[];
   last_stop?: LastStop;
