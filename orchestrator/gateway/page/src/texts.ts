@@ -9,6 +9,8 @@
  *   region "Running job" with progressbar "Progress of …"; button "Alarms …"; dialog, by its title.
  */
 
+import REMEDIES from "./remedies.json";
+
 const s = (count: number): string => (count === 1 ? "" : "s");
 
 const MODES: Record<string, string> = {
@@ -24,36 +26,21 @@ const MODES: Record<string, string> = {
   fault: "fault",
 };
 
-/** What a command of the terminal is on the page. Remedies of the fleet name commands; here they name what is here. */
-const ON_PAGE: [RegExp, string][] = [
-  [/enable: `tutti axis enable[^`]*`/g, "Get ready, or Enable in the menu of the axis"],
-  [/home: `tutti axis home[^`]*`/g, "Get ready, or Home in the menu of the axis"],
-  [/`tutti axis enable[^`]*`/g, "Get ready"],
-  [/`tutti axis home[^`]*`/g, "Get ready"],
-  [/`tutti axis (jog|move)[^`]*`/g, "Jog, in Set-up"],
-  [/`tutti (axis ls|status)[^`]*`/g, "the table of axes"],
-  [/`tutti reset[^`]*`/g, "Reset"],
-  [/`tutti stop[^`]*`/g, "Stop"],
-  [/`tutti estop[^`]*`/g, "E-stop"],
-  [/`tutti queue start[^`]*`/g, "Start queue"],
-  [/`tutti (queue status|job ls)[^`]*`/g, "the queue"],
-  [/`tutti job release[^`]*`/g, "Release, in the queue"],
-  [/`tutti job hold[^`]*`/g, "Hold, in the queue"],
-  [/`tutti job (approve|plan)[^`]*`/g, "Review, in the queue"],
-  [/`tutti job (resume|pause)[^`]*`/g, "the running job"],
-  [/`tutti job retry[^`]*`/g, "Run again, in History"],
-  [/`tutti job (report|show)[^`]*`/g, "History, in Service"],
-  [/`tutti position[^`]*`/g, "Named positions, in Set-up"],
-  [/`tutti alarm[^`]*`/g, "Alarms"],
-  [/`tutti watch[^`]*`/g, "this page"],
-  [/`tutti trace[^`]*`/g, "Links, in Service"],
-  [/`tutti record[^`]*`/g, "Recordings, in Service"],
-  [/`tutti [^`]*`/g, "a command at the computer of the fleet"],
-];
+/**
+ * Both forms of what remedies name, in `remedies.json`: the words of the terminal, and what they are on the page. `*` is
+ * the rest of a command. The longest that fits counts; a test holds every text of the product against it.
+ */
+const ON_PAGE = [...REMEDIES].sort(([a = ""], [b = ""]) => b.length - a.length).map(([terminal = "", page = ""]): [RegExp, string] => [
+  new RegExp(terminal.replace(/[.?()[\]{}+^$|\\]/g, "\\$&").replaceAll("*", "[^`]*"), "g"),
+  page,
+]);
+/** Of an older report, or of an adapter of another origin. */
+const UNKNOWN = /`tutti [^`]*`/g;
 
 /** A message of the fleet, with the names of the page for commands of the terminal. */
 export function onPage(text: string): string {
-  return text.includes("`tutti ") ? ON_PAGE.reduce((now, [command, name]) => now.replace(command, name), text) : text;
+  if (!text.includes("`tutti ") && !text.includes("`--")) return text;
+  return ON_PAGE.reduce((now, [terminal, page]) => now.replace(terminal, page), text).replace(UNKNOWN, T.elsewhere);
 }
 
 /** Places in job files count from 0, steps that people read from 1. */
@@ -63,6 +50,7 @@ export function placeOnPage(place: string): string {
 
 export const T = {
   loading: "Loading …",
+  elsewhere: "the terminal of the computer of the fleet",
   close: "Close",
   dismiss: "Dismiss",
   controller: "Controller",
@@ -140,6 +128,7 @@ export const T = {
     noCoordinator: "The coordinator is away: jobs, homing and jogging wait for it. Stop and E-stop work. It is started again on the computer of the fleet.",
     estop: (controllers: string, actor: string, reason: string, time: string) =>
       `E-stop of ${controllers} by ${actor} at ${time} UTC${reason ? `: ${reason}` : ""}. Remove the cause, then reset.`,
+    fault: (controllers: string) => `Fault of ${controllers}: the table of axes says which. Remove the cause, then reset; nothing moves by that.`,
     stopped: (what: string, by: string, time: string) => `${what === "estop" ? "E-stop" : "Stopped"} by ${by} at ${time} UTC`,
     noUsers: "There are no users: everyone on this machine is an operator. Users are added on the computer of the gateway.",
   },
@@ -177,7 +166,7 @@ export const T = {
     notStopped: (controller: string) => `${controller} has not confirmed the stop`,
     reset: "Reset",
     resetRefused: "Not reset",
-    resetDone: "The E-stop is reset",
+    resetDone: "Reset: E-stops are released, and faults cleared",
   },
 
   fleet: {

@@ -146,7 +146,7 @@ function ScanDetails({ scan, green }: { scan: ScanSummary; green: boolean }): JS
       </p>
       {(scan.not_green ?? []).map((finding) => (
         <p class="reason" key={finding.point}>
-          {T.history.pointFinding(finding.point, finding.verdict, finding.text)}
+          {T.history.pointFinding(finding.point, finding.verdict, onPage(finding.text))}
         </p>
       ))}
     </>

@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { useMemo, useState } from "preact/hooks";
 import { explain, formatNs, formatSeconds, formatUnit } from "../core/format.ts";
 import type { Curve, JobForecast, Preview } from "../core/model.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { PathFacts } from "./pathbound.tsx";
 import { alignCurves, Plot } from "./plot.tsx";
 
@@ -111,7 +111,7 @@ export function ForecastSteps({ forecast, dryRun }: { forecast?: JobForecast | n
       ))}
       {conditions.map((text) => (
         <p class="reason" key={text}>
-          {text}
+          {onPage(text)}
         </p>
       ))}
       <table class="steps">
@@ -132,7 +132,7 @@ export function ForecastSteps({ forecast, dryRun }: { forecast?: JobForecast | n
                 {step.path ? <PathFacts path={step.path} /> : null}
                 {(step.conditions ?? []).map((text) => (
                   <small class="remedy" key={text}>
-                    {text}
+                    {onPage(text)}
                   </small>
                 ))}
               </td>
