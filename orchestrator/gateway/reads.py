@@ -23,10 +23,12 @@ from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.queue import format_utc, shift_utc
 from orchestrator.model.report import StepRecording
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.runtime.trace_frames import FrameList
 
@@ -72,6 +74,7 @@ class FleetReads:
             "/v1/jobs": self._list_jobs,
             "/v1/jobs/{job_id}": self._show_job,
             "/v1/jobs/{job_id}/plan": self._read_plan,
+            "/v1/jobs/{job_id}/axes": self._list_axes,
             "/v1/jobs/{job_id}/points": self._read_points,
             "/v1/jobs/{job_id}/recording/{step}": self._read_recording,
             "/v1/jobs/{job_id}/plot": self._plot_job,
@@ -137,6 +140,19 @@ class FleetReads:
         shown_job = await tutti.show_job(job_id)
         job = {} if shown_job.job is None else await self._files.forecast_job(tutti, shown_job.job)
         return JSONResponse({**planned_job.to_plain(), **job})
+
+    async def _list_axes(self, request: ReadRequest) -> Response:
+        """The axes that the rest of a job uses, those of its named positions too."""
+        tutti, job_id = self._connect(request), request.values["job_id"]
+        shown_job = await tutti.show_job(job_id)
+        if shown_job.job is None or shown_job.entry is None:
+            raise Refusal("no-file", f"the steps of job {job_id} are not kept", "")
+        fleet = await tutti.load_fleet()
+        resolver = PositionResolver(fleet, await tutti.list_positions())
+        begin, repeat = shown_job.entry.from_step, shown_job.entry.terms.repeat
+        order = resolver.resolve_remaining(shown_job.job.steps, repeat, begin)
+        steps = iterate_steps(part.step for part in order.list_remaining(begin))
+        return JSONResponse({"axes": list(dict.fromkeys(axis for step in steps for axis in step.find_axes(fleet)))})
 
     async def _load_recording(self, request: ReadRequest, step: int) -> StepRecording:
         recording = await self._connect(request).load_recording(request.values["job_id"], step)

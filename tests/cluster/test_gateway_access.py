@@ -444,6 +444,28 @@ def test_a_running_path_is_named_and_drawn(tmp_path: Path) -> None:
     run_with_gateway(main)
 
 
+def test_the_axes_of_a_job_are_those_that_it_names_also_by_a_position(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        values = {"gantry.y": "20 mm", "stage.v": "1 mm"}
+        saving = {"name": "there", "axes": list(values), "values": values, "description": None}
+        assert (await gateway.post("/v1/save-position", saving)).status == 200
+        await gateway.post("/v1/stop-queue")
+        moves: dict[str, Any] = {"do": "repeat", "times": 2, "steps": [{"do": "move", "to": {"stage.u": 1}}]}
+        for steps, axes in (
+            ([{"do": "move", "to": "there"}], ["gantry.y", "stage.v"]),
+            ([{"do": "enable", "axes": ["gantry"]}, {"do": "dwell", "duration": "1 s"}], ["gantry.x", "gantry.y"]),
+            ([moves, {"do": "scan", "axes": {"gantry.x": {"values": [1, 2]}}}], ["stage.u", "gantry.x"]),
+        ):
+            job = {"schema": "tutti.job/1", "name": "m", "steps": steps}
+            job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+            assert (await gateway.get(f"/v1/jobs/{job_id}/axes")).json == {"axes": axes}
+        assert (await gateway.get("/v1/jobs/none/axes")).status == 404
+
+    run_with_gateway(main)
+
+
 def test_of_a_long_job_the_last_steps_are_drawn(tmp_path: Path) -> None:
     move = {"do": "repeat", "times": 110, "steps": [{"do": "move", "by": {"gantry.x": by}} for by in (1, -1)]}
 
