@@ -44,7 +44,7 @@ def press(name: str, view: str = "run") -> tuple[str, Callable[[Page], None]]:
 
 DIALOGS: dict[str, tuple[str, Callable[[Page], None]]] = {
     "menu of an axis": press("Menu of gantry.x"),
-    "move of an axis": press("Move gantry.x"),
+    "move of an axis": press("Go: gantry.x"),
     "settings": press("Settings"),
     "alarms": press("1 alarm"),
     "new job": press("New job"),

@@ -9,7 +9,7 @@ from playwright.sync_api import Locator, Page, expect
 
 
 def open_move(page: Page, axis: str = "gantry.x") -> Locator:
-    page.get_by_role("button", name=f"Move {axis}", exact=True).click()
+    page.get_by_role("button", name=f"Go: {axis}").click()
     return page.get_by_role("dialog", name=f"Move {axis}")
 
 
@@ -101,6 +101,14 @@ def test_a_step_beyond_a_soft_limit_is_named(mock: Mock, page: Page) -> None:
 def test_the_speed_begins_at_that_of_the_axis(mock: Mock, page: Page, fields: dict[str, Any]) -> None:
     mock(make_state(controllers={"gantry": make_controller({"x": make_axis(**fields)})}))
     expect(open_move(page).get_by_label("Speed")).to_have_value({0.05: "5 %"}.get(fields["manual_speed"], "33.3333 %"))
+
+
+def test_a_named_position_is_gone_to_at_the_speed_of_each_axis_for_single_moves(mock: Mock, page: Page) -> None:
+    near = {"name": "near", "axes": {"gantry.x": 40}, "source": "file", "problems": []}
+    stream = mock(view="setup", replies={"positions": {"positions": [near]}})
+    page.get_by_role("button", name="Go to near").click()
+    wait_for(page, lambda: stream.find("work"))
+    assert stream.find("work")[0]["step"] == {"do": "move", "to": "near", "speed": "manual"}
 
 
 def test_space_presses_no_button_of_the_move(mock: Mock, page: Page) -> None:

@@ -143,7 +143,7 @@ def test_a_job_whose_cause_lasts_says_so_and_cannot_be_released(mock: Mock, page
 def test_a_work_of_the_page_that_is_ready_begins_with_its_button(mock: Mock, page: Page) -> None:
     replies = {"preview-start": make_preview("d5", make_motion("w", "step 1: move")), "release": DONE}
     stream = mock(view="setup", replies=replies)
-    page.get_by_role("button", name="Move gantry.x", exact=True).click()
+    page.get_by_role("button", name="Go: gantry.x").click()
     page.get_by_label("Position in mm").fill("20")
     page.get_by_role("button", name="Go to 20").click()
     wait_for(page, lambda: stream.find("work"))
@@ -369,7 +369,7 @@ def test_a_target_beyond_the_soft_limits_is_named_before_go(mock: Mock, page: Pa
     expect(go).to_have_attribute("aria-disabled", "true")
     expect(page.get_by_text("gantry.x: 450.000 mm is beyond the soft limit 400.000 mm").first).to_be_visible()
     expect(page.get_by_role("button", name="Go to near")).not_to_have_attribute("aria-disabled", "true")
-    page.get_by_role("button", name="Move gantry.x", exact=True).click()
+    page.get_by_role("button", name="Go: gantry.x").click()
     page.get_by_label("Position in mm").fill("-11")
     dialog = page.get_by_role("dialog")
     expect(dialog.get_by_role("button", name="Go to -11")).to_have_attribute("aria-disabled", "true")

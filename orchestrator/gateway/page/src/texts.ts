@@ -3,7 +3,7 @@
  *
  * Messages say what is, and what to do. Tests find parts of the page by role and by these names:
  *   region "Stop bar" with buttons "Stop" and "E-stop"; navigation "Views" with "Run", "Set-up", "Service";
- *   region "Axes" with `axis-gantry.x` and `position-gantry.x` (data-testid), button "Menu of gantry.x";
+ *   region "Axes" with `axis-gantry.x` and `position-gantry.x` (data-testid), buttons "Go: gantry.x", "Menu of gantry.x";
  *   region "Jog" with group "Jog pad" (arrow keys) and buttons "Jog gantry.x +" and "Jog gantry.x −";
  *   region "Queue …" with list "Waiting jobs", whose items have `data-job`; status "State of the fleet";
  *   region "Running job" with progressbar "Progress of …"; button "Alarms …"; dialog, by its title.
@@ -206,6 +206,7 @@ export const T = {
     typeNumber: "type a position first",
     beyond: (axis: string, value: string, limit: string) => `${axis}: ${value} is beyond the soft limit ${limit}`,
     go: "Go",
+    goOf: (axis: string) => `Go: ${axis}`,
     goTo: (value: string) => `Go to ${value}`,
     limits: (min: string, max: string) => `soft limits ${min} … ${max}`,
     noLimits: "no soft limits",

@@ -152,7 +152,7 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
         <Act
           label={T.axes.go}
           kind="small"
-          name={T.axes.moving(axis.id)}
+          name={T.axes.goOf(axis.id)}
           onAct={() => openDialog(T.axes.moving(axis.id), <MoveDialog axis={axis} controller={controller} />)}
         />
         <Act

@@ -67,7 +67,7 @@ function PositionCard({ position }: { position: NamedPosition }): JSX.Element {
           kind="small"
           motion
           why={why}
-          onAct={() => void beginWork(T.positions.goTo(position.name), Object.keys(position.axes), { do: "move", to: position.name })}
+          onAct={() => void beginWork(T.positions.goTo(position.name), Object.keys(position.axes), { do: "move", to: position.name, speed: "manual" })}
         />
         {position.source === "file" ? null : (
           <Act label="✕" name={T.positions.removeOf(position.name)} kind="small" why={whyNot("remove-position")} onAct={() => void remove()} />
