@@ -74,6 +74,20 @@ async def draw_job(
     return drawing.finish()
 
 
+def draw_path(
+    fleet: Fleet, positions: Sequence[PositionEntry], axes: Mapping[str, AxisForecast], location: StepPlace
+) -> dict[str, Any]:
+    """The path of one step as a preview, from where it begins: the axes may stand elsewhere by now. Raises `Refusal`
+    for a step that is none."""
+    step = location.step
+    if not step.follows_path:
+        raise Refusal("no-path", f"{location.describe()} is no path", "choose the step of a path")
+    (path,) = PositionResolver(fleet, positions).resolve_steps([step])
+    drawing = _Drawing(fleet, {name: axis.model_copy(update={"known": False}) for name, axis in axes.items()})
+    drawing.take(location.index, path)
+    return drawing.finish()
+
+
 def _find_move(fleet: Fleet, place: StepPlace, scan: Scan) -> Move:
     """The move to a point of a scan. Raises `Refusal`."""
     assert place.point is not None

@@ -16,22 +16,25 @@ from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.job_files import JobFiles
+from orchestrator.gateway.job_plot import draw_job_steps, draw_step, find_plotted_steps, list_samples
 from orchestrator.gateway.openapi import make_openapi
+from orchestrator.gateway.preview import draw_path, look_at_axes
 from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.queue import format_utc, shift_utc
-from orchestrator.model.report import AxisRecording, StepRecording
+from orchestrator.model.report import StepRecording
 from orchestrator.model.steps.numbers import name_step
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.runtime.trace_frames import FrameList
 
 MAX_RECORDINGS = 1000
 MAX_TRACE_FRAMES = 2000
-PLAN_POINTS = 400
 STATISTICS_S = 30 * 24 * 3600  # unless a day is given
-DIGITS = 6
 RECORDED = ".mcap"
 
 Values = Mapping[str, str]
@@ -71,8 +74,11 @@ class FleetReads:
             "/v1/jobs": self._list_jobs,
             "/v1/jobs/{job_id}": self._show_job,
             "/v1/jobs/{job_id}/plan": self._read_plan,
+            "/v1/jobs/{job_id}/axes": self._list_axes,
             "/v1/jobs/{job_id}/points": self._read_points,
             "/v1/jobs/{job_id}/recording/{step}": self._read_recording,
+            "/v1/jobs/{job_id}/plot": self._plot_job,
+            "/v1/jobs/{job_id}/path/{step}": self._read_path,
             "/v1/jobs/{job_id}/export.csv": self._export_job,
             "/v1/alarms": self._list_alarms,
             "/v1/names": self._list_names,
@@ -122,8 +128,10 @@ class FleetReads:
         return await self._ask(request, "show", job_id=request.values["job_id"])
 
     async def _read_points(self, request: ReadRequest) -> Response:
-        limit = request.read_int("limit", 1000)
-        return await self._ask(request, "points", job_id=request.values["job_id"], limit=limit)
+        cursor = {"after_point": request.read_int("after", 0), "limit": request.read_int("limit", 1000)}
+        if request.values.get("step"):
+            cursor["after_step"] = request.read_int("step", 0)
+        return await self._ask(request, "points", job_id=request.values["job_id"], **cursor)
 
     async def _read_plan(self, request: ReadRequest) -> Response:
         """What a queued job will do now, and its plan for approval."""
@@ -132,6 +140,19 @@ class FleetReads:
         shown_job = await tutti.show_job(job_id)
         job = {} if shown_job.job is None else await self._files.forecast_job(tutti, shown_job.job)
         return JSONResponse({**planned_job.to_plain(), **job})
+
+    async def _list_axes(self, request: ReadRequest) -> Response:
+        """The axes that the rest of a job uses, those of its named positions too."""
+        tutti, job_id = self._connect(request), request.values["job_id"]
+        shown_job = await tutti.show_job(job_id)
+        if shown_job.job is None or shown_job.entry is None:
+            raise Refusal("no-file", f"the steps of job {job_id} are not kept", "")
+        fleet = await tutti.load_fleet()
+        resolver = PositionResolver(fleet, await tutti.list_positions())
+        begin, repeat = shown_job.entry.from_step, shown_job.entry.terms.repeat
+        order = resolver.resolve_remaining(shown_job.job.steps, repeat, begin)
+        steps = iterate_steps(part.step for part in order.list_remaining(begin))
+        return JSONResponse({"axes": list(dict.fromkeys(axis for step in steps for axis in step.find_axes(fleet)))})
 
     async def _load_recording(self, request: ReadRequest, step: int) -> StepRecording:
         recording = await self._connect(request).load_recording(request.values["job_id"], step)
@@ -142,8 +163,35 @@ class FleetReads:
 
     async def _read_recording(self, request: ReadRequest) -> Response:
         recording = await self._load_recording(request, request.read_int("step", 0))
-        axes = {name: _draw_axis(axis, recording.t0_fleet_ns) for name, axis in recording.axes.items()}
+        axes = await self._execute(draw_step, recording)
         return JSONResponse({"step": recording.step, "t0_fleet_ns": recording.t0_fleet_ns, "axes": axes})
+
+    async def _plot_job(self, request: ReadRequest) -> Response:
+        """All motion steps of a job that have a recording, over one time."""
+        tutti, job_id = self._connect(request), request.values["job_id"]
+        locations, steps_before = find_plotted_steps(await tutti.show_job(job_id))
+        recordings = [(location, await tutti.load_recording(job_id, location.index)) for location in locations]
+        kept_recordings = [(location, recording) for location, recording in recordings if recording is not None]
+        if not kept_recordings:
+            text = f"job {job_id} has no recording: it has moved nothing yet, or its recordings were deleted"
+            raise Refusal("no-file", text, "recordings are kept for the newest jobs only")
+        drawing = await self._execute(draw_job_steps, kept_recordings)
+        return JSONResponse({**drawing, "left_out": steps_before})
+
+    async def _read_path(self, request: ReadRequest) -> Response:
+        """The planned path of a step, in a thread: a long one takes seconds."""
+        tutti, index = self._connect(request), request.read_int("step", 0)
+        shown_job = await tutti.show_job(request.values["job_id"])
+        order = (
+            None
+            if shown_job.job is None or shown_job.entry is None
+            else StepOrder(shown_job.job.steps, shown_job.entry.terms.repeat)
+        )
+        if order is None or index >= len(order):
+            raise Refusal("no-file", f"there is no {name_step(index)} (`step={index}`)", "choose another step")
+        fleet, positions = await tutti.load_fleet(), await tutti.list_positions()
+        axes = look_at_axes(fleet, await tutti.status())
+        return JSONResponse(await self._execute(draw_path, fleet, positions, axes, order.locate(index)))
 
     async def _export_job(self, request: ReadRequest) -> Response:
         """Polled and planned positions of all its moves that have a recording, as CSV."""
@@ -157,7 +205,7 @@ class FleetReads:
         rows.writerow(["step", "axis", "unit", "fleet_ns", "after_t0_s", "planned", "actual"])
         for recording in result.recordings:
             for name, axis in recording.axes.items():
-                rows.writerows(_list_samples(recording, name, axis))
+                rows.writerows(list_samples(recording, name, axis))
         headers = {"Content-Disposition": f'attachment; filename="{report.job_id}.csv"'}
         return Response(text.getvalue(), media_type="text/csv", headers=headers)
 
@@ -224,31 +272,3 @@ class FleetReads:
 
     async def _read_openapi(self, _: ReadRequest) -> Response:
         return JSONResponse(make_openapi(list(self.readers)))
-
-
-def _draw_axis(axis: AxisRecording, t0_ns: int) -> dict[str, Any]:
-    """Planned and polled positions over the time after T0, for a drawing. Motor positions."""
-    evaluate, duration_s = axis.profile.make_evaluator(), axis.profile.duration_s
-    instants = [duration_s * number / PLAN_POINTS for number in range(PLAN_POINTS + 1)]
-    start, scale = axis.profile.start_counts, axis.counts_per_unit
-    plan = [round((start + evaluate(at).position) / scale, DIGITS) for at in instants]
-    return {
-        "unit": axis.unit,
-        "planned": {"t": [round(at, DIGITS) for at in instants], "v": plan},
-        "actual": {
-            "t": [round((at_ns - t0_ns) / 1e9, DIGITS) for at_ns, _ in axis.sampled],
-            "v": [round(counts / scale, DIGITS) for _, counts in axis.sampled],
-        },
-    }
-
-
-def _list_samples(recording: StepRecording, name: str, axis: AxisRecording) -> list[list[Any]]:
-    evaluate, start, scale = axis.profile.make_evaluator(), axis.profile.start_counts, axis.counts_per_unit
-    rows: list[list[Any]] = []
-    for at_ns, counts in axis.sampled:
-        after_s = (at_ns - recording.t0_fleet_ns) / 1e9
-        planned_position = (start + evaluate(after_s).position) / scale
-        rows.append(
-            [recording.step, name, axis.unit, at_ns, after_s, round(planned_position, 9), round(counts / scale, 9)]
-        )
-    return rows

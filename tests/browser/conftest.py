@@ -196,6 +196,7 @@ def make_axis(**fields: Any) -> dict[str, Any]:
         "min": -10.0,
         "max": 400.0,
         "max_velocity": 200.0,
+        "manual_speed": 0.2,
         **fields,
     }
 

@@ -44,6 +44,7 @@ def press(name: str, view: str = "run") -> tuple[str, Callable[[Page], None]]:
 
 DIALOGS: dict[str, tuple[str, Callable[[Page], None]]] = {
     "menu of an axis": press("Menu of gantry.x"),
+    "move of an axis": press("Go: gantry.x"),
     "settings": press("Settings"),
     "alarms": press("1 alarm"),
     "new job": press("New job"),
@@ -153,6 +154,29 @@ def test_a_key_of_the_users_choice_always_stops(mock: Mock, page: Page) -> None:
     page.keyboard.press("F8")
     wait_for(page, lambda: stream.find("stop"))
     expect(dialog).to_contain_text("Esc closes this; Pause or F8 stops.")
+
+
+def test_escape_in_the_full_screen_view_closes_that_and_stops_nothing(mock: Mock, page: Page) -> None:
+    stream = mock()
+    page.evaluate("document.documentElement.requestFullscreen()")
+    wait_for(page, lambda: page.evaluate("document.fullscreenElement !== null"))
+    page.keyboard.press("Escape")
+    wait_for(page, lambda: page.evaluate("document.fullscreenElement === null"))
+    page.wait_for_timeout(100)
+    assert not stream.find("stop")
+    page.keyboard.press("Escape")  # with nothing open, and no full screen, it stops
+    wait_for(page, lambda: stream.find("stop"))
+
+
+def test_a_dialog_in_the_full_screen_view_is_closed_first(mock: Mock, page: Page) -> None:
+    stream = mock()
+    page.evaluate("document.documentElement.requestFullscreen()")
+    wait_for(page, lambda: page.evaluate("document.fullscreenElement !== null"))
+    page.get_by_role("button", name="Menu of gantry.x").click()
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    assert page.evaluate("document.fullscreenElement !== null")
+    assert not stream.find("stop")
 
 
 def test_a_held_escape_closes_and_does_not_go_on_to_stop(mock: Mock, page: Page) -> None:

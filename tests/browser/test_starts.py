@@ -143,9 +143,9 @@ def test_a_job_whose_cause_lasts_says_so_and_cannot_be_released(mock: Mock, page
 def test_a_work_of_the_page_that_is_ready_begins_with_its_button(mock: Mock, page: Page) -> None:
     replies = {"preview-start": make_preview("d5", make_motion("w", "step 1: move")), "release": DONE}
     stream = mock(view="setup", replies=replies)
-    page.get_by_role("button", name="Menu of gantry.x").click()
+    page.get_by_role("button", name="Go: gantry.x").click()
     page.get_by_label("Position in mm").fill("20")
-    page.get_by_role("button", name="Move to 20").click()
+    page.get_by_role("button", name="Go to 20").click()
     wait_for(page, lambda: stream.find("work"))
     number = stream.find("work")[0]["id"]
     stream.send({"work": {"id": number, "state": "queued", "job_id": "id-w", "reason": "", "fraction": 0}})
@@ -168,8 +168,7 @@ def test_get_ready_lists_the_axes_of_the_jobs_then_enables_and_homes_them(mock: 
         controllers={"gantry": make_controller(axes), "stage": make_controller({"u": make_axis(enabled=False)})},
         queue=make_queue(make_entry("alpha"), stopped=True),
     )
-    steps = [{"do": "repeat", "times": 2, "steps": [{"do": "move", "to": {"gantry.x": 1, "gantry.y": "2 mm"}}]}]
-    stream = mock(state, replies={"jobs/id-alpha": {"job": {"steps": steps}}})
+    stream = mock(state, replies={"jobs/id-alpha/axes": {"axes": ["gantry.y", "gantry.x"]}})
     page.get_by_role("button", name="Get ready").click()
     dialog = page.get_by_role("dialog", name="Get ready")
     expect(dialog).to_contain_text("Enable the motors of gantry.x.")
@@ -181,6 +180,20 @@ def test_get_ready_lists_the_axes_of_the_jobs_then_enables_and_homes_them(mock: 
     stream.send({"work": {"id": stream.find("work")[0]["id"], "state": "done"}})
     wait_for(page, lambda: len(stream.find("work")) == 2)
     assert stream.find("work")[1]["step"] == {"do": "home", "axes": ["gantry.x", "gantry.y"]}
+
+
+def test_get_ready_takes_the_axes_of_every_waiting_job_and_all_if_one_cannot_be_told(mock: Mock, page: Page) -> None:
+    axes = {name: make_axis(referenced=False) for name in ("x", "y", "z")}
+    queue = make_queue(make_entry("alpha"), make_entry("beta"))
+    known = {f"jobs/id-{job}/axes": {"axes": [axis]} for job, axis in (("alpha", "gantry.x"), ("beta", "gantry.y"))}
+    stream = mock(make_state(controllers={"gantry": make_controller(axes)}, queue=queue), replies=known)
+    page.get_by_role("button", name="Get ready").click()
+    dialog = page.get_by_role("dialog", name="Get ready")
+    expect(dialog).to_contain_text("home gantry.x, gantry.y.")
+    page.keyboard.press("Escape")
+    stream.replies["jobs/id-beta/axes"] = make_refusal("no-position", "there is no position there")
+    page.get_by_role("button", name="Get ready").click()
+    expect(dialog).to_contain_text("home gantry.x, gantry.y, gantry.z.")
 
 
 def test_without_a_job_get_ready_is_for_all_axes(mock: Mock, page: Page) -> None:
@@ -298,6 +311,25 @@ def test_what_moves_is_above_every_inner_edge_with_twelve_axes(mock: Mock, page:
         expect(page.get_by_test_id(f"axis-{axis}")).to_be_in_viewport(ratio=1)
 
 
+def test_twelve_axes_that_all_move_fit_beside_a_running_job_and_a_queue(mock: Mock, page: Page) -> None:
+    page.set_viewport_size(LARGE)
+    moving = {f"c{n}": {"moving": True, "target": 100.0} for n in range(1, 7)}
+    controllers = make_fleet(**moving)
+    for controller in controllers.values():
+        controller["mode"] = "moving"
+        controller["axes"]["y"] |= {"moving": True, "target": 50.0}
+    job = {
+        **{"job_id": "id-r", "name": "raster", "actor": "a", "state": "running", "step": 0, "steps": 3},
+        **{"step_name": "out", "fraction": 0.2, "reason": "", "utc": "2026"},
+    }
+    jobs = [make_entry(f"job {n}") for n in range(3)]
+    mock(make_state(controllers=controllers, queue=make_queue(*jobs), jobs={"id-r": job}))
+    for axis in (f"c{n}.{name}" for n in range(1, 7) for name in "xy"):
+        expect(page.get_by_test_id(f"axis-{axis}")).to_be_in_viewport(ratio=1)
+    expect(page.get_by_role("progressbar", name="Progress of raster")).to_be_in_viewport(ratio=1)
+    assert page.evaluate("document.documentElement.scrollHeight <= innerHeight")
+
+
 def test_rows_stay_under_the_pointer(mock: Mock, page: Page) -> None:
     stream = mock(make_state(controllers=make_fleet()))
     page.get_by_test_id("axis-c2.x").hover()
@@ -337,10 +369,10 @@ def test_a_target_beyond_the_soft_limits_is_named_before_go(mock: Mock, page: Pa
     expect(go).to_have_attribute("aria-disabled", "true")
     expect(page.get_by_text("gantry.x: 450.000 mm is beyond the soft limit 400.000 mm").first).to_be_visible()
     expect(page.get_by_role("button", name="Go to near")).not_to_have_attribute("aria-disabled", "true")
-    page.get_by_role("button", name="Menu of gantry.x").click()
+    page.get_by_role("button", name="Go: gantry.x").click()
     page.get_by_label("Position in mm").fill("-11")
     dialog = page.get_by_role("dialog")
-    expect(dialog.get_by_role("button", name="Move to -11")).to_have_attribute("aria-disabled", "true")
+    expect(dialog.get_by_role("button", name="Go to -11")).to_have_attribute("aria-disabled", "true")
     expect(dialog.get_by_text("is beyond the soft limit -10.000 mm")).to_be_visible()
     assert not stream.find("work")
 

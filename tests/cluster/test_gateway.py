@@ -56,6 +56,7 @@ def test_the_stream_gives_the_state_and_differences_that_lead_to_the_present_one
         axis = socket.state["controllers"]["gantry"]["axes"]["x"]
         assert axis["referenced"] and axis["enabled"]
         assert (axis["min"], axis["max"], axis["unit"]) == (-10.0, 400.0, "mm")
+        assert axis["manual_speed"] == 0.2
         other = await gateway.connect()
         await asyncio.sleep(0.2)
         without_time = [{key: value for key, value in each.state.items() if key != "utc"} for each in (socket, other)]

@@ -385,6 +385,104 @@ def test_what_is_read_of_a_run(tmp_path: Path) -> None:
     run_with_gateway(main)
 
 
+def test_all_steps_of_a_job_are_drawn_over_one_time(tmp_path: Path) -> None:
+    steps: list[dict[str, Any]] = [
+        {"do": "move", "name": "out", "to": {"gantry.x": 20}},
+        {"do": "dwell", "duration": "1 s"},
+        {"do": "scan", "axes": {"gantry.x": {"from": 22, "to": 26, "points": 3}}},
+    ]
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        job = {"schema": "tutti.job/1", "name": "m", "steps": steps}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        assert (await gateway.get(f"/v1/jobs/{job_id}/plot")).status == 404  # nothing has moved
+        await fleet.make_client().wait_for_job(job_id)
+        drawing = (await gateway.get(f"/v1/jobs/{job_id}/plot")).json
+        assert [step["index"] for step in drawing["steps"]] == [0, 2, 3, 4]
+        assert [step["text"] for step in drawing["steps"]][:2] == ["step 1", "step 3, point 1 of 3"]
+        assert drawing["steps"][0]["t0"] == 0 and drawing["steps"][0]["name"] == "out"
+        assert drawing["steps"][1]["t0"] >= drawing["steps"][0]["t1"] + 1
+        assert drawing["left_out"] == 0
+        axis = drawing["axes"]["gantry.x"]
+        assert axis["planned"]["v"][-1] == pytest.approx(26)
+        for curve in (axis["planned"], axis["actual"]):
+            assert curve["t"] == sorted(set(curve["t"])) and len(curve["t"]) == len(curve["v"])
+        points = (await gateway.get(f"/v1/jobs/{job_id}/points?step=2&after=1&limit=1")).json["points"]
+        assert [(point["point"], point["target"]) for point in points] == [(2, {"gantry.x": 24.0})]
+        assert len((await gateway.get(f"/v1/jobs/{job_id}/points")).json["points"]) == 3
+        assert (await gateway.get(f"/v1/jobs/{job_id}/points?after=x")).status == 400
+
+    run_with_gateway(main)
+
+
+def test_a_running_path_is_named_and_drawn(tmp_path: Path) -> None:
+    pieces = [{"piece": "arc", "to": [50, 60], "centre": [40, 60]}, {"piece": "line", "to": [50, 20], "corner": "stop"}]
+    path = {"do": "path", "axes": ["gantry.x", "gantry.y"], "start": [30, 60], "tolerance": "1 mm", "pieces": pieces}
+    steps = [{"do": "move", "to": {"gantry.x": 30, "gantry.y": 60}}, {**path, "speed": "20 mm/s", "corner": "stop"}]
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        socket = await gateway.connect()
+        await outcome(fleet, PREPARE)
+        job = {"schema": "tutti.job/1", "name": "m", "max_start_skew": "20 ms", "steps": steps}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        while not socket.state.get("paths"):
+            await asyncio.sleep(0.1)
+        assert socket.state["paths"] == {job_id: {"step": 1, "axes": ["gantry.x", "gantry.y"]}}
+        drawing = (await gateway.get(f"/v1/jobs/{job_id}/path/1")).json
+        assert drawing["unknown"] is None
+        x, y = (drawing["axes"][axis]["v"] for axis in ("gantry.x", "gantry.y"))
+        assert (x[0], y[0]) == pytest.approx((30, 60)) and (x[-1], y[-1]) == pytest.approx((50, 20))
+        await fleet.make_client().wait_for_job(job_id)
+        await asyncio.sleep(0.2)
+        assert not socket.state["paths"]
+        for step, code in ((0, "no-path"), (2, "no-file")):
+            assert (await gateway.get(f"/v1/jobs/{job_id}/path/{step}")).json["refused"]["code"] == code
+
+    run_with_gateway(main)
+
+
+def test_the_axes_of_a_job_are_those_that_it_names_also_by_a_position(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        values = {"gantry.y": "20 mm", "stage.v": "1 mm"}
+        saving = {"name": "there", "axes": list(values), "values": values, "description": None}
+        assert (await gateway.post("/v1/save-position", saving)).status == 200
+        await gateway.post("/v1/stop-queue")
+        moves: dict[str, Any] = {"do": "repeat", "times": 2, "steps": [{"do": "move", "to": {"stage.u": 1}}]}
+        for steps, axes in (
+            ([{"do": "move", "to": "there"}], ["gantry.y", "stage.v"]),
+            ([{"do": "enable", "axes": ["gantry"]}, {"do": "dwell", "duration": "1 s"}], ["gantry.x", "gantry.y"]),
+            ([moves, {"do": "scan", "axes": {"gantry.x": {"values": [1, 2]}}}], ["stage.u", "gantry.x"]),
+        ):
+            job = {"schema": "tutti.job/1", "name": "m", "steps": steps}
+            job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+            assert (await gateway.get(f"/v1/jobs/{job_id}/axes")).json == {"axes": axes}
+        assert (await gateway.get("/v1/jobs/none/axes")).status == 404
+
+    run_with_gateway(main)
+
+
+def test_of_a_long_job_the_last_steps_are_drawn(tmp_path: Path) -> None:
+    move = {"do": "repeat", "times": 110, "steps": [{"do": "move", "by": {"gantry.x": by}} for by in (1, -1)]}
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        job = {"schema": "tutti.job/1", "name": "m", "steps": [move]}
+        job_id = (await gateway.post("/v1/submit", {"job": job})).json["job_id"]
+        await fleet.make_client().wait_for_job(job_id)
+        drawing = (await gateway.get(f"/v1/jobs/{job_id}/plot")).json
+        assert [step["index"] for step in drawing["steps"]] == list(range(20, 220))
+        assert drawing["left_out"] == 20
+        assert max(len(axis[kind]["t"]) for axis in drawing["axes"].values() for kind in ("planned", "actual")) <= 4000
+
+    run_with_gateway(main)
+
+
 def test_a_job_file_is_checked_drawn_and_submitted(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         gateway = await open_gateway(fleet, tmp_path)

@@ -58,6 +58,7 @@ def _show_axis(name: str, axis: AxisState, config: Controller | None, target: fl
     known_axis = None if config is None else config.axes.get(name)
     if known_axis is not None:
         shown_axis["max_velocity"] = known_axis.limits.velocity
+        shown_axis["manual_speed"] = float(known_axis.manual_speed)
         shown_axis["jog_velocity"] = known_axis.jog_speed(referenced=axis.referenced)
         if known_axis.soft_limits is not None and known_axis.turn_length is None:
             # Soft limits are motor positions.

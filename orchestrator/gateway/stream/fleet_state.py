@@ -213,6 +213,7 @@ class FleetState:
             "leases": dict(self._leases),
             "jobs": {job_id: drop_nulls(job.to_plain()) for job_id, job in self._jobs.items()},
             "members": self._find_members(),
+            "paths": dict(self._targets.paths),
             "alarms": dict(self._alarms),
             "events": list(self._events),
         }

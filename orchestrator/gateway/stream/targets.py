@@ -1,11 +1,13 @@
-"""Where a running job moves each axis: by its steps, for the axis table."""
+"""Where a running job moves each axis: by its steps, for the axis table, and which of them are paths."""
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import ALL_AXES, is_position_name
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import FINISHED_STATES, JobProgress
+from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.units import UnitError, parse_quantity
@@ -20,6 +22,8 @@ class JobTargets:
         self._jobs: dict[str, JobBegun] = {}
         self._steps: dict[str, int] = {}
         self._targets: dict[str, dict[str, float]] = {}
+        self.paths: dict[str, dict[str, Any]] = {}
+        """Of a job whose running step is a path: the index of that step, and its axes."""
 
     @property
     def by_axis(self) -> dict[str, float]:
@@ -38,17 +42,25 @@ class JobTargets:
         if progress.state in FINISHED_STATES:
             self._jobs.pop(job_id, None)
             self._steps.pop(job_id, None)
+            self.paths.pop(job_id, None)
             return self._targets.pop(job_id, None) is not None
         if begun_job is None or fleet is None or self._steps.get(job_id) == progress.step:
             return False
         self._steps[job_id] = progress.step
-        self._targets[job_id] = _find_targets(begun_job, progress.step, fleet, find_rest)
+        step = _find_step(begun_job, progress.step)
+        self._targets[job_id] = _find_targets(begun_job, step, fleet, find_rest)
+        self.paths.pop(job_id, None)
+        if step is not None and step.follows_path:
+            self.paths[job_id] = {"step": progress.step, "axes": step.named_axes}
         return True
 
 
-def _find_targets(begun: JobBegun, number: int, fleet: Fleet, find_rest: FindRest) -> dict[str, float]:
+def _find_step(begun: JobBegun, number: int) -> Step | None:
     order = StepOrder(begun.job.steps, begun.repeat)
-    step = order.locate(number).step if number < len(order) else None
+    return order.locate(number).step if number < len(order) else None
+
+
+def _find_targets(begun: JobBegun, step: Step | None, fleet: Fleet, find_rest: FindRest) -> dict[str, float]:
     if not isinstance(step, Move):
         return {}
     targets: dict[str, float] = {}

@@ -3,11 +3,13 @@
  *
  * Messages say what is, and what to do. Tests find parts of the page by role and by these names:
  *   region "Stop bar" with buttons "Stop" and "E-stop"; navigation "Views" with "Run", "Set-up", "Service";
- *   region "Axes" with `axis-gantry.x` and `position-gantry.x` (data-testid), button "Menu of gantry.x";
+ *   region "Axes" with `axis-gantry.x` and `position-gantry.x` (data-testid), buttons "Go: gantry.x", "Menu of gantry.x";
  *   region "Jog" with group "Jog pad" (arrow keys) and buttons "Jog gantry.x +" and "Jog gantry.x −";
  *   region "Queue …" with list "Waiting jobs", whose items have `data-job`; status "State of the fleet";
  *   region "Running job" with progressbar "Progress of …"; button "Alarms …"; dialog, by its title.
  */
+
+import REMEDIES from "./remedies.json";
 
 const s = (count: number): string => (count === 1 ? "" : "s");
 
@@ -24,36 +26,21 @@ const MODES: Record<string, string> = {
   fault: "fault",
 };
 
-/** What a command of the terminal is on the page. Remedies of the fleet name commands; here they name what is here. */
-const ON_PAGE: [RegExp, string][] = [
-  [/enable: `tutti axis enable[^`]*`/g, "Get ready, or Enable in the menu of the axis"],
-  [/home: `tutti axis home[^`]*`/g, "Get ready, or Home in the menu of the axis"],
-  [/`tutti axis enable[^`]*`/g, "Get ready"],
-  [/`tutti axis home[^`]*`/g, "Get ready"],
-  [/`tutti axis (jog|move)[^`]*`/g, "Jog, in Set-up"],
-  [/`tutti (axis ls|status)[^`]*`/g, "the table of axes"],
-  [/`tutti reset[^`]*`/g, "Reset"],
-  [/`tutti stop[^`]*`/g, "Stop"],
-  [/`tutti estop[^`]*`/g, "E-stop"],
-  [/`tutti queue start[^`]*`/g, "Start queue"],
-  [/`tutti (queue status|job ls)[^`]*`/g, "the queue"],
-  [/`tutti job release[^`]*`/g, "Release, in the queue"],
-  [/`tutti job hold[^`]*`/g, "Hold, in the queue"],
-  [/`tutti job (approve|plan)[^`]*`/g, "Review, in the queue"],
-  [/`tutti job (resume|pause)[^`]*`/g, "the running job"],
-  [/`tutti job retry[^`]*`/g, "Run again, in History"],
-  [/`tutti job (report|show)[^`]*`/g, "History, in Service"],
-  [/`tutti position[^`]*`/g, "Named positions, in Set-up"],
-  [/`tutti alarm[^`]*`/g, "Alarms"],
-  [/`tutti watch[^`]*`/g, "this page"],
-  [/`tutti trace[^`]*`/g, "Links, in Service"],
-  [/`tutti record[^`]*`/g, "Recordings, in Service"],
-  [/`tutti [^`]*`/g, "a command at the computer of the fleet"],
-];
+/**
+ * Both forms of what remedies name, in `remedies.json`: the words of the terminal, and what they are on the page. `*` is
+ * the rest of a command. The longest that fits counts; a test holds every text of the product against it.
+ */
+const ON_PAGE = [...REMEDIES].sort(([a = ""], [b = ""]) => b.length - a.length).map(([terminal = "", page = ""]): [RegExp, string] => [
+  new RegExp(terminal.replace(/[.?()[\]{}+^$|\\]/g, "\\$&").replaceAll("*", "[^`]*"), "g"),
+  page,
+]);
+/** Of an older report, or of an adapter of another origin. */
+const UNKNOWN = /`tutti [^`]*`/g;
 
 /** A message of the fleet, with the names of the page for commands of the terminal. */
 export function onPage(text: string): string {
-  return text.includes("`tutti ") ? ON_PAGE.reduce((now, [command, name]) => now.replace(command, name), text) : text;
+  if (!text.includes("`tutti ") && !text.includes("`--")) return text;
+  return ON_PAGE.reduce((now, [terminal, page]) => now.replace(terminal, page), text).replace(UNKNOWN, T.elsewhere);
 }
 
 /** Places in job files count from 0, steps that people read from 1. */
@@ -63,6 +50,7 @@ export function placeOnPage(place: string): string {
 
 export const T = {
   loading: "Loading …",
+  elsewhere: "the terminal of the computer of the fleet",
   close: "Close",
   dismiss: "Dismiss",
   controller: "Controller",
@@ -140,6 +128,7 @@ export const T = {
     noCoordinator: "The coordinator is away: jobs, homing and jogging wait for it. Stop and E-stop work. It is started again on the computer of the fleet.",
     estop: (controllers: string, actor: string, reason: string, time: string) =>
       `E-stop of ${controllers} by ${actor} at ${time} UTC${reason ? `: ${reason}` : ""}. Remove the cause, then reset.`,
+    fault: (controllers: string) => `Fault of ${controllers}: the table of axes says which. Remove the cause, then reset; nothing moves by that.`,
     stopped: (what: string, by: string, time: string) => `${what === "estop" ? "E-stop" : "Stopped"} by ${by} at ${time} UTC`,
     noUsers: "There are no users: everyone on this machine is an operator. Users are added on the computer of the gateway.",
   },
@@ -177,7 +166,7 @@ export const T = {
     notStopped: (controller: string) => `${controller} has not confirmed the stop`,
     reset: "Reset",
     resetRefused: "Not reset",
-    resetDone: "The E-stop is reset",
+    resetDone: "Reset: E-stops are released, and faults cleared",
   },
 
   fleet: {
@@ -216,12 +205,29 @@ export const T = {
     valueLabel: (unit: string) => `Position in ${unit}`,
     typeNumber: "type a position first",
     beyond: (axis: string, value: string, limit: string) => `${axis}: ${value} is beyond the soft limit ${limit}`,
-    moveTo: (value: string) => `Move to ${value}`,
+    go: "Go",
+    goOf: (axis: string) => `Go: ${axis}`,
+    goTo: (value: string) => `Go to ${value}`,
+    limits: (min: string, max: string) => `soft limits ${min} … ${max}`,
+    noLimits: "no soft limits",
+    stepLabel: (axis: string) => `Step of ${axis}`,
+    stepBy: (axis: string, distance: string) => `Step ${axis} by ${distance}`,
+    stepHint: "One step for each press, from where it stands.",
     moving: (axis: string) => `Move ${axis}`,
     setTo: (value: string) => `Set the present position to ${value}`,
     setting: (axis: string) => `Set the position of ${axis}`,
     removeOffset: "Remove the offset",
     setHint: "Setting a position moves nothing: it changes what the present position is called.",
+  },
+
+  speed: {
+    label: "Speed",
+    means: (speed: string) => `at most ${speed}`,
+    unread: (example: string) => `write a speed as ${example}, 50 % or 0.5`,
+    outside: "a percentage of the limit is above 0 to 100 %",
+    noUnit: (text: string, example: string) => `${text} without a unit is a part of the limit, above 0 to 1; with one it is a speed: ${example}`,
+    zero: "a speed is above 0",
+    above: (limit: string) => `the limit of this axis is ${limit}; choose a lower speed`,
   },
 
   start: {
@@ -360,6 +366,17 @@ export const T = {
     add: "Add an axis",
     remove: (axis: string) => `Remove ${axis} from the plot`,
     name: (axes: string) => `Positions of ${axes} over the last minute`,
+  },
+
+  plane: {
+    open: "XY",
+    show: "XY view",
+    title: "XY view",
+    hide: "Hide the XY view",
+    across: "Axis to the right",
+    upwards: "Axis upwards",
+    whole: "Limits",
+    name: (x: string, y: string, atX: string, atY: string) => `${x} at ${atX}, ${y} at ${atY}`,
   },
 
   job: {
@@ -592,6 +609,37 @@ export const T = {
     planned: (axis: string) => `${axis} planned`,
     actual: (axis: string) => `${axis} actual`,
     plot: (axis: string) => `Planned and actual position of ${axis}`,
+  },
+
+  jobPlot: {
+    open: "Plot",
+    openOf: (name: string) => `Plot of ${name}`,
+    title: (name: string) => `All steps of ${name}`,
+    name: (axes: string, first: number, last: number) => `Planned and actual positions of ${axes}, steps ${first} to ${last}`,
+    hint: "Lines are planned, dots are read from the controllers. Numbers are the steps, each at its T0; 0 s is the first of them.",
+    leftOut: (count: number) => `Left out: the ${count} step${s(count)} before.`,
+    steps: (count: number) => `${count} step${s(count)} with their times`,
+    span: (from: string, to: string) => `${from} s … ${to} s`,
+  },
+
+  points: {
+    show: "Points",
+    showOf: (step: number) => `Points of step ${step}`,
+    point: "Point",
+    target: "Position",
+    off: "Deviation",
+    verdict: "Verdict",
+    skew: "Start skew",
+    none: "No point was recorded.",
+    earlier: "Earlier points",
+    later: "Later points",
+    isFirst: "these are the first points",
+    isLast: "these are the last points",
+    range: (first: number, last: number, all: number) => `points ${first} to ${last} of ${all}`,
+    plot: (axes: string) => `Deviation of ${axes} over the points`,
+    plotted: (count: number) => `The plot has the first ${count} points.`,
+    offAxis: (axis: string) => `${axis} off its position`,
+    at: (point: number) => `point ${point}`,
   },
 
   configuration: {

@@ -8,10 +8,21 @@ import { T } from "../texts.ts";
 
 export type View = "run" | "setup" | "service";
 export const VIEWS: View[] = ["run", "setup", "service"];
+function isPlane(value: unknown): value is Plane {
+  if (typeof value !== "object" || value === null) return false;
+  const { shown, axes } = value as Record<string, unknown>;
+  return isFlag(shown) && isTexts(axes);
+}
 export type Theme = "auto" | "light" | "dark";
 
 export const theme = remembered<Theme>("theme", "auto", (value): value is Theme => ["auto", "light", "dark"].includes(value as string));
 export const soundOn = remembered("sound", false, isFlag);
+/** The view of two axes in their plane. */
+export interface Plane {
+  shown: boolean;
+  axes: string[];
+}
+export const plane = remembered<Plane>("plane", { shown: false, axes: [] }, isPlane);
 export const plotted = remembered<string[]>("plotted", [], isTexts);
 
 /** Whether the panels stand one below the other; the same condition as in the style sheet. */

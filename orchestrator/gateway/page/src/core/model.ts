@@ -44,6 +44,8 @@ export interface AxisState {
   max?: number;
   max_velocity?: number;
   jog_velocity?: number;
+  /** The part of `max_velocity` for what a person asks for one at a time. */
+  manual_speed?: number;
 }
 
 export interface ClockQuality {
@@ -221,6 +223,8 @@ export interface State {
   queue?: QueueState;
   jobs?: Record<string, JobProgress>;
   members?: Record<string, Members>;
+  /** Of a job whose running step is a path: its index, from 0, and its axes. */
+  paths?: Record<string, { step: number; axes: string[] }>;
   alarms?: Record<string, Alarm>;
   events?: FleetEvent[];
   last_stop?: LastStop;
@@ -362,6 +366,24 @@ export interface Curve {
 export interface Recording {
   t0_fleet_ns: number;
   axes: Record<string, { unit: string; planned: Curve; actual: Curve }>;
+}
+
+/** All motion steps of a job over the seconds after T0 of the first. */
+export interface JobCurves {
+  steps: { index: number; name: string; text: string; t0: number; t1: number }[];
+  axes: Recording["axes"];
+  left_out: number;
+}
+
+export interface ScanPoint {
+  step: number;
+  point: number;
+  state: string;
+  verdict: "green" | "amber" | "red" | "none";
+  target: Record<string, number>;
+  measured: Record<string, number | null>;
+  start_skew?: Skew | null;
+  took_s?: number | null;
 }
 
 export interface Preview {

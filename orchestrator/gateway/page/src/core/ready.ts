@@ -16,7 +16,7 @@ export interface Readiness {
 
 export function readinessOf(id: string, axis: AxisState, controller: ControllerRest, permits: Permit[]): Readiness {
   const [owner = "", name = ""] = id.split(".");
-  const bad = (text: string, remedy: string): Readiness => ({ level: "bad", text, remedy: onPage(remedy) });
+  const bad = (text: string, remedy: string): Readiness => ({ level: "bad", text: onPage(text), remedy: onPage(remedy) });
   if (!controller.present) return bad(T.ready.noAdapter, T.ready.noAdapterRemedy(owner));
   if (controller.mode === "offline") return bad(T.ready.offline, firstFault(controller, name)?.remedy || T.ready.offlineRemedy);
   if (controller.estop) return bad(T.ready.estop(withoutAddress(controller.estop.actor)), T.ready.estopRemedy);

@@ -133,6 +133,7 @@ export const leases = signal<Record<string, Lease>>({});
 export const permits = signal<Permit[]>([]);
 export const queue = signal<QueueState>({});
 export const jobs = signal<Record<string, JobProgress>>({});
+export const paths = signal<Record<string, { step: number; axes: string[] }>>({});
 export const members = signal<Record<string, Members>>({});
 export const alarms = signal<Record<string, Alarm>>({});
 export const events = signal<FleetEvent[]>([]);
@@ -150,9 +151,11 @@ export function findController(id: string): ControllerStore | undefined {
   return stores.get(id);
 }
 
+/** What renders by it is rendered again once the axis is there: a remembered choice comes before the state. */
 export function findAxis(id: string): AxisStore | undefined {
-  const [controller = "", name = ""] = id.split(".");
-  return stores.get(controller)?.axes.value.find((axis) => axis.name === name);
+  const [owner = "", name = ""] = id.split(".");
+  const controller = controllers.value.find((each) => each.id === owner);
+  return controller?.axes.value.find((axis) => axis.name === name);
 }
 
 export function allAxes(): AxisStore[] {
@@ -186,6 +189,7 @@ function publish(patch: JsonObject | null, nowMs: number): void {
     permits.value = now.permits ?? NO_LIST;
     queue.value = now.queue ?? NOTHING;
     jobs.value = now.jobs ?? NOTHING;
+    paths.value = now.paths ?? NOTHING;
     members.value = now.members ?? NOTHING;
     alarms.value = now.alarms ?? NOTHING;
     events.value = now.events ?? NO_LIST;

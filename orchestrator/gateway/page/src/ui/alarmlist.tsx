@@ -59,7 +59,7 @@ function AlarmCard({ alarm }: { alarm: Alarm }): JSX.Element {
           <span aria-hidden="true">{aside ? "◌" : fresh ? "▲" : "△"}</span> <b>{alarm.subject}</b> <span>{T.alarms.priority(alarm.priority)}</span>
           <span class="quiet">{T.alarms.state[alarm.state]}</span>
         </div>
-        <p>{alarm.text}</p>
+        <p>{onPage(alarm.text)}</p>
         {alarm.action ? <p class="remedy">{onPage(alarm.action)}</p> : null}
         <p class="quiet num">
           {dayAndTime(alarm.raised_utc)} UTC{(alarm.count ?? 1) > 1 ? ` · ${T.alarms.times(alarm.count ?? 1)}` : ""}

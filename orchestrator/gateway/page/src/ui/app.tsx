@@ -18,6 +18,7 @@ import { LinksPanel } from "./links.tsx";
 import { LivePlots } from "./liveplots.tsx";
 import { Login } from "./login.tsx";
 import { Messages } from "./messages.tsx";
+import { PlanePanel } from "./plane.tsx";
 import { DialogHost } from "./parts.tsx";
 import { PositionsPanel } from "./positions.tsx";
 import { PreparePanel } from "./prepare.tsx";
@@ -52,6 +53,7 @@ function ViewPanels(): JSX.Element {
         {runningJobs.value.length > 0 ? null : <JobPanel key="job" />}
         <QueuePanel key="queue" />
         <LivePlots key="plots" />
+        <PlanePanel key="plane" />
       </div>
     );
   if (view.value === "run")
@@ -59,7 +61,10 @@ function ViewPanels(): JSX.Element {
       <>
         <div class="column">
           <AxisTable />
-          <LivePlots />
+          <div class="pictures">
+            <LivePlots />
+            <PlanePanel />
+          </div>
         </div>
         <div class="column right">
           <JobPanel />
@@ -76,6 +81,7 @@ function ViewPanels(): JSX.Element {
         </div>
         <div class="column">
           <AxisTable onChoose={(axis) => (across.value = axis)} chosen={across.value} />
+          <PlanePanel />
           <PositionsPanel />
           <IoPanel />
         </div>

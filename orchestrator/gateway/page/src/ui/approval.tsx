@@ -7,7 +7,7 @@ import { get, post } from "../core/http.ts";
 import type { JobForecast, JobPlan, Preview, QueueEntry, Refusal } from "../core/model.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Act, closeDialog, Empty } from "./parts.tsx";
 import { ForecastSteps, PreviewPlots } from "./preview.tsx";
 
@@ -43,7 +43,7 @@ export function Approval({ job }: { job: QueueEntry }): JSX.Element {
   return (
     <div class="approval">
       <p>{T.approval.by(job.actor)}</p>
-      {job.reason ? <p class="reason">{job.reason}</p> : null}
+      {job.reason ? <p class="reason">{onPage(job.reason)}</p> : null}
       {refused ? <p class="reason bad">{`▲ ${explain(refused)}`}</p> : null}
       {reviewed === null && refused === null ? <Empty text={T.approval.loading} /> : null}
       {reviewed?.preview ? <PreviewPlots preview={reviewed.preview} /> : null}

@@ -13,6 +13,8 @@ import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AxisMenu } from "./axismenu.tsx";
 import { GetReady, unready } from "./getready.tsx";
+import { MoveDialog } from "./movedialog.tsx";
+import { PlaneSwitch } from "./plane.tsx";
 import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
 
 /** With more axes than this the table is dense, and what needs a look comes first. */
@@ -35,7 +37,13 @@ export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => v
     if (moving && !stays.value) table.current?.parentElement?.scrollTo(0, 0);
   }, [moving, stays.value, last.current.map((controller) => controller.id).join()]);
   return (
-    <Panel title={T.axes.title} area="axes" tools={needsReady ? <GetReady ids={[]} /> : null}>
+    <Panel title={T.axes.title} area="axes" tools={
+        <div class="chips">
+          {needsReady ? <GetReady ids={[]} /> : null}
+          <PlaneSwitch />
+        </div>
+      }
+    >
       {controllers.value.length === 0 ? (
         <Empty text={T.axes.none} />
       ) : (
@@ -141,6 +149,12 @@ function AxisRow({ axis, controller, onChoose, chosen }: RowProps): JSX.Element 
         {holder.by ? <small class="remedy">{holder.by}</small> : null}
       </td>
       <td class="tools">
+        <Act
+          label={T.axes.go}
+          kind="small"
+          name={T.axes.goOf(axis.id)}
+          onAct={() => openDialog(T.axes.moving(axis.id), <MoveDialog axis={axis} controller={controller} />)}
+        />
         <Act
           label="⋯"
           kind="small"

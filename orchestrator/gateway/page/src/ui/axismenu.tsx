@@ -1,14 +1,14 @@
-/** The menu of one axis: what must not sit beside the jog keys, with its value written out. */
+/** The menu of one axis: what must not sit beside the keys that move it, with its value written out. */
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { formatQuantity, formatUnit } from "../core/format.ts";
-import { whyBeyond } from "../core/limits.ts";
 import { beginWork, working } from "../core/manual.ts";
 import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { permits, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { T } from "../texts.ts";
+import { readNumber } from "./movedialog.tsx";
 import { Act, closeDialog, Field, Mark } from "./parts.tsx";
 
 export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element {
@@ -18,7 +18,6 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
   const why = firstOf(whyNot("work", controller.id), working.value ? T.why.working(working.value.words) : "");
   const value = readNumber(text);
   const valueWhy = firstOf(why, value === null ? T.axes.typeNumber : "");
-  const moveWhy = firstOf(valueWhy, whyBeyond(axis, value));
   const ready = readinessOf(axis.id, flags, controller.rest.value, permits.value);
   const work = (words: string, step: object): void => {
     void beginWork(words, [axis.id], step);
@@ -57,12 +56,6 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
       </Field>
       <div class="row">
         <Act
-          label={T.axes.moveTo(value === null ? "…" : formatQuantity(value, flags.unit))}
-          why={moveWhy}
-          motion
-          onAct={() => work(T.axes.moving(axis.id), { do: "move", to: { [axis.id]: value } })}
-        />
-        <Act
           label={T.axes.setTo(value === null ? "…" : formatQuantity(value, flags.unit))}
           why={valueWhy}
           onAct={() => work(T.axes.setting(axis.id), { do: "set-position", axes: { [axis.id]: value } })}
@@ -73,15 +66,7 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
           onAct={() => work(T.axes.setting(axis.id), { do: "set-position", axes: { [axis.id]: null } })}
         />
       </div>
-      {whyBeyond(axis, value) ? <p class="reason bad">{`▲ ${whyBeyond(axis, value)}`}</p> : null}
       <p class="hint">{T.axes.setHint}</p>
     </div>
   );
-}
-
-/** A number as people write it, with a comma or a point; null for anything else. */
-export function readNumber(text: string): number | null {
-  const plain = text.trim().replace(",", ".");
-  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
-  return Number(plain);
 }

@@ -6,7 +6,7 @@ import { dayAndTime } from "../core/format.ts";
 import { get, post } from "../core/http.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 import { usePolled } from "./polled.ts";
 
@@ -113,7 +113,7 @@ function Reload(): JSX.Element {
       </label>
       {problems.map((problem) => (
         <p class="reason bad" key={`${problem.place} ${problem.text}`}>
-          {`▲ ${problem.line ? `${T.submit.line(problem.line)} ` : ""}${problem.place ?? ""} ${problem.text}`}
+          {`▲ ${problem.line ? `${T.submit.line(problem.line)} ` : ""}${problem.place ?? ""} ${onPage(problem.text)}`}
         </p>
       ))}
       {checked && problems.length === 0 ? <Changes changes={changes} name={name} /> : null}

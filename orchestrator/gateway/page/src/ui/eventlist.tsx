@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { eventLog } from "../core/eventlog.ts";
 import { dayAndTime, shortId } from "../core/format.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Empty, Panel } from "./parts.tsx";
 
 const MOST_ROWS = 200;
@@ -43,7 +43,7 @@ export function EventsPanel(): JSX.Element {
               <td class="num when">{dayAndTime(event.utc)}</td>
               <td>{event.controller}</td>
               <td>{event.kind}</td>
-              <td>{event.text}</td>
+              <td>{onPage(event.text)}</td>
               <td class="quiet">{event.job ? shortId(event.job) : ""}</td>
             </tr>
           ))}

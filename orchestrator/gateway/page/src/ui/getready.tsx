@@ -5,9 +5,8 @@ import { useEffect, useState } from "preact/hooks";
 import { computed } from "@preact/signals";
 import { get } from "../core/http.ts";
 import { beginWork, working } from "../core/manual.ts";
-import type { JobShown } from "../core/model.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { allAxes, findController, type AxisStore } from "../core/store.ts";
+import { allAxes, type AxisStore } from "../core/store.ts";
 import { T } from "../texts.ts";
 import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
 
@@ -62,36 +61,10 @@ function ReadyDialog({ ids }: { ids: string[] }): JSX.Element {
   );
 }
 
-/** The axes in the steps of these jobs. A step that names none (a position, a group) may mean any of them. */
+/** The axes that these jobs use, those of their named positions too. Of a job that cannot be told: all axes. */
 async function findNeeded(ids: string[]): Promise<AxisStore[]> {
+  const answers = await Promise.all(ids.map((id) => get<{ axes: string[] }>(`jobs/${encodeURIComponent(id)}/axes`)));
   const all = allAxes();
-  const answers = await Promise.all(ids.map((id) => get<JobShown>(`jobs/${encodeURIComponent(id)}`)));
-  const named = new Set<string>();
-  let unclear = false;
-  for (const answer of answers) {
-    const steps = "ok" in answer ? answer.ok.job?.steps : undefined;
-    if (!Array.isArray(steps)) unclear = true;
-    else for (const step of steps) unclear = collect(step, named) || unclear;
-  }
-  return unclear ? all : all.filter((axis) => named.has(axis.id));
-}
-
-/** Collect the axes that a step names; true: it may mean others too. */
-function collect(step: unknown, named: Set<string>): boolean {
-  if (typeof step !== "object" || step === null) return true;
-  const fields = step as Record<string, unknown>;
-  if (Array.isArray(fields["steps"])) return fields["steps"].map((each) => collect(each, named)).some(Boolean);
-  let unclear = fields["do"] === "home" && !Array.isArray(fields["axes"]);
-  const take = (name: string): void => {
-    if (name.includes(".")) named.add(name);
-    else if (findController(name)) for (const axis of findController(name)?.axes.value ?? []) named.add(axis.id);
-    else unclear = true;
-  };
-  for (const field of ["to", "by", "axes", "from", "via"]) {
-    const value = fields[field];
-    if (typeof value === "string") take(value);
-    else if (Array.isArray(value)) value.filter((each): each is string => typeof each === "string").forEach(take);
-    else if (typeof value === "object" && value !== null) Object.keys(value).forEach(take);
-  }
-  return unclear;
+  const named = new Set(answers.flatMap((answer) => ("ok" in answer ? answer.ok.axes : all.map((axis) => axis.id))));
+  return all.filter((axis) => named.has(axis.id));
 }

@@ -9,10 +9,11 @@ import type { JobReport, JobShown, QueueEntry, QueueState, Recording, ScanSummar
 import { accept, showNote } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { onPage, T } from "../texts.ts";
+import { PlotJob, RecordingPlot } from "./jobplot.tsx";
 import { Act, closeDialog, Empty, openDialog, Panel } from "./parts.tsx";
 import { PathFacts } from "./pathbound.tsx";
-import { alignCurves, Plot } from "./plot.tsx";
 import { usePolled } from "./polled.ts";
+import { ScanPoints } from "./scanpoints.tsx";
 import { StartStrip } from "./strip.tsx";
 import { BudgetTable, BudgetTerms, VerdictMark } from "./verdict.tsx";
 
@@ -84,6 +85,7 @@ function JobDetails({ job }: { job: QueueEntry }): JSX.Element {
         <a class="act" href={`v1/jobs/${encodeURIComponent(job.id)}/export.csv`} download>
           {T.history.export}
         </a>
+        <PlotJob id={job.id} name={job.name} />
         <Retry job={job} steps={report.steps?.length ?? 1} />
       </div>
       {report.steps?.map((step) => (
@@ -115,6 +117,7 @@ function StepDetails({ job, state, step }: { job: string; state: string; step: S
       ))}
       {step.path ? <PathFacts path={step.path} /> : null}
       {step.scan ? <ScanDetails scan={step.scan} green={state === "done" && step.state === "done"} /> : null}
+      {step.scan ? <ScanPoints job={job} step={step.index} scan={step.scan} green={state === "done" && step.state === "done"} /> : null}
       {moved ? (
         <details>
           <summary>{T.history.evidence}</summary>
@@ -143,36 +146,10 @@ function ScanDetails({ scan, green }: { scan: ScanSummary; green: boolean }): JS
       </p>
       {(scan.not_green ?? []).map((finding) => (
         <p class="reason" key={finding.point}>
-          {T.history.pointFinding(finding.point, finding.verdict, finding.text)}
+          {T.history.pointFinding(finding.point, finding.verdict, onPage(finding.text))}
         </p>
       ))}
     </>
-  );
-}
-
-function RecordingPlot({ recording }: { recording: Recording }): JSX.Element {
-  const axes = Object.entries(recording.axes);
-  const [chosen, setChosen] = useState(axes[0]?.[0] ?? "");
-  const axis = recording.axes[chosen];
-  if (!axis) return <Empty text={T.history.noRecording} />;
-  return (
-    <div>
-      <select aria-label={T.axes.axis} value={chosen} onChange={(event) => setChosen(event.currentTarget.value)}>
-        {axes.map(([name]) => (
-          <option key={name}>{name}</option>
-        ))}
-      </select>
-      <Plot
-        key={chosen}
-        series={[
-          { label: T.history.planned(chosen), unit: axis.unit },
-          { label: T.history.actual(chosen), unit: axis.unit, points: true },
-        ]}
-        data={alignCurves([axis.planned, axis.actual])}
-        height={240}
-        name={T.history.plot(chosen)}
-      />
-    </div>
   );
 }
 

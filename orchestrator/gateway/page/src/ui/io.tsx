@@ -9,7 +9,7 @@ import { accept } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { controllers, type ControllerStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 
 const wires = signal<WireFinding[] | null>(null);
@@ -32,8 +32,8 @@ export function IoPanel(): JSX.Element {
       <ul class="plain">
         {wires.value?.map((wire) => (
           <li key={`${wire.output} ${wire.input}`}>
-            <Mark level={wire.ok ? "ok" : "bad"} text={`${wire.output} → ${wire.input}`} /> {wire.text}
-            {wire.remedy ? <small class="remedy">{wire.remedy}</small> : null}
+            <Mark level={wire.ok ? "ok" : "bad"} text={`${wire.output} → ${wire.input}`} /> {onPage(wire.text)}
+            {wire.remedy ? <small class="remedy">{onPage(wire.remedy)}</small> : null}
           </li>
         ))}
       </ul>

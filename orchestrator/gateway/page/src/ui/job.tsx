@@ -13,6 +13,7 @@ import { whyNot } from "../core/rights.ts";
 import { jobs, members } from "../core/store.ts";
 import { onPage, T } from "../texts.ts";
 import { RunAgain } from "./history.tsx";
+import { PlotJob } from "./jobplot.tsx";
 import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Panel, Progress } from "./parts.tsx";
 import { StartStrip } from "./strip.tsx";
@@ -66,6 +67,7 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
           </>
         )}
         <Act label={T.job.cancel} name={T.job.verb("cancel", job.name)} why={whyNot("cancel")} onAct={() => send("cancel")} />
+        <PlotJob id={id} name={job.name} />
       </div>
     </article>
   );
@@ -144,6 +146,7 @@ function LastVerdict(): JSX.Element | null {
       <div class="rowhead">
         <span>{step ? T.job.lastStep(report.name, step.index + 1, step.name) : T.job.lastJob(report.name)}</span>
         {step ? <VerdictMark step={step} job={report.state} /> : null}
+        {ended ? <PlotJob id={report.id} name={report.name} /> : null}
         {ended ? <RunAgain id={report.id} name={report.name} /> : null}
       </div>
       {good ? null : (

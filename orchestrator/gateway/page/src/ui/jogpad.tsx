@@ -24,7 +24,7 @@ import { Act, Empty, Mark, Panel, Progress } from "./parts.tsx";
 import { askRelease } from "./start.tsx";
 
 const FRACTIONS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1];
-const STEPS = [0.001, 0.01, 0.1, 1, 10, 100];
+export const STEPS = [0.001, 0.01, 0.1, 1, 10, 100];
 
 export const across = remembered("jog.across", "", isText);
 export const upwards = remembered("jog.upwards", "", isText);

@@ -89,6 +89,15 @@ function listMessages(): Message[] {
       act: { label: T.stop.reset, why: whyNot("reset"), onAct: () => void resetFleet() },
     });
   }
+  const faulty = controllers.value.filter((controller) => controller.rest.value.mode === "fault" && !controller.rest.value.estop);
+  if (faulty.length > 0)
+    all.push({
+      key: "fault",
+      level: "warn",
+      sign: "▲",
+      text: T.messages.fault(faulty.map((each) => each.id).join(", ")),
+      act: { label: T.stop.reset, why: whyNot("reset"), onAct: () => void resetFleet() },
+    });
   const stopped = stoppedBy.value ?? undismissed();
   if (stopped && !(estop && stopped.what === "estop"))
     all.push({

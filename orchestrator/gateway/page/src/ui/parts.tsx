@@ -46,6 +46,8 @@ interface ActProps {
   name?: string;
   title?: string;
   pressed?: boolean;
+  /** It sends its form, as Enter in a field of it does. */
+  submits?: boolean;
 }
 
 const swallowSpace = (event: KeyboardEvent): void => {
@@ -53,11 +55,11 @@ const swallowSpace = (event: KeyboardEvent): void => {
 };
 
 /** A button. One that cannot be used now stays visible and says why, also to the keyboard. */
-export function Act({ label, onAct, why = "", motion = false, kind = "plain", name, title, pressed }: ActProps): JSX.Element {
+export function Act({ label, onAct, why = "", motion = false, kind = "plain", name, title, pressed, submits = false }: ActProps): JSX.Element {
   const space = motion ? { onKeyDown: swallowSpace, onKeyUp: swallowSpace } : {};
   return (
     <button
-      type="button"
+      type={submits && !why ? "submit" : "button"}
       class={`act ${kind}`}
       aria-label={name}
       aria-pressed={pressed}
@@ -65,7 +67,7 @@ export function Act({ label, onAct, why = "", motion = false, kind = "plain", na
       aria-description={why || undefined}
       title={why || title}
       {...space}
-      onClick={() => (why ? showNote(T.why.cannot(name ?? label), why) : onAct())}
+      onClick={() => (why ? showNote(T.why.cannot(name ?? label), why) : submits ? undefined : onAct())}
     >
       {label}
     </button>
@@ -103,7 +105,7 @@ export function Progress({ fraction, label }: { fraction: number; label: string 
   );
 }
 
-/** The open dialog. It leaves the stop bar free, and closes at Esc. */
+/** The open dialog. It leaves the stop bar free, and closes at Esc. A field with `data-first` has the focus at first. */
 const dialog = signal<{ title: string; body: ComponentChildren; wide: boolean } | null>(null);
 let opener: HTMLElement | null = null;
 
@@ -126,7 +128,7 @@ export function DialogHost(): JSX.Element | null {
   const isOpen = now !== null;
   useLayoutEffect(() => (isOpen ? noteOpen(closeDialog) : undefined), [isOpen]);
   useEffect(() => {
-    if (now !== null) box.current?.focus();
+    if (now !== null) (box.current?.querySelector<HTMLElement>("[data-first]") ?? box.current)?.focus();
   }, [now?.title]);
   if (now === null) return null;
   return (

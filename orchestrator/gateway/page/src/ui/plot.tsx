@@ -11,6 +11,14 @@ export interface PlotSeries {
   label: string;
   unit: string;
   points?: boolean;
+  /** Which of the colours; without it that of its place. */
+  colour?: number;
+}
+
+/** An instant that is marked, with a short text at its top. */
+export interface PlotMark {
+  at: number;
+  label: string;
 }
 
 export type PlotData = (number | null)[][];
@@ -22,6 +30,9 @@ function colourOf(element: Element, name: string): string {
   return getComputedStyle(element).getPropertyValue(name).trim() || "gray";
 }
 
+/** Between ticks of what is counted. */
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
+
 interface PlotProps {
   series: PlotSeries[];
   /** The times in seconds, then the values of each series. */
@@ -29,14 +40,17 @@ interface PlotProps {
   height: number;
   name: string;
   range?: [number, number];
+  marks?: PlotMark[];
+  /** The unit of what is plotted over; seconds without it. */
+  across?: string;
   /** A plot whose data change often takes them by itself: it is called with the function that draws. */
   feed?: (draw: (data: PlotData) => void) => () => void;
 }
 
-export function Plot({ series, data, height, name, range, feed }: PlotProps): JSX.Element {
+export function Plot({ series, data, height, name, range, marks, across = "s", feed }: PlotProps): JSX.Element {
   const box = useRef<HTMLDivElement>(null);
   const chart = useRef<uPlot | null>(null);
-  const shape = JSON.stringify([series, range, theme.value]);
+  const shape = JSON.stringify([series, range, marks, theme.value]);
   useEffect(() => {
     const place = box.current;
     if (place === null) return;
@@ -45,7 +59,7 @@ export function Plot({ series, data, height, name, range, feed }: PlotProps): JS
       width: Math.max(120, place.clientWidth),
       height: Math.max(80, height || place.clientHeight - legend),
     });
-    const made = new uPlot({ ...size(), ...optionsOf(place, series, range) }, data as uPlot.AlignedData, place);
+    const made = new uPlot({ ...size(), ...optionsOf(place, series, across, range), hooks: marks ? { draw: [(chart) => drawMarks(chart, place, marks)] } : {} }, data as uPlot.AlignedData, place);
     chart.current = made;
     const watch = new ResizeObserver(() => {
       legend = made.root.querySelector<HTMLElement>(".u-legend")?.offsetHeight ?? legend;
@@ -64,10 +78,10 @@ export function Plot({ series, data, height, name, range, feed }: PlotProps): JS
   useEffect(() => {
     if (!feed) chart.current?.setData(data as uPlot.AlignedData);
   }, [data]);
-  return <div class={`plot ${height ? "" : "fills"}`} role="img" aria-label={name} ref={box} />;
+  return <div class={`plot ${height ? "" : "fills"}`} role="img" aria-label={name} data-range={range?.join(" ")} ref={box} />;
 }
 
-function optionsOf(place: Element, series: PlotSeries[], range?: [number, number]): Omit<uPlot.Options, "width" | "height"> {
+function optionsOf(place: Element, series: PlotSeries[], across: string, range?: [number, number]): Omit<uPlot.Options, "width" | "height"> {
   const ink = colourOf(place, "--ink-2");
   const root = parseFloat(getComputedStyle(document.documentElement).fontSize) / 16;
   const font = `${Math.round(12 * root)}px system-ui, sans-serif`;
@@ -80,7 +94,7 @@ function optionsOf(place: Element, series: PlotSeries[], range?: [number, number
     legend: { live: false },
     scales,
     axes: [
-      { stroke: ink, grid, ticks: grid, space: 60 * root, size: 30 * root, font, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(3)} s`) },
+      { stroke: ink, grid, ticks: grid, ...(across === "" ? { incrs: WHOLE } : {}), space: 60 * root, size: 30 * root, font, values: (_, ticks) => ticks.map((tick) => `${+tick.toFixed(3)} ${across}`.trim()) },
       ...units.slice(0, 2).map(
         (unit, index): uPlot.Axis => ({
           scale: unit,
@@ -101,8 +115,9 @@ function optionsOf(place: Element, series: PlotSeries[], range?: [number, number
     series: [
       {},
       ...series.map((each, index): uPlot.Series => {
-        const colour = colourOf(place, `--curve-${(index % 6) + 1}`);
-        const dash = DASHES[index % 6] ?? [];
+        const number = (each.colour ?? index) % 6;
+        const colour = colourOf(place, `--curve-${number + 1}`);
+        const dash = DASHES[number] ?? [];
         return {
           label: `${each.label} (${formatUnit(each.unit)})`,
           scale: each.unit,
@@ -115,6 +130,36 @@ function optionsOf(place: Element, series: PlotSeries[], range?: [number, number
       }),
     ],
   };
+}
+
+const MARK_PX = 26; // between two texts of marks
+
+/** A line at each instant, with its text where there is room. */
+function drawMarks(chart: uPlot, place: Element, marks: PlotMark[]): void {
+  const { ctx, bbox } = chart;
+  const pixels = window.devicePixelRatio || 1;
+  ctx.save();
+  ctx.strokeStyle = colourOf(place, "--ink-2");
+  ctx.fillStyle = colourOf(place, "--ink-2");
+  ctx.globalAlpha = marks.length > 40 ? 0.25 : 0.6;
+  ctx.lineWidth = pixels;
+  ctx.setLineDash([2 * pixels, 3 * pixels]);
+  ctx.font = `${11 * pixels}px system-ui, sans-serif`;
+  ctx.textBaseline = "top";
+  let free = -Infinity;
+  for (const mark of marks) {
+    const x = Math.round(chart.valToPos(mark.at, "x", true));
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    if (x < free || x + MARK_PX * pixels > bbox.left + bbox.width + MARK_PX * pixels) continue;
+    ctx.globalAlpha = 1;
+    ctx.fillText(mark.label, x + 3 * pixels, bbox.top + 2 * pixels);
+    ctx.globalAlpha = marks.length > 40 ? 0.25 : 0.6;
+    free = x + MARK_PX * pixels;
+  }
+  ctx.restore();
 }
 
 /** A range that a resting axis does not fill with its noise. */

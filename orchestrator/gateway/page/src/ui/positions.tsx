@@ -11,7 +11,7 @@ import { accept } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { controllers } from "../core/store.ts";
 import { connection } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { Act, Empty, Field, Panel } from "./parts.tsx";
 
 const positions = signal<NamedPosition[] | null>(null);
@@ -41,7 +41,7 @@ export function PositionsPanel(): JSX.Element {
 }
 
 function PositionCard({ position }: { position: NamedPosition }): JSX.Element {
-  const problems = [...(position.problems ?? []), ...whyBeyondOf(position.axes)];
+  const problems = [...(position.problems ?? []).map(onPage), ...whyBeyondOf(position.axes)];
   const why = firstOf(whyNot("work"), working.value ? T.why.working(working.value.words) : "", problems[0] ?? "");
   const remove = async (): Promise<void> => {
     if (accept(T.positions.removeOf(position.name), await post("remove-position", { name: position.name })) !== null) await load();
@@ -67,7 +67,7 @@ function PositionCard({ position }: { position: NamedPosition }): JSX.Element {
           kind="small"
           motion
           why={why}
-          onAct={() => void beginWork(T.positions.goTo(position.name), Object.keys(position.axes), { do: "move", to: position.name })}
+          onAct={() => void beginWork(T.positions.goTo(position.name), Object.keys(position.axes), { do: "move", to: position.name, speed: "manual" })}
         />
         {position.source === "file" ? null : (
           <Act label="✕" name={T.positions.removeOf(position.name)} kind="small" why={whyNot("remove-position")} onAct={() => void remove()} />

@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { beginWork, working } from "../core/manual.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { allAxes, controllers, jobs, permits } from "../core/store.ts";
-import { T } from "../texts.ts";
+import { onPage, T } from "../texts.ts";
 import { GetReady, unready } from "./getready.tsx";
 import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
@@ -32,14 +32,14 @@ export function PreparePanel(): JSX.Element {
         <Act label={T.prepare.homeAll} why={why} motion onAct={() => work(T.prepare.homeAll, { do: "home" })} />
         {homing.length > 0 ? <span class="hint">{T.prepare.homing(homing.join(", "))}</span> : null}
       </div>
-      {working.value && job ? <p class="hint">{job.step_name || job.reason}</p> : null}
+      {working.value && job ? <p class="hint">{job.step_name || onPage(job.reason)}</p> : null}
       <WorkLine />
       <h3>{T.permits.title}</h3>
       {permits.value.length === 0 ? <Empty text={T.permits.none} /> : null}
       <ul class="plain">
         {permits.value.map((permit) => (
           <li key={permit.name}>
-            <Mark level="bad" text={permit.name} /> {permit.text} <span class="quiet">{permit.axes.join(", ")}</span>
+            <Mark level="bad" text={permit.name} /> {onPage(permit.text)} <span class="quiet">{permit.axes.join(", ")}</span>
           </li>
         ))}
       </ul>

@@ -3,8 +3,8 @@
 import type { JSX } from "preact";
 import { useMemo, useState } from "preact/hooks";
 import { explain, formatNs, formatSeconds, formatUnit } from "../core/format.ts";
-import type { JobForecast, Preview } from "../core/model.ts";
-import { T } from "../texts.ts";
+import type { Curve, JobForecast, Preview } from "../core/model.ts";
+import { onPage, T } from "../texts.ts";
 import { PathFacts } from "./pathbound.tsx";
 import { alignCurves, Plot } from "./plot.tsx";
 
@@ -75,14 +75,15 @@ const PATH_POINTS = 600;
 function projectPath(preview: Preview, axes: string[]): [number, number][] {
   const curves = axes.map((axis) => preview.axes[axis]).filter((curve) => curve !== undefined);
   if (curves.length < 2) return [];
+  const flat = sampleCurves(curves, PATH_POINTS).map(([x = 0, y = 0, z = 0]): [number, number] => (curves.length > 2 ? [x + 0.5 * y, z + 0.35 * y] : [x, y]));
+  return fit(flat);
+}
+
+/** The values of all curves at the same instants, from the first begin to the last end. */
+export function sampleCurves(curves: Curve[], count: number): number[][] {
   const begin = Math.min(...curves.map((curve) => curve.t[0] ?? 0));
   const end = Math.max(...curves.map((curve) => curve.t.at(-1) ?? 0));
-  const flat: [number, number][] = [];
-  for (let i = 0; i <= PATH_POINTS; i += 1) {
-    const [x = 0, y = 0, z = 0] = curves.map((curve) => valueAt(curve, begin + ((end - begin) * i) / PATH_POINTS));
-    flat.push(curves.length > 2 ? [x + 0.5 * y, z + 0.35 * y] : [x, y]);
-  }
-  return fit(flat);
+  return Array.from({ length: count + 1 }, (_, i) => curves.map((curve) => valueAt(curve, begin + ((end - begin) * i) / count)));
 }
 
 /** Into the square of 200, upwards positive; with the same scale for both, unless one is much smaller. */
@@ -110,7 +111,7 @@ export function ForecastSteps({ forecast, dryRun }: { forecast?: JobForecast | n
       ))}
       {conditions.map((text) => (
         <p class="reason" key={text}>
-          {text}
+          {onPage(text)}
         </p>
       ))}
       <table class="steps">
@@ -131,7 +132,7 @@ export function ForecastSteps({ forecast, dryRun }: { forecast?: JobForecast | n
                 {step.path ? <PathFacts path={step.path} /> : null}
                 {(step.conditions ?? []).map((text) => (
                   <small class="remedy" key={text}>
-                    {text}
+                    {onPage(text)}
                   </small>
                 ))}
               </td>

@@ -10,7 +10,7 @@ import type { Checked, Parameter, QueueTerms, Refusal, Template } from "../core/
 import { accept, showNote, showRefusal } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { session } from "../core/stream.ts";
-import { placeOnPage, T } from "../texts.ts";
+import { onPage, placeOnPage, T } from "../texts.ts";
 import { Act, closeDialog, Empty, Field, openDialog } from "./parts.tsx";
 import { ForecastSteps, PreviewPlots } from "./preview.tsx";
 
@@ -174,7 +174,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
           {problems.map((problem) => (
             <li key={`${problem.place} ${problem.text}`}>
               {problem.line ? <span class="num">{T.submit.line(problem.line)} </span> : null}
-              {problem.place ? <code>{placeOnPage(problem.place)}</code> : null} {problem.text}
+              {problem.place ? <code>{placeOnPage(problem.place)}</code> : null} {onPage(problem.text)}
             </li>
           ))}
         </ul>

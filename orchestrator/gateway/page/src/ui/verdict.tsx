@@ -24,6 +24,22 @@ export function VerdictMark({ step, job }: { step: StepReport; job: string }): J
   );
 }
 
+/** The verdict of a point of a scan; of a job that was not done, none is green. */
+export function PointMark({ state, verdict, green }: { state: string; verdict: keyof typeof SIGNS; green: boolean }): JSX.Element {
+  if (state !== "done")
+    return (
+      <span class="verdict broken">
+        <span aria-hidden="true">■</span> {T.jobState(state)}
+      </span>
+    );
+  if (verdict === "green" && !green) return <span class="verdict none">{T.history.within}</span>;
+  return (
+    <span class={`verdict ${verdict}`}>
+      <span aria-hidden="true">{SIGNS[verdict]}</span> {T.verdict[verdict]}
+    </span>
+  );
+}
+
 export function BudgetTable({ step }: { step: StepReport }): JSX.Element {
   const { budget } = step;
   return (
