@@ -171,7 +171,7 @@ docs: $(DOCS)/.stamp
 # Needs uv; writes the locks again from pyproject.toml and the requirements.in files.
 LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url
 lock:
-	$(LOCK) --extra web -o requirements/run.lock pyproject.toml
+	$(LOCK) --extra web --extra record -o requirements/run.lock pyproject.toml
 	$(LOCK) --extra dev -c requirements/run.lock -o requirements/dev.lock pyproject.toml
 	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys -c requirements/dev.lock -o requirements/full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements/dev.lock -o requirements/docs.lock pyproject.toml

@@ -39,6 +39,9 @@ def run_demo(tutti: Path) -> str:
             if done.returncode:
                 return f"{' '.join(command)}: {done.stderr}"
         demo = run(str(tutti), "demo", "--headless", "--json")
+        script = run(str(tutti.with_name("python")), "-c", find_first_script())
+        if script.returncode or "verdict" not in script.stdout:
+            return f"the lines of README.md: {script.stdout}{script.stderr}"
         problem = check_makes(tutti, Path(elsewhere), environment)
         if problem:
             return problem
@@ -48,6 +51,12 @@ def run_demo(tutti: Path) -> str:
         return demo.stderr or demo.stdout
     # Whether the start skew is guaranteed depends on how busy this machine is.
     return "" if report.get("state") == "done" else demo.stdout
+
+
+def find_first_script() -> str:
+    """The lines that README.md shows first."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return text.partition("```python\n")[2].partition("```")[0]
 
 
 def check_makes(tutti: Path, elsewhere: Path, environment: dict[str, str]) -> str:

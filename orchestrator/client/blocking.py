@@ -73,15 +73,16 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         """
         return self._iterate(self._wrapped.events())
 
-    def result(self) -> JobResult:
-        """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
-        return self._run(self._wrapped.result())
-
-    def wait(self, on_ready: ReadyCallback | None = None) -> JobResult | StartPreview:
-        """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
-        move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. Raises
+    def result(self, *, progress: bool = False) -> JobResult:
+        """Wait for the job's end and return its report. progress: show a bar, on a terminal or in a notebook. Raises
         `Refusal` for a job that does not exist."""
-        return self._run(self._wrapped.wait(on_ready))
+        return self._run(self._wrapped.result(progress=progress))
+
+    def wait(self, on_ready: ReadyCallback | None = None, *, progress: bool = False) -> JobResult | StartPreview:
+        """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
+        move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. progress: show
+        a bar, on a terminal or in a notebook. Raises `Refusal` for a job that does not exist."""
+        return self._run(self._wrapped.wait(on_ready, progress=progress))
 
     def show(self) -> JobShown:
         """All that the journal has of the job. Raises `Refusal`."""
@@ -232,17 +233,22 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._wrapped.actor
 
     def run(
-        self, job: Job | Step | Sequence[Step], *, wait: bool = False, on_ready: ReadyCallback | None = None
+        self,
+        job: Job | Step | Sequence[Step],
+        *,
+        wait: bool = False,
+        on_ready: ReadyCallback | None = None,
+        progress: bool = False,
     ) -> JobResult:
         """Run a job, or steps, and return its report when it is done; it ends with this program.
 
         wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. on_ready: called
-        with what would move first once a cause is gone that it had to wait for; it begins if that returns true. Raises
-        `Refusal` if it does not begin (`ReadyToBegin` after a cause, without `on_ready`), and `JobFailed` if it is not
-        done. Unlike a job that is submitted, it begins also while the queue is stopped, and does not survive an
-        interruption.
+        with what would move first once a cause is gone that it had to wait for; it begins if that returns true.
+        progress: show a bar, on a terminal or in a notebook. Raises `Refusal` if it does not begin (`ReadyToBegin`
+        after a cause, without `on_ready`), and `JobFailed` if it is not done. Unlike a job that is submitted, it begins
+        also while the queue is stopped, and does not survive an interruption.
         """
-        return self._run(self._wrapped.run(job, wait=wait, on_ready=on_ready))
+        return self._run(self._wrapped.run(job, wait=wait, on_ready=on_ready, progress=progress))
 
     def move(
         self,

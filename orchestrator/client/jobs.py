@@ -9,6 +9,7 @@ from typing import Self
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
+from orchestrator.client.progress import show_bar
 from orchestrator.client.queue import QueueRequests
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobQueue, JobResult, shorten_repr
@@ -363,16 +364,20 @@ class SubmittedJob(str):
         finally:
             await subscription.undeclare()
 
-    async def result(self) -> JobResult:
-        """Wait for the job's end and return its report. Raises `Refusal` for a job that does not exist."""
-        return await self._requests.load_result(await self._requests.wait_for_job(self))
-
-    async def wait(self, on_ready: ReadyCallback | None = None) -> JobResult | StartPreview:
-        """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
-        move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. Raises
+    async def result(self, *, progress: bool = False) -> JobResult:
+        """Wait for the job's end and return its report. progress: show a bar, on a terminal or in a notebook. Raises
         `Refusal` for a job that does not exist."""
+        with show_bar(wanted=progress) as on_progress:
+            report = await self._requests.wait_for_job(self, on_progress)
+        return await self._requests.load_result(report)
+
+    async def wait(self, on_ready: ReadyCallback | None = None, *, progress: bool = False) -> JobResult | StartPreview:
+        """Wait for the job's end and return its report; or, as soon as it is ready to begin after a cause, what would
+        move first. on_ready: called with that; if it returns true the job begins, and the wait goes on. progress: show
+        a bar, on a terminal or in a notebook. Raises `Refusal` for a job that does not exist."""
         try:
-            report = await self._requests.wait_for_job(self, on_ready=partial(ask_callback, on_ready))
+            with show_bar(wanted=progress) as on_progress:
+                report = await self._requests.wait_for_job(self, on_progress, on_ready=partial(ask_callback, on_ready))
         except ReadyToBegin as ready:
             return ready.preview
         return await self._requests.load_result(report)

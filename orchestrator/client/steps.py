@@ -15,6 +15,7 @@ from functools import partial
 from typing import Literal
 
 from orchestrator.client.jobs import JobRequests
+from orchestrator.client.progress import show_bar
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobResult
 from orchestrator.model.errors import Refusal, TuttiError
@@ -45,15 +46,20 @@ class StepRequests(JobRequests):
     """Run jobs and single steps that end with this program."""
 
     async def run(
-        self, job: Job | Step | Sequence[Step], *, wait: bool = False, on_ready: ReadyCallback | None = None
+        self,
+        job: Job | Step | Sequence[Step],
+        *,
+        wait: bool = False,
+        on_ready: ReadyCallback | None = None,
+        progress: bool = False,
     ) -> JobResult:
         """Run a job, or steps, and return its report when it is done; it ends with this program.
 
         wait: let it wait for axes that are in use, for a permit, an e-stop; otherwise that is refused. on_ready: called
-        with what would move first once a cause is gone that it had to wait for; it begins if that returns true. Raises
-        `Refusal` if it does not begin (`ReadyToBegin` after a cause, without `on_ready`), and `JobFailed` if it is not
-        done. Unlike a job that is submitted, it begins also while the queue is stopped, and does not survive an
-        interruption.
+        with what would move first once a cause is gone that it had to wait for; it begins if that returns true.
+        progress: show a bar, on a terminal or in a notebook. Raises `Refusal` if it does not begin (`ReadyToBegin`
+        after a cause, without `on_ready`), and `JobFailed` if it is not done. Unlike a job that is submitted, it begins
+        also while the queue is stopped, and does not survive an interruption.
         """
 
         async with self.attend() as attendance:
@@ -62,9 +68,11 @@ class StepRequests(JobRequests):
             try:
                 # Not cancelled: a job whose id is unknown cannot be stopped.
                 entry = await asyncio.shield(submitting)
-                report = await self.load_result(
-                    await self.wait_for_job(entry.id, on_ready=partial(ask_callback, on_ready))
-                )
+                with show_bar(wanted=progress) as on_progress:
+                    job_report = await self.wait_for_job(
+                        entry.id, on_progress, on_ready=partial(ask_callback, on_ready)
+                    )
+                report = await self.load_result(job_report)
             except ReadyToBegin:
                 await self.cancel_job((await submitting).id)
                 raise

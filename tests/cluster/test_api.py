@@ -1,6 +1,7 @@
 """The Python API as programs use it: a job is followed from its submission to its report."""
 
 import asyncio
+import traceback
 from pathlib import Path
 
 import pytest
@@ -112,3 +113,37 @@ def test_a_missing_job_and_a_closed_connection_are_named() -> None:
     run_fleet(main)
     with pytest.raises(RuntimeError, match="async with"):
         _ = Tutti("tcp/127.0.0.1:1").bus
+
+
+def test_a_refusal_ends_in_the_code_of_the_script_with_at_most_two_frames_below_it() -> None:
+    frames: list[list[str]] = []
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        for ask in (
+            lambda: client.move({"gantry.x": 20}),
+            lambda: client.submit(job("[{do: move, to: {gantry.q: 1}}]")),
+            lambda: client.job("00000000").show(),
+        ):
+            try:
+                await ask()
+            except Refusal as refused:
+                frames.append([frame.filename for frame in traceback.extract_tb(refused.__traceback__)])
+
+    run_fleet(main)
+    assert len(frames) == 3
+    for files in frames:
+        assert len([name for name in files if "/orchestrator/" in name]) <= 2, files
+
+
+def test_what_submit_returns_prints_with_what_the_job_waits_for() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client("anna")
+        await client.stop_queue()
+        submitted = await client.submit(PREPARE)
+        assert submitted.waits_for == "the queue is stopped (stopped by anna): `tutti queue start`"
+        assert repr(submitted) == f"<SubmittedJob {PREPARE.name!r} {submitted.id} queued: {submitted.waits_for}>"
+        assert f"{submitted}" == submitted.id
+        assert client.job(submitted.id).waits_for == ""
+
+    run_fleet(main)

@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orchestrator.runtime.examples import find_example
     from orchestrator.testing.errors import BadTest, CallbackFailed, FleetViolation
     from orchestrator.testing.fault_schedule import InjectedFault
     from orchestrator.testing.live import LiveFault, LiveTestbed, live_fleet
@@ -33,28 +34,30 @@ __all__ = [
     "LiveTestbed",
     "TrueMove",
     "VirtualTestbed",
+    "find_example",
     "live_fleet",
     "virtual_fleet",
 ]
 
 # Imported when they are used: the plugin is loaded by every run of pytest, and most need no fleet.
 _MODULES = {
-    "AxisTruth": "truth",
-    "BadTest": "errors",
-    "CallTooLong": "virtual_worker",
-    "CallbackFailed": "errors",
-    "FleetViolation": "errors",
-    "InjectedFault": "fault_schedule",
-    "LiveFault": "live",
-    "LiveTestbed": "live",
-    "TrueMove": "truth",
-    "VirtualTestbed": "virtual",
-    "live_fleet": "live",
-    "virtual_fleet": "virtual",
+    "AxisTruth": "orchestrator.testing.truth",
+    "BadTest": "orchestrator.testing.errors",
+    "CallTooLong": "orchestrator.testing.virtual_worker",
+    "CallbackFailed": "orchestrator.testing.errors",
+    "FleetViolation": "orchestrator.testing.errors",
+    "InjectedFault": "orchestrator.testing.fault_schedule",
+    "LiveFault": "orchestrator.testing.live",
+    "LiveTestbed": "orchestrator.testing.live",
+    "TrueMove": "orchestrator.testing.truth",
+    "VirtualTestbed": "orchestrator.testing.virtual",
+    "find_example": "orchestrator.runtime.examples",
+    "live_fleet": "orchestrator.testing.live",
+    "virtual_fleet": "orchestrator.testing.virtual",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"orchestrator.testing.{_MODULES[name]}"), name)
+    return getattr(import_module(_MODULES[name]), name)
