@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.outside_text import PLAIN_TEXT, SHOW_TEXT, show_json
 
 ID_PATTERN = r"^[a-z0-9_-]+$"
 
@@ -20,13 +21,13 @@ def _make_cut(most: int) -> BeforeValidator:
     return BeforeValidator(lambda text: f"{text[: most - 1]}…" if isinstance(text, str) and len(text) > most else text)
 
 
-Label = Annotated[str, Field(max_length=128)]
+Label = Annotated[str, PLAIN_TEXT, Field(max_length=128)]
 """A name that a program makes: of a request, an event, a holder."""
 
-Actor = Annotated[str, _make_cut(128)]
+Actor = Annotated[str, SHOW_TEXT, _make_cut(128)]
 """The user or program that causes something."""
 
-Sentence = Annotated[str, _make_cut(500)]
+Sentence = Annotated[str, SHOW_TEXT, _make_cut(500)]
 """A reason in words."""
 
 # Many JSON readers hold numbers as doubles: integers are exact below 2^53 only.
@@ -120,9 +121,16 @@ class Model(BaseModel):
     def read_message(cls, payload: bytes | str) -> Self:
         """Read what a part has published or answered: fields that a newer version has added are ignored.
 
-        A request is read with `model_validate_json`, which refuses them: what a field asks for must not be left undone.
-        Raises `ValidationError`."""
-        return cls.model_validate_json(payload, extra="ignore")
+        Control characters in its texts become visible escapes. A request is read with `model_validate_json`, which
+        refuses unknown fields: what a field asks for must not be left undone. Raises `ValidationError`."""
+        raw = payload if isinstance(payload, bytes) else payload.encode("utf-8", "surrogatepass")
+        return cls.model_validate_json(show_json(raw), extra="ignore")
+
+    @classmethod
+    def read_stored(cls, text: str) -> Self:
+        """Read what was stored, perhaps by a version that took names with control characters: they become visible
+        escapes. Raises `ValidationError`."""
+        return cls.model_validate_json(show_json(text.encode("utf-8", "surrogatepass")))
 
     def to_json(self) -> bytes:
         """Encode for the bus: UTF-8 JSON."""

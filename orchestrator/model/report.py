@@ -1,11 +1,12 @@
 """What a job did: its progress while it runs, and the record afterwards."""
 
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import Field
 
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
+from orchestrator.model.outside_text import SHOW_TEXT
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass, TimeInterval
@@ -32,8 +33,8 @@ class JobTransition(Model):
     """A change of a job's state, with its reason, originator and time."""
 
     state: JobState
-    reason: str
-    actor: str
+    reason: Annotated[str, SHOW_TEXT]
+    actor: Annotated[str, SHOW_TEXT]
     utc: str
     fleet_ns: Int53 | None = None
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
-from rich.console import Console, ConsoleDimensions
+from rich.console import ConsoleDimensions
 
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT, BadEndpoint, check_endpoint
 from orchestrator.cli.base.errors import run_main
+from orchestrator.cli.base.safe_console import SafeConsole
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -24,7 +25,7 @@ MAX_ACTOR = 80  # characters, as in a job file
 PIPE_COLUMNS = 1000  # a pipe or a file has no width: nothing is cut or wrapped
 
 
-class _OutputConsole(Console):
+class _OutputConsole(SafeConsole):
     """A console whose lines are not cut where the output is no terminal."""
 
     @property

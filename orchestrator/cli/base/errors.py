@@ -13,13 +13,13 @@ from itertools import takewhile
 from typing import Any, NoReturn, TypeVar
 
 import click
-from rich.console import Console
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, INTERRUPTED, UNREACHABLE
+from orchestrator.cli.base.safe_console import SafeConsole
 
 T = TypeVar("T")
 
-errors = Console(stderr=True)
+errors = SafeConsole(stderr=True)
 
 # Refusals by what they mean for the exit code; every other one is a request that a running fleet refused.
 _UNREACHABLE_CODES = {"no-fleet", "no-coordinator", "absent", "no-answer"}

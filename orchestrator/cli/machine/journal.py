@@ -115,10 +115,22 @@ def export(state: Path | None, fleet: str | None, output: Path, *, force: bool, 
 @_folder_options
 @click.option("--replace", is_flag=True, help="Replace a journal that is there; it is kept in a folder beside.")
 @click.option(
+    "--require-checksum", is_flag=True, help="Refuse an export of an earlier version, in which no change can be seen."
+)
+@click.option(
     "--connect", default="", callback=check_endpoint_option, help="Ask controllers at this router for their epochs."
 )
 @json_option
-def import_(file: Path, state: Path | None, fleet: str | None, *, replace: bool, connect: str, as_json: bool) -> None:
+def import_(
+    file: Path,
+    state: Path | None,
+    fleet: str | None,
+    *,
+    replace: bool,
+    require_checksum: bool,
+    connect: str,
+    as_json: bool,
+) -> None:
     """Bring a backup or an export back into a state folder with which no fleet runs.
 
     The epoch becomes higher than that of the file, of the adapters' files there, and of the controllers at --connect.
@@ -133,16 +145,18 @@ def import_(file: Path, state: Path | None, fleet: str | None, *, replace: bool,
     folder = state or default_state(fleet or "")
     epochs = with_fleet(connect, fleet, _find_epochs) if connect else {}
     with _journal_errors(), expected_errors():
-        wishes = ImportWishes(actor_name(), _utc(), replace, tuple(epochs.values()))
+        wishes = ImportWishes(actor_name(), _utc(), replace, require_checksum, tuple(epochs.values()))
         result = import_state(file, folder, wishes)
     if as_json:
         damages = [damage._asdict() for damage in result.damages]
         copy_path = None if result.replaced is None else str(result.replaced)
         fields = {"epoch": result.epoch, "jobs": result.jobs, "replaced": copy_path, "left_out": result.left_out}
+        fields["checked"] = result.checked
         print_json({"state": str(folder), **fields, "controllers": epochs, "damages": damages})
         return
     jobs = ", ".join(f"{count} {name}" for name, count in result.jobs.items()) or "none"
     lines = [f"{folder}: imported; epoch {result.epoch}; jobs: {jobs}"]
+    lines += [] if result.checked else ["the export is of an earlier version: a change in it could not be seen"]
     lines += [f"the journal of before is in {result.replaced}"] if result.replaced else []
     lines += [f"left as it was in the folder: {', '.join(result.left_out)}"] if result.left_out else []
     lines += (

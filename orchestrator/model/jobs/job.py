@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from orchestrator.model.duration import Duration
+from orchestrator.model.outside_text import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.base import Step, require_in_files
 from orchestrator.model.steps.repeat import JobStep
@@ -15,7 +16,7 @@ from orchestrator.model.triggers import check_job_outputs
 UNKNOWN_ACTOR = "unknown"
 _MISSING: Any = object()
 
-ParameterText = Annotated[str, Field(max_length=120)]
+ParameterText = Annotated[str, SHOW_TEXT, Field(max_length=120)]
 
 
 class Job(ScriptModel):
@@ -28,8 +29,8 @@ class Job(ScriptModel):
     model_config = ConfigDict(json_schema_extra=require_in_files("schema"))
 
     schema_: Literal["tutti.job/1"] = Field(default="tutti.job/1", alias="schema")
-    name: str = Field(min_length=1, max_length=120)
-    actor: str = Field(
+    name: Annotated[str, PLAIN_TEXT] = Field(min_length=1, max_length=120)
+    actor: Annotated[str, SHOW_TEXT] = Field(
         default=UNKNOWN_ACTOR, min_length=1, max_length=80, description="The user or program that submits the job."
     )
     max_start_skew: Duration = Field(default=10_000_000, description="Maximum spread of the axes' starts.")

@@ -1,6 +1,6 @@
 """Requests of users to the leader, on `svc/{verb}`, and its replies."""
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -9,6 +9,7 @@ from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of
+from orchestrator.model.outside_text import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, Utc
 from orchestrator.model.report import (
     JobProgress,
@@ -31,7 +32,7 @@ class SubmitJob(Request):
     """Submit a job. The same `client_key` again returns the same job."""
 
     job: Job
-    client_key: str = Field(min_length=1, max_length=200)
+    client_key: Annotated[str, PLAIN_TEXT] = Field(min_length=1, max_length=200)
     terms: QueueTerms = QueueTerms()
 
 
@@ -71,7 +72,7 @@ class RetryJob(Request):
     job_id: str
     from_step: int = Field(default=0, ge=0, le=MAX_FLAT_STEPS)
     from_point: int | None = Field(default=None, ge=1, le=MAX_POINTS)
-    client_key: str = Field(min_length=1, max_length=200)
+    client_key: Annotated[str, PLAIN_TEXT] = Field(min_length=1, max_length=200)
     terms: QueueTerms | None = None
     dry_run: bool = False
 
@@ -251,7 +252,9 @@ class AcquireAxes(Request):
 
     axes: list[str] = Field(min_length=1)
     holder: str = Field(pattern=MANUAL_HOLDER_PATTERN)
-    what: str = Field(default="manual control", max_length=80, description="Shown to clients that are refused.")
+    what: Annotated[str, SHOW_TEXT] = Field(
+        default="manual control", max_length=80, description="Shown to clients that are refused."
+    )
     ttl_s: float = Field(default=3.0, ge=0.5, le=MAX_MANUAL_LEASE_S)
     reserve: bool = False
 

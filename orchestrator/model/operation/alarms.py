@@ -9,6 +9,7 @@ from pydantic import Field
 from orchestrator.model.alarm_rules import AlarmPriority
 from orchestrator.model.base import Id, Int53, Label, Model, Sentence
 from orchestrator.model.messages import Reply, Request
+from orchestrator.model.outside_text import SHOW_TEXT
 
 AlarmState = Literal["unacknowledged", "acknowledged", "returned", "normal"]
 MAX_SHELVED_S = 24 * 3600.0
@@ -144,7 +145,7 @@ class ShelveAlarm(Request):
 
     alarm_id: Id
     for_s: float | None = Field(gt=0, le=MAX_SHELVED_S)
-    why: str = Field(default="", max_length=200)
+    why: Annotated[str, SHOW_TEXT] = Field(default="", max_length=200)
 
 
 class AlarmShelved(Reply):

@@ -1,9 +1,12 @@
 """Commands of users as the journal keeps them, and the request for them, on `svc/commands`."""
 
+from typing import Annotated
+
 from pydantic import Field
 
 from orchestrator.model.base import Model
 from orchestrator.model.messages import Reply, Request
+from orchestrator.model.outside_text import SHOW_TEXT
 from orchestrator.model.queue import Utc
 
 MAX_LISTED = 1000  # commands in one reply
@@ -28,7 +31,7 @@ class ListCommands(Request):
 
     limit: int = Field(default=100, ge=1, le=MAX_LISTED)
     before: Utc | None = None
-    by: str = Field(default="", max_length=128)
+    by: Annotated[str, SHOW_TEXT] = Field(default="", max_length=128)
 
 
 class CommandsListed(Reply):

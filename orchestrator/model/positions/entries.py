@@ -8,6 +8,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.fleet import MAX_DESCRIPTION
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import POSITION_NAME
+from orchestrator.model.outside_text import SHOW_TEXT
 from orchestrator.model.units import Quantity
 
 PositionName = Annotated[str, Field(pattern=rf"^{POSITION_NAME}$")]
@@ -18,7 +19,7 @@ class SavedPosition(Model):
 
     name: PositionName
     axes: dict[str, str] = Field(min_length=1)
-    description: str = Field(default="", max_length=MAX_DESCRIPTION)
+    description: Annotated[str, SHOW_TEXT] = Field(default="", max_length=MAX_DESCRIPTION)
     actor: str
     utc: str
 
@@ -56,7 +57,7 @@ class SavePosition(Request):
     name: str = Field(max_length=200)
     axes: list[str] = Field(default=[], max_length=10_000)
     values: dict[str, Quantity] = Field(default={}, max_length=10_000)
-    description: str | None = Field(default=None, max_length=MAX_DESCRIPTION)
+    description: Annotated[str, SHOW_TEXT] | None = Field(default=None, max_length=MAX_DESCRIPTION)
 
 
 class PositionSaved(Reply):

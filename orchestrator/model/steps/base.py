@@ -10,6 +10,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
+from orchestrator.model.outside_text import PLAIN_TEXT
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
@@ -80,7 +81,9 @@ class Step(ScriptModel):
     acts: ClassVar[bool] = False
     """Whether it waits for a controller that does something."""
 
-    name: str | None = Field(default=None, max_length=80, description="Shown in progress and report.")
+    name: Annotated[str, PLAIN_TEXT] | None = Field(
+        default=None, max_length=80, description="Shown in progress and report."
+    )
 
     @property
     def kind(self) -> str:

@@ -32,22 +32,25 @@ REMEDY_REPLACE = (
 
 class ImportedState(NamedTuple):
     """What an import has done. replaced: the folder of the journal of before. left_out: files of the backup that the
-    folder had already. damages: records that cannot be read, in the file as in the journal."""
+    folder had already. damages: records that cannot be read, in the file as in the journal. checked: a change of the
+    file would have been seen."""
 
     epoch: int
     jobs: dict[str, int]
     replaced: Path | None
     left_out: list[str]
     damages: list[JournalDamage]
+    checked: bool = True
 
 
 class ImportWishes(NamedTuple):
-    """replace: a journal in the folder is kept beside the new one. actor, utc: of the import. seen: epochs of
-    controllers on the bus."""
+    """replace: a journal in the folder is kept beside the new one. require_checksum: refuse an export in which a change
+    cannot be seen. actor, utc: of the import. seen: epochs of controllers on the bus."""
 
     actor: str
     utc: str
     replace: bool = False
+    require_checksum: bool = False
     seen: tuple[int, ...] = ()
 
 
@@ -67,26 +70,26 @@ def _import_opened(source: BinaryIO, file: Path, folder: Path, wishes: ImportWis
             raise JournalError(f"{folder}: it has a journal already", REMEDY_REPLACE)
         with TemporaryDirectory(prefix=".import-", dir=folder) as scratch:
             fresh = Path(scratch)
-            _unpack(source, str(file), fresh)
+            checked = _unpack(source, str(file), fresh, wishes)
             epoch = _find_epoch(fresh, folder, wishes.seen)
             damages = _prepare_journal(fresh / JOURNAL, file, epoch, wishes)
             jobs = check_journal(fresh / JOURNAL).jobs
             old_folder = _set_aside(folder, wishes.utc)
             left_out = _move_files(fresh, folder)
         sync_folder(folder)
-        return ImportedState(epoch, jobs, old_folder, left_out, damages)
+        return ImportedState(epoch, jobs, old_folder, left_out, damages, checked)
     finally:
         lock.release()
 
 
-def _unpack(source: BinaryIO, name: str, fresh: Path) -> None:
-    """Unpack a file of either kind."""
+def _unpack(source: BinaryIO, name: str, fresh: Path, wishes: ImportWishes) -> bool:
+    """Unpack a file of either kind; return whether a change of it would have been seen."""
     is_text = source.read(1) == b"{"
     source.seek(0)
     if is_text:
-        import_journal(source, name, fresh / JOURNAL)
-    else:
-        unpack_backup(source, name, fresh)
+        return import_journal(source, name, fresh / JOURNAL, require_checksum=wishes.require_checksum)
+    unpack_backup(source, name, fresh)
+    return True
 
 
 def _find_epoch(fresh: Path, folder: Path, seen: Iterable[int]) -> int:

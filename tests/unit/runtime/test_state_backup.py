@@ -1,12 +1,16 @@
 """Backups, exports and imports of a state folder: what they contain, and what they refuse."""
 
 import hashlib
+import io
 import json
+import re
 import sqlite3
 import stat
 import tarfile
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -16,9 +20,10 @@ from adapters.controller.state.store import AdapterMemory, FileStore
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.cli.main import main
 from orchestrator.coordinator.journal.facts import AlarmChange, QueueEntryOptions, StepDecision
+from orchestrator.coordinator.journal.records import BadBackup, JournalError
 from orchestrator.coordinator.journal.sqlite.inspection import check_journal
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.journal.sqlite.portable import read_stored_epoch
+from orchestrator.coordinator.journal.sqlite.portable import import_journal, read_stored_epoch
 from orchestrator.coordinator.journal.sqlite.schema import MIGRATIONS, SCHEMA, VERSION
 from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.jobs.job import Job
@@ -173,6 +178,75 @@ def change_line(text: str, number: int, new: str) -> str:
     return "".join(lines)
 
 
+def remove_checksums(text: str) -> str:
+    """An export as earlier versions wrote it."""
+    lines = [{key: value for key, value in json.loads(line).items() if key != "sum"} for line in text.splitlines()]
+    lines[0]["schema"] = "tutti.journal-export/1"
+    return "".join(f"{json.dumps(line)}\n" for line in lines)
+
+
+def test_a_change_of_any_byte_of_an_export_is_refused_with_its_line(source: Path, tmp_path: Path) -> None:
+    contents = (source / "lab.jsonl").read_bytes()
+    random = Random(1)
+    for place in sorted(random.sample(range(len(contents)), 40)):
+        changed = bytearray(contents)
+        changed[place] ^= 1 << random.randrange(8)
+        with pytest.raises(BadBackup) as refused:
+            import_journal(io.BytesIO(bytes(changed)), "file", tmp_path / f"{place}.journal")
+        assert re.match(r"file:\d+: |file: it ends", str(refused.value)), (place, refused.value)
+
+
+def test_an_export_without_checksums_is_imported_and_said(source: Path, tmp_path: Path) -> None:
+    file = tmp_path / "old.jsonl"
+    file.write_text(remove_checksums((source / "lab.jsonl").read_text()))
+    refused = run("import", file, "--state", tmp_path / "new", "--require-checksum")
+    assert refused.exit_code == 2 and "wrote no checksums" in refused.output
+    assert "a change in it could not be seen" in done("import", file, "--state", tmp_path / "new")
+    assert json.loads(done("import", source / "lab.jsonl", "--state", tmp_path / "other", "--json"))["checked"]
+
+
+def flip_and_look(path: Path, contents: bytes, place: int, bit: int) -> None:
+    """A flipped bit is found by the check or by the opening of the journal, or has no effect; it is never an error of
+    another kind."""
+    changed = bytearray(contents)
+    changed[place] ^= 1 << bit
+    path.write_bytes(changed)
+    with suppress(JournalError):
+        check_journal(path)
+    with suppress(JournalError):
+        journal = SqliteJournal(path)
+        try:
+            for job in journal.list_unfinished():
+                with suppress(JournalError):
+                    journal.load_job(job.id)
+                with suppress(JournalError):
+                    journal.list_transitions(job.id)
+            journal.list_positions()
+        finally:
+            journal.close()
+    for other in path.parent.glob(f"{path.name}-*"):
+        other.unlink()
+
+
+def test_a_flipped_bit_of_a_journal_is_found_or_has_no_effect(tmp_path: Path) -> None:
+    make_folder(tmp_path / "state").close()
+    contents = (tmp_path / "state" / JOURNAL).read_bytes()
+    random = Random(2)
+    used = [place for place, byte in enumerate(contents) if byte]  # pages are mostly empty
+    for place in random.sample(used, 120):
+        flip_and_look(tmp_path / "journal", contents, place, random.randrange(8))
+
+
+@pytest.mark.nightly
+def test_each_byte_of_a_journal_is_flipped_in_turn(tmp_path: Path) -> None:
+    make_folder(tmp_path / "state").close()
+    contents = (tmp_path / "state" / JOURNAL).read_bytes()
+    random = Random(3)
+    for place, byte in enumerate(contents):
+        if byte:
+            flip_and_look(tmp_path / "journal", contents, place, random.randrange(8))
+
+
 def test_what_cannot_be_imported_changes_nothing(source: Path, tmp_path: Path) -> None:
     folder, file = tmp_path / "state", tmp_path / "file"
     folder.mkdir()
@@ -180,6 +254,7 @@ def test_what_cannot_be_imported_changes_nothing(source: Path, tmp_path: Path) -
     changed = bytearray(packed)
     changed[len(packed) // 2] ^= 1
     newer = text.replace(f'"journal_schema":{VERSION}', f'"journal_schema":{VERSION + 1}')
+    old, lines = remove_checksums(text), text.splitlines(keepends=True)
     cases: list[tuple[bytes, str]] = [
         *((packed[: len(packed) * part // 8], "is cut off") for part in range(1, 8)),
         (packed[:100], "neither a backup nor an export"),
@@ -192,8 +267,15 @@ def test_what_cannot_be_imported_changes_nothing(source: Path, tmp_path: Path) -
         (text[: text[:-1].rindex("\n") + 1].encode(), "without its last line"),
         (change_line(text, 3, "nonsense").encode(), "file:4: it is no JSON object"),
         (change_line(text, 3, '{"table": "odd", "row": {}}').encode(), "file:4: it is no record of a table"),
-        (change_line(text, 3, '{"table": "meta", "row": {"key": 1}}').encode(), "the column 'value' is missing"),
-        (change_line(text, 3, '{"end": 9}').encode(), "it states 9 records, and there are 2"),
+        (change_line(old, 3, '{"table": "meta", "row": {"key": 1}}').encode(), "the column 'value' is missing"),
+        (change_line(old, 3, '{"end": 9}').encode(), "it states 9 records, and there are 2"),
+        (change_line(text, 3, '{"end": 9}').encode(), "file:4: it is no last line"),
+        (text.replace('"state": "queued"', '"state": "done"', 1).encode(), ": its checksum is wrong"),
+        ("".join(lines[:4] + lines[5:]).encode(), "file:5: its checksum is wrong"),
+        ("".join([*lines[:4], lines[5], lines[4], *lines[6:]]).encode(), "file:5: its checksum is wrong"),
+        (text.replace('"tutti":"', '"tutti":"1', 1).encode(), "the checksum of all lines is wrong"),
+        (text.replace("export/2", "export/1", 1).encode(), "file:2: it is no record"),
+        ((text + lines[-1]).encode(), "lines behind the last one"),
     ]
     for contents, expected in cases:
         file.write_bytes(contents)

@@ -8,7 +8,7 @@ from zlib import crc32
 from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.facts import AlarmChange, AlarmNotice
-from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
 from orchestrator.model.operation.alarms import MAX_HISTORY, AlarmRecord
 
 
@@ -64,7 +64,7 @@ class AlarmTables:
     def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         try:
             return self._db.execute(query, values).fetchall()
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
 
 
@@ -73,6 +73,6 @@ def _read_record(body: str, crc: int | None = None) -> AlarmRecord | None:
     if crc is not None and crc32(body.encode()) != crc:
         return None
     try:
-        return AlarmRecord.model_validate_json(body)
+        return AlarmRecord.read_stored(body)
     except ValidationError:
         return None

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.coordinator.journal.sqlite.job_states import insert_transition, is_queued
-from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
 from orchestrator.model.operation.approval import JobApproval
 from orchestrator.model.queue import APPROVAL
 from orchestrator.model.report import JobTransition
@@ -45,11 +45,11 @@ class ApprovalTable:
     def load_approval(self, job_id: str) -> JobApproval | None:
         try:
             rows = self._db.execute("SELECT body, crc FROM approvals WHERE job_id = ?", (job_id,)).fetchall()
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
         for body, crc in rows:
             try:
-                approval = JobApproval.model_validate_json(body)
+                approval = JobApproval.read_stored(body)
             except ValidationError:
                 approval = None
             if approval is None or approval.job_id != job_id or crc32(body.encode()) != crc:

@@ -2,7 +2,7 @@
 
 import sqlite3
 
-from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
 from orchestrator.model.operation.commands import CommandRecord
 
 MAX_COMMANDS = 100_000  # that are kept; some 10 MB
@@ -31,6 +31,6 @@ class CommandTable:
         )
         try:
             rows = self._db.execute(query, (before_utc, before_utc, by, by, limit)).fetchall()
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
         return [CommandRecord(utc=u, actor=a, verb=v, subject=s, refused=r) for u, a, v, s, r in rows]

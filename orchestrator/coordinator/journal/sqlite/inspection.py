@@ -13,7 +13,12 @@ from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.sqlite.rows import CHECKED_COLUMNS, COLUMNS, find_checksum, make_record
 from orchestrator.coordinator.journal.sqlite.schema import VERSION, list_statements, read_version
-from orchestrator.coordinator.journal.sqlite.transaction import decode_text, make_unusable_error, open_read_only
+from orchestrator.coordinator.journal.sqlite.transaction import (
+    DATABASE_ERRORS,
+    connect_database,
+    make_unusable_error,
+    open_read_only,
+)
 from orchestrator.coordinator.journal.sqlite.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
@@ -80,12 +85,11 @@ def check_journal(path: Path) -> JournalCheck:
             if version == VERSION:
                 return _check_records(file, version, damages + _check_points(path))
             # An older schema is read as this Tutti migrates it, in a copy.
-            with closing(sqlite3.connect(":memory:", isolation_level=None)) as copy:
+            with closing(connect_database(":memory:")) as copy:
                 file.backup(copy)
-                copy.text_factory = decode_text
                 copy.executescript(list_statements(version))
                 return _check_records(copy, version, damages + _check_points(path))
-    except sqlite3.Error as error:
+    except DATABASE_ERRORS as error:
         raise make_unusable_error(str(path), error) from None
 
 
@@ -178,14 +182,14 @@ def _check_points(journal: Path) -> list[JournalDamage]:
                 for digest, begin, data, crc in db.execute("SELECT digest, begin, data, crc FROM parts")
                 if crc32(data) != crc
             ]
-    except sqlite3.Error as error:
+    except DATABASE_ERRORS as error:
         return [JournalDamage(path.name, f"it cannot be read ({error})", remedy)]
 
 
 def _find_problem(model: type[Model], text: str) -> str:
     """Why a text is not read as this model; empty: it is."""
     try:
-        model.model_validate_json(text)
+        model.read_stored(text)
     except ValidationError as error:
         return re.sub(r"\s+", " ", describe_first_error(error))
     return ""

@@ -35,9 +35,10 @@ from orchestrator.coordinator.journal.sqlite.saved_positions import read_positio
 from orchestrator.coordinator.journal.sqlite.schema import VERSION, list_statements, read_version
 from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
 from orchestrator.coordinator.journal.sqlite.transaction import (
+    DATABASE_ERRORS,
     Transaction,
+    connect_database,
     create_private_file,
-    decode_text,
     make_unusable_error,
 )
 from orchestrator.coordinator.journal.sqlite.values import StoredValues
@@ -68,8 +69,7 @@ class SqliteJournal:
         try:
             if self._path != ":memory:":
                 create_private_file(Path(path))
-            self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False)
-            self._db.text_factory = decode_text
+            self._db = connect_database(self._path, check_same_thread=False)
             # A journal that is dropped, like that of a virtual fleet, closes its database.
             self._close = weakref.finalize(self, self._db.close)
             version = self._check_file()
@@ -87,7 +87,7 @@ class SqliteJournal:
             self.approvals = ApprovalTable(self._db, self._path)
             self.commands = CommandTable(self._db, self._path)
             self.points = PointStore(self._path if self._path == ":memory:" else f"{self._path}-points")
-        except (sqlite3.Error, OSError) as error:
+        except (*DATABASE_ERRORS, OSError) as error:
             raise make_unusable_error(self._path, error) from None
 
     def _check_file(self) -> int:
@@ -161,7 +161,7 @@ class SqliteJournal:
     def load_queue_stop(self) -> QueueStop | None:
         text = self._read_value("queue_stop")
         try:
-            return QueueStop.model_validate_json(text) if text else None
+            return QueueStop.read_stored(text) if text else None
         except ValidationError:
             # Stopped is the safe reading.
             return QueueStop(reason="its state in the journal is damaged", actor="coordinator", utc=UNREADABLE_TIME)
@@ -422,7 +422,7 @@ class SqliteJournal:
     def _select_body(self, model: type[M], query: str, values: tuple[Any, ...]) -> M | None:
         rows = self._select_rows(query, values)
         try:
-            return model.model_validate_json(rows[0][0]) if rows else None
+            return model.read_stored(rows[0][0]) if rows else None
         except ValidationError as error:
             raise self._damaged_record(f"the {model.__name__}", values[0], first_error_text(error)) from None
 
@@ -433,13 +433,13 @@ class SqliteJournal:
     def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         try:
             return self._db.execute(query, values).fetchall()
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
 
     def _read_value(self, key: str, default: str = "") -> str:
         try:
             return self._values.read(key, default)
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
 
     def _transaction(self) -> Transaction:

@@ -4,7 +4,7 @@ import json
 import sqlite3
 from collections.abc import Sequence
 
-from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
 from orchestrator.model.report import PointRecord, SkewInterval
 
 _COLUMNS = "step, point, state, verdict, t0_fleet_ns, skew_least_ns, skew_most_ns, took_s, target, measured"
@@ -42,7 +42,7 @@ class PointRows:
         query = f"SELECT {_COLUMNS} FROM point_rows WHERE {condition}"
         try:
             rows = self._db.execute(query, (job_id, *after, limit)).fetchall()
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
         return [
             PointRecord(

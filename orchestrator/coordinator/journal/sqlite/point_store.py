@@ -9,7 +9,6 @@ part has a checksum: a bit that has changed on the disk moves nothing.
 """
 
 import hashlib
-import sqlite3
 import weakref
 from collections.abc import Collection, Iterator, Sequence
 from datetime import timedelta
@@ -22,7 +21,13 @@ from pydantic import TypeAdapter
 
 from orchestrator.coordinator.journal.facts import UploadState
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
-from orchestrator.coordinator.journal.sqlite.transaction import Transaction, create_private_file, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import (
+    DATABASE_ERRORS,
+    Transaction,
+    connect_database,
+    create_private_file,
+    make_unusable_error,
+)
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.scans.point_summary import ColumnSummary
@@ -57,12 +62,12 @@ class PointStore:
         try:
             if path != ":memory:":
                 create_private_file(Path(path))
-            self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self._db = connect_database(path, check_same_thread=False)
             self.close = weakref.finalize(self, self._db.close)
             for setting in ("auto_vacuum=FULL", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
                 self._db.execute(f"PRAGMA {setting}")
             self._db.executescript(_SCHEMA)
-        except (sqlite3.Error, OSError) as error:
+        except (*DATABASE_ERRORS, OSError) as error:
             raise make_unusable_error(path, error) from None
 
     # Uploads
@@ -185,7 +190,7 @@ class PointStore:
     def _select(self, query: str, values: tuple[object, ...]) -> list[Any]:
         try:
             return self._db.execute(query, values).fetchall()
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
 
     def _transaction(self) -> Transaction:

@@ -5,13 +5,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 from zlib import crc32
 
-from pydantic import ValidationError
-
 from orchestrator.coordinator.journal.records import UNREADABLE_TIME, JobRecord
 from orchestrator.model.base import ID_PATTERN
-from orchestrator.model.problems import read_problems
+from orchestrator.model.outside_text import show_text
 from orchestrator.model.queue import parse_utc
 from orchestrator.model.report import JobState
+from orchestrator.model.script import WrongValue
 
 COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
@@ -51,6 +50,8 @@ def make_record(row: Sequence[Any]) -> JobRecord:
     """Make the record of a row of `COLUMNS`; damaged values are replaced, and stated in `damage`."""
     record = JobRecord(*row)._replace(due=bool(row[12]))
     damage = _find_damage(record)
+    name, actor, reason = map(show_text, (str(record.name), str(record.actor), str(record.reason)))
+    record = record._replace(name=name, actor=actor, reason=reason)
     if not damage:
         return record
     readable = not _is_unreadable_time(record.submitted_utc)
@@ -86,8 +87,8 @@ def _find_damage(record: JobRecord) -> str:
         return f"the time {record.submitted_utc!r}"
     try:
         _ = record.terms
-    except ValidationError as error:
-        problem = read_problems(error)[0]
+    except WrongValue as error:
+        problem = error.problems[0]
         return f"{problem.field} {problem.found!r}"
     return ""
 

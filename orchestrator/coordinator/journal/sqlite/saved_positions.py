@@ -14,7 +14,7 @@ def read_positions(rows: Iterable[tuple[str, str, int]]) -> tuple[list[SavedPosi
     damaged_names: list[str] = []
     for name, body, crc in rows:
         try:
-            position = SavedPosition.model_validate_json(body)
+            position = SavedPosition.read_stored(body)
         except ValidationError:
             damaged_names.append(name)
             continue

@@ -4,7 +4,7 @@ import sqlite3
 from collections.abc import Iterable
 
 from orchestrator.coordinator.journal.facts import WORST, StatisticsRow
-from orchestrator.coordinator.journal.sqlite.transaction import Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
 
 
 class StatisticsTable:
@@ -25,5 +25,5 @@ class StatisticsTable:
         query = "SELECT * FROM statistics WHERE day >= ? ORDER BY day, kind, subject, figure"
         try:
             return [StatisticsRow(*row) for row in self._db.execute(query, (since_day,)).fetchall()]
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None

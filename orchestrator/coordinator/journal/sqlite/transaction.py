@@ -8,6 +8,21 @@ from pathlib import Path
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
 
+# A message of SQLite about a damaged file has bytes of it, which are no text.
+DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)
+
+
+def decode_text(text: bytes) -> str:
+    """A damaged text makes its own record unreadable, not the whole query: its checksum is wrong then."""
+    return text.decode("utf-8", "replace")
+
+
+def connect_database(path: Path | str, *, uri: bool = False, check_same_thread: bool = True) -> sqlite3.Connection:
+    """A connection whose transactions are explicit. Raises `sqlite3.Error`."""
+    db = sqlite3.connect(path, isolation_level=None, uri=uri, check_same_thread=check_same_thread)
+    db.text_factory = decode_text
+    return db
+
 
 class Transaction:
     """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; a database error becomes a `JournalError`."""
@@ -19,19 +34,19 @@ class Transaction:
     def __enter__(self) -> None:
         try:
             self._db.execute("BEGIN IMMEDIATE")
-        except sqlite3.Error as error:
+        except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:
             if kind is None:
                 self._db.execute("COMMIT")
-        except sqlite3.Error as failure:
+        except DATABASE_ERRORS as failure:
             error = failure
         # SQLite has rolled back already when the disk is full.
         if self._db.in_transaction:
             self._db.execute("ROLLBACK")
-        if isinstance(error, sqlite3.Error):
+        if isinstance(error, DATABASE_ERRORS):
             raise make_unusable_error(self._path, error) from None
 
 
@@ -58,9 +73,7 @@ def open_read_only(path: Path) -> sqlite3.Connection:
     """Open a database that another process may be using, to read it alone. Raises `sqlite3.Error`."""
     # On a disk that is mounted for reading only SQLite cannot create the index that its readers share.
     options = "mode=ro" if os.access(path.parent, os.W_OK) else "immutable=1"
-    db = sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True, isolation_level=None)
-    db.text_factory = decode_text
-    return db
+    return connect_database(f"{path.absolute().as_uri()}?{options}", uri=True)
 
 
 def copy_database(source: Path, copy: Path) -> None:
@@ -69,10 +82,5 @@ def copy_database(source: Path, copy: Path) -> None:
         with closing(open_read_only(source)) as db, closing(sqlite3.connect(copy)) as target:
             db.backup(target)
             target.execute("PRAGMA journal_mode=DELETE")
-    except sqlite3.Error as error:
+    except DATABASE_ERRORS as error:
         raise make_unusable_error(str(source), error) from None
-
-
-def decode_text(text: bytes) -> str:
-    """A damaged text makes its own record unreadable, not the whole query."""
-    return text.decode("utf-8", "replace")
