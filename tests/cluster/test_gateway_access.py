@@ -390,10 +390,19 @@ def test_a_job_file_is_checked_drawn_and_submitted(tmp_path: Path) -> None:
         gateway = await open_gateway(fleet, tmp_path)
         (tmp_path / "scan.job.yaml").write_text((EXAMPLES / "scan.template.job.yaml").read_text())
         (tmp_path / "bad.job.yaml").write_text("steps: [")
+        park = "schema: tutti.job/1\nname: park\nbutton: {label: Park, group: Ends}\nsteps:\n  - {do: dwell, duration: 1 s}\n"
+        (tmp_path / "park.job.yaml").write_text(park)
+        (tmp_path / "lost.job.yaml").write_text(park.replace("1 s", "soon"))
         await outcome(fleet, PREPARE)
         templates = {each["file"]: each for each in (await gateway.get("/v1/templates")).json["templates"]}
         assert [each["name"] for each in templates["scan.job.yaml"]["parameters"]][:2] == ["width", "points"]
-        assert templates["bad.job.yaml"]["problem"]
+        assert templates["bad.job.yaml"]["problem"] and templates["bad.job.yaml"]["button"] is None
+        assert templates["scan.job.yaml"]["button"] is None
+        button = {"label": "Park", "group": "Ends"}
+        assert (templates["park.job.yaml"]["button"], templates["park.job.yaml"]["problem"]) == (button, None)
+        assert templates["lost.job.yaml"]["button"] == button and "duration" in templates["lost.job.yaml"]["problem"]
+        parked = (await gateway.post("/v1/check-job", {"template": "park.job.yaml"})).json["job"]
+        assert parked["name"] == "park" and "button" not in parked
         await fleet.make_client().save_position("sample", "stage.u", "gantry.x")
         body: dict[str, Any] = {"template": "scan.job.yaml", "values": {"width": "30 mm", "lines": "2"}}
         found = (await gateway.post("/v1/check-job", body)).json

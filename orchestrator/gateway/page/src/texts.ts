@@ -466,6 +466,14 @@ export const T = {
     proposed: (name: string) => `${name} waits for the approval of an operator`,
   },
 
+  buttons: {
+    title: "Buttons",
+    withForm: (label: string) => `${label} …`,
+    from: (file: string) => `submits ${file}`,
+    broken: (problem: string) => `its job file has a mistake: ${problem}`,
+    mend: (file: string) => `Mend ${file} on the computer of the fleet.`,
+  },
+
   preview: {
     duration: (time: string) => `lasts ${time}`,
     overTime: "Each axis over time",

@@ -410,6 +410,10 @@ export interface Template {
   file: string;
   description?: string;
   parameters: Parameter[];
+  /** How the fleet offers it as a button. */
+  button?: { label: string; group?: string | null } | null;
+  /** Why its job cannot be submitted, in words. */
+  problem?: string | null;
 }
 
 export interface Checked {

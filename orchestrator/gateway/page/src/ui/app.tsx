@@ -6,6 +6,7 @@ import { connection } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AlarmsPanel } from "./alarmlist.tsx";
 import { AxisTable } from "./axes.tsx";
+import { ButtonsPanel } from "./buttons.tsx";
 import { ClocksPanel } from "./clocks.tsx";
 import { CommandsPanel, ConfigurationPanel, RecordingsPanel } from "./configuration.tsx";
 import { EventsPanel } from "./eventlist.tsx";
@@ -49,6 +50,7 @@ function ViewPanels(): JSX.Element {
       <div class="column">
         {runningJobs.value.length > 0 ? <JobPanel key="job" /> : null}
         <AxisTable key="axes" />
+        <ButtonsPanel key="buttons" />
         {runningJobs.value.length > 0 ? null : <JobPanel key="job" />}
         <QueuePanel key="queue" />
         <LivePlots key="plots" />
@@ -62,6 +64,7 @@ function ViewPanels(): JSX.Element {
           <LivePlots />
         </div>
         <div class="column right">
+          <ButtonsPanel />
           <JobPanel />
           <QueuePanel />
         </div>
@@ -76,6 +79,7 @@ function ViewPanels(): JSX.Element {
         </div>
         <div class="column">
           <AxisTable onChoose={(axis) => (across.value = axis)} chosen={across.value} />
+          <ButtonsPanel />
           <PositionsPanel />
           <IoPanel />
         </div>
