@@ -133,6 +133,11 @@ class MockedStream:
         if self.beating and self._socket is not None:
             self.patch({})
 
+    def mute(self) -> None:
+        """Answer no frame any more."""
+        assert self._socket is not None
+        self._socket.on_message(lambda message: self.sent.append(json.loads(message)))
+
     def close(self) -> None:
         """Close the socket. The page opens another."""
         assert self._socket is not None
