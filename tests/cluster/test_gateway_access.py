@@ -13,6 +13,7 @@ from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 from orchestrator.gateway.access.users import StoredToken
 from orchestrator.model.queue import shift_utc
+from orchestrator.model.web_views import WebSettings, WebView
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 USERS: dict[str, Role] = {"vera": "viewer", "paul": "proposer", "olga": "operator", "mia": "maintainer"}
@@ -109,6 +110,27 @@ def test_without_a_session_nothing_is_answered(tmp_path: Path) -> None:
             socket = await gateway.connect(headers)
             assert socket.denied is not None and socket.denied.status == 401
         assert (await gateway.get("/")).status == 404  # the page itself is no secret; here it is not built
+
+    run_with_gateway(main)
+
+
+def test_cameras_of_the_fleet_file_are_in_the_state_and_in_the_policy_of_the_page(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        before = await gateway.get("/v1/state")
+        assert "views" not in before.json and "frame-src" not in before.headers["content-security-policy"]
+        socket = await gateway.connect()
+        views = [
+            WebView(title="From above", url="http://camera-1.lab:8080/stream.mjpg"),
+            WebView(title="Side", url="https://media.lab/side", kind="page"),
+        ]
+        file = fleet.fleet.model_copy(update={"web": WebSettings(views=views)})
+        assert await fleet.make_client().reload_fleet(file) == []
+        await socket.wait_for(lambda: "views" in socket.state)
+        assert socket.state["views"] == [view.to_plain() for view in views]
+        policy = (await gateway.get("/v1/state")).headers["content-security-policy"]
+        assert "img-src 'self' data: blob: http://camera-1.lab:8080; frame-src https://media.lab;" in policy
 
     run_with_gateway(main)
 

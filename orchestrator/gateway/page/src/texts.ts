@@ -381,6 +381,22 @@ export const T = {
     allAxes: "all referenced",
   },
 
+  cameras: {
+    title: "Cameras",
+    show: "Show",
+    hide: "Hide",
+    loading: (title: string) => `${title}: waiting for the picture …`,
+    silent: (title: string) => `${title} does not answer`,
+    silentRemedy: (host: string) => `Look whether ${host} is on and in the network, and whether this browser opens its address.`,
+    late: "Nothing has come for 10 s.",
+    unknown: (title: string) => `${title} was not known when this page was loaded`,
+    unknownRemedy: "Load the page again: a browser asks the gateway only then where pictures may come from.",
+    plain: (title: string) => `${title} has an address without TLS`,
+    plainRemedy: "A page by https shows nothing of http. Give the camera TLS, or a proxy with it, and its https address in the fleet file.",
+    again: "Try again",
+    note: "A picture may be late or stand still: it is no sign that nothing moves.",
+  },
+
   plots: {
     title: "Plots",
     add: "Add an axis",

@@ -210,6 +210,13 @@ export interface LastStop {
   utc?: string;
 }
 
+/** A camera of the machine, of the fleet file. */
+export interface WebView {
+  title: string;
+  url: string;
+  kind: "image" | "page";
+}
+
 export interface State {
   fleet: string;
   utc: string;
@@ -224,6 +231,7 @@ export interface State {
   alarms?: Record<string, Alarm>;
   events?: FleetEvent[];
   last_stop?: LastStop;
+  views?: WebView[];
 }
 
 export interface Work {

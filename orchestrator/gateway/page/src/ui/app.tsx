@@ -7,6 +7,7 @@ import { T } from "../texts.ts";
 import { AlarmsPanel } from "./alarmlist.tsx";
 import { AxisTable } from "./axes.tsx";
 import { ButtonsPanel } from "./buttons.tsx";
+import { CamerasPanel } from "./cameras.tsx";
 import { ClocksPanel } from "./clocks.tsx";
 import { CommandsPanel, ConfigurationPanel, RecordingsPanel } from "./configuration.tsx";
 import { EventsPanel } from "./eventlist.tsx";
@@ -50,6 +51,7 @@ function ViewPanels(): JSX.Element {
       <div class="column">
         {runningJobs.value.length > 0 ? <JobPanel key="job" /> : null}
         <AxisTable key="axes" />
+        <CamerasPanel key="cameras" />
         <ButtonsPanel key="buttons" />
         {runningJobs.value.length > 0 ? null : <JobPanel key="job" />}
         <QueuePanel key="queue" />
@@ -61,6 +63,7 @@ function ViewPanels(): JSX.Element {
       <>
         <div class="column">
           <AxisTable />
+          <CamerasPanel />
           <LivePlots />
         </div>
         <div class="column right">
@@ -79,6 +82,7 @@ function ViewPanels(): JSX.Element {
         </div>
         <div class="column">
           <AxisTable onChoose={(axis) => (across.value = axis)} chosen={across.value} />
+          <CamerasPanel />
           <ButtonsPanel />
           <PositionsPanel />
           <IoPanel />
