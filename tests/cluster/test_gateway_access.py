@@ -135,6 +135,33 @@ def test_cameras_of_the_fleet_file_are_in_the_state_and_in_the_policy_of_the_pag
     run_with_gateway(main)
 
 
+def test_a_command_in_the_controllers_own_language_acquires_its_axes_meanwhile(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, mia="maintainer", olga="operator")
+        await outcome(fleet, PREPARE)
+        session, path = await gateway.sign_in("mia"), "/v1/controllers/gantry/raw"
+        body = {"command": "MG _TPX", "i_know": True}
+        answer = await gateway.post(path, body, session)
+        assert answer.status == 200 and answer.json["refused"] is None and answer.json["reply"]
+        client = fleet.make_client()
+        assert not [
+            lease.holder for lease in await client.list_leases() if lease.controller == "gantry" and lease.holder
+        ]
+        assert (await gateway.post(path, {"command": "MG _TPX"}, session)).refused == "raw-needs-flag"
+        for wrong in ({}, {"command": 5, "i_know": True}, {"command": "x" * 4001, "i_know": True}, {**body, "now": 1}):
+            assert (await gateway.post(path, wrong, session)).refused == "bad-request", wrong
+        assert (await gateway.post(path, body, await gateway.sign_in("olga"))).refused == "not-allowed"
+        async with client.manual_control(["gantry.x"], what="alignment"):
+            answer = await gateway.post(path, body, session)
+            assert answer.refused == "leased" and "alignment" in str(answer.body)
+        holder = {**body, "holder": "manual-none"}
+        assert (await gateway.post(path, holder, session)).json["refused"]["code"] == "not-leased"
+        schemas = (await gateway.get("/v1/openapi.json", session)).json["components"]["schemas"]
+        assert schemas["RawRequest"]["required"] == ["command"]
+
+    run_with_gateway(main)
+
+
 def test_a_session_needs_its_csrf_token_for_what_changes_something(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         gateway = await open_gateway(fleet, tmp_path, olga="operator", mia="maintainer")

@@ -666,6 +666,22 @@ export const T = {
     tooLargeRemedy: "Have it loaded on the computer of the fleet.",
   },
 
+  console: {
+    title: "Console",
+    controller: "Controller",
+    command: "Command in its own language",
+    send: "Send",
+    sent: (controller: string) => `Command to ${controller}`,
+    know: "I know: it is sent as it is. No limit is checked, also of a motion that it begins.",
+    whyKnow: "confirm first that no limit is checked",
+    empty: "write a command first",
+    underWay: "the last command has not been answered yet",
+    log: "Commands and replies",
+    noReply: "(an empty reply)",
+    hint: "Arrow keys bring earlier commands back. All axes of the controller are acquired meanwhile; it is logged.",
+    stops: "Stop and E-stop work as always.",
+  },
+
   recordings: { title: "Recordings", none: "There are no recordings." },
   commands: { title: "Commands", show: "Show", again: "Show again", none: "No commands yet." },
 };

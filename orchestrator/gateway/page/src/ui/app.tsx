@@ -20,6 +20,7 @@ import { LinksPanel } from "./links.tsx";
 import { LivePlots } from "./liveplots.tsx";
 import { Login } from "./login.tsx";
 import { Messages } from "./messages.tsx";
+import { ConsolePanel } from "./console.tsx";
 import { DialogHost } from "./parts.tsx";
 import { PositionsPanel } from "./positions.tsx";
 import { PreparePanel } from "./prepare.tsx";
@@ -99,6 +100,7 @@ function ViewPanels(): JSX.Element {
       <ConfigurationPanel />
       <RecordingsPanel />
       <CommandsPanel />
+      <ConsolePanel />
     </>
   );
 }
