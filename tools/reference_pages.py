@@ -18,6 +18,7 @@ from orchestrator.cli.main import main as command
 from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.templates.button import ButtonDeclaration
 from orchestrator.model.templates.parameters import ParameterDeclarations
 
 WITH_MEMBERS = ("orchestrator.client", "orchestrator.testing", "orchestrator.model.templates")
@@ -91,9 +92,10 @@ def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
 
 
 def job_page() -> str:
-    """The page of job files: the fields of a job, and the declarations of its parameters."""
+    """The page of job files: the fields of a job, and the parts of its file alone: parameters and button."""
     declarations = model_tables(ParameterDeclarations.model_json_schema(), "Parameters")
-    return "\n".join([file_page("job", Job.model_json_schema(), "Job"), *declarations])
+    button = model_tables(ButtonDeclaration.model_json_schema(), "Button")
+    return "\n".join([file_page("job", Job.model_json_schema(), "Job"), *declarations, *button])
 
 
 def commands(group: click.Command, words: list[str]) -> Iterator[tuple[list[str], click.Command]]:

@@ -31,6 +31,7 @@ from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.reads import FleetReads, Reader, ReadRequest
 from orchestrator.gateway.replies import RefusedRequest, make_model_response, make_refusal_response
 from orchestrator.gateway.stream.acts import FleetActs
+from orchestrator.gateway.stream.fleet_state import list_views
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.gateway.stream.socket import UserSocket
 from orchestrator.model.errors import Refusal
@@ -87,7 +88,8 @@ class Gateway:
             "check-job": self._check_job,
             "check-fleet": self._check_fleet,
         }
-        self.guard = Guard(Starlette(routes=self._make_routes()), options.port, secure=options.secure)
+        app = Starlette(routes=self._make_routes())
+        self.guard = Guard(app, options.port, secure=options.secure, views=lambda: list_views(self.hub.state.fleet))
         self.guard.admit(options.names)
         self.app: ASGIApp = self.guard
 

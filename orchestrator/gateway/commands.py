@@ -20,7 +20,7 @@ from orchestrator.gateway.access.roles import may
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import SubmitJob
-from orchestrator.model.messages import Request
+from orchestrator.model.messages import RawReply, RawRequest, Request
 from orchestrator.model.problems import read_problems
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
@@ -93,12 +93,17 @@ class FleetCommands:
     async def request_controller(
         self, identity: Identity, verb: str, controller: str, fields: Mapping[str, Any]
     ) -> Model:
-        """Send a command to one controller. Raises `Refusal`."""
+        """Send a command to one controller; one in its own language that names no `holder`, as `tutti raw` does, with
+        all its axes acquired meanwhile. Raises `Refusal`."""
         identity.require_right(verb)
         service, tutti = CONTROLLER_VERBS[verb], self.connect(identity)
-        request = make_request(service, fields, tutti.new_id(), identity.actor)
+        is_alone = verb == "raw" and "holder" not in fields
+        given_fields = {**fields, "holder": ""} if is_alone else fields
+        request = make_request(service, given_fields, tutti.new_id(), identity.actor)
         if not service.reads:
             self._note(identity, verb, controller)
+        if is_alone and isinstance(request, RawRequest):
+            return RawReply(reply=await tutti.send_raw(controller, request.command, i_know=request.i_know))
         return await tutti.request_controller(controller, verb, request, service.reply)
 
     def _find_request_id(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str) -> str:

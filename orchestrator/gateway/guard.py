@@ -7,20 +7,19 @@ stops as well. Its own names are those of its computer's loopback; where other c
 certificate.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from orchestrator.gateway.reach import OWN_NAMES
 from orchestrator.gateway.replies import RefusedRequest, make_refusal_response
 from orchestrator.model.errors import Refusal
+from orchestrator.model.web_views import WebView, list_origins
 
 MAX_BODY_BYTES = 4_000_000  # a job of 10,000 steps, and a part of points, fit
 STRICT_TRANSPORT = "max-age=2592000"  # 30 days (RFC 6797)
 
 SECURITY_HEADERS = {
-    "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; object-src 'none'; base-uri 'none'; "
-    "form-action 'self'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
@@ -28,6 +27,20 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+
+
+def make_content_policy(views: Sequence[WebView]) -> str:
+    """What a browser may load for the page: its own files, and of other origins the cameras of the fleet file alone,
+    each by its kind."""
+    images, pages = list_origins(views, "image"), list_origins(views, "page")
+    return "; ".join(
+        (
+            "default-src 'self'",
+            " ".join(("img-src 'self' data: blob:", *images)),
+            *((" ".join(("frame-src", *pages)),) if pages else ()),
+            "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
+        )
+    )
 
 
 def find_headers(scope: Scope) -> dict[str, str]:
@@ -38,9 +51,11 @@ def find_headers(scope: Scope) -> dict[str, str]:
 class Guard:
     """Refuses requests and sockets from elsewhere and bodies that are too large, and adds security headers."""
 
-    def __init__(self, app: ASGIApp, port: int, *, secure: bool = False) -> None:
-        """port: of the gateway. secure: it speaks TLS."""
-        self._app = app
+    def __init__(
+        self, app: ASGIApp, port: int, *, secure: bool = False, views: Callable[[], Sequence[WebView]] = tuple
+    ) -> None:
+        """port: of the gateway. secure: it speaks TLS. views: called for the cameras that the page may show now."""
+        self._app, self._views = app, views
         self._scheme, self._port = ("https" if secure else "http"), port
         self._own_hosts = set(self._list_hosts(OWN_NAMES))
         self.admit(())
@@ -84,7 +99,7 @@ class Guard:
     async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
         size = 0
         headers = find_headers(scope)
-        added_headers = dict(SECURITY_HEADERS)
+        added_headers = {"Content-Security-Policy": make_content_policy(self._views()), **SECURITY_HEADERS}
         if self._scheme == "https" and headers["host"].lower() not in self._own_hosts:
             # Not for `localhost`: a browser would then refuse every other plain page there.
             added_headers["Strict-Transport-Security"] = STRICT_TRANSPORT

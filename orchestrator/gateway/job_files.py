@@ -89,11 +89,16 @@ class JobFiles:
 
 
 def _describe_template(path: Path) -> dict[str, Any]:
+    """A template as the page lists it. Its button is there also when the job has a mistake: the page says which."""
     plain: dict[str, Any] = {"name": path.name.removesuffix(PATTERN[1:]), "file": path.name}
+    plain |= {"parameters": [], "button": None, "problem": None}
     try:
-        return plain | {"parameters": _describe_parameters(Template.load(path)), "problem": None}
+        template = Template(read_file(path))
+        plain |= {"button": None if template.button is None else template.button.to_plain()}
+        template.check()
+        return plain | {"parameters": _describe_parameters(template)}
     except FileError as error:
-        return plain | {"parameters": [], "problem": str(error.problems[0])}
+        return plain | {"problem": str(error.problems[0])}
 
 
 def _describe_parameters(template: Template) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ from pydantic.json_schema import models_json_schema
 from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS, ServiceVerb
 from orchestrator.gateway.access.roles import LEAST_ROLES
 from orchestrator.model.base import Model
-from orchestrator.model.messages import RefusalDetails
+from orchestrator.model.messages import RawRequest, RefusalDetails
 
 _PLACE = "#/components/schemas/{model}"
 _GIVEN = ("request_id", "actor")  # by the gateway
@@ -67,7 +67,8 @@ def _make_schemas() -> tuple[dict[type[Model], str], dict[str, Any]]:
     for request in requests:
         schema = schemas[names[request]]
         schema["properties"] = {name: value for name, value in schema["properties"].items() if name not in _GIVEN}
-        schema["required"] = [name for name in schema.get("required", []) if name not in _GIVEN]
+        optional_names = (*_GIVEN, "holder") if request is RawRequest else _GIVEN  # the gateway acquires the axes then
+        schema["required"] = [name for name in schema.get("required", []) if name not in optional_names]
     return names, schemas
 
 

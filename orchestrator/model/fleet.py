@@ -30,6 +30,7 @@ from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Hertz, Part, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
+from orchestrator.model.web_views import WebSettings
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
 MAX_POSITIONS, MAX_DESCRIPTION = 1_000, 200  # named positions, characters
@@ -500,6 +501,9 @@ class Fleet(Model):
     queue: QueuePolicy = QueuePolicy()
     alarms: AlarmRules = Field(default_factory=AlarmRules, description="What raises an alarm, by kind of alarm.")
     notify: NotifyCommand | None = Field(default=None, description="The command that is run for alarms.")
+    web: WebSettings = Field(
+        default_factory=WebSettings, description="What the operators' page shows besides the fleet: cameras."
+    )
 
     @field_validator("controllers")
     @classmethod
@@ -561,8 +565,9 @@ class Fleet(Model):
 
     @cached_property
     def digest(self) -> str:
-        """A digest of what all processes of a fleet must have alike: everything but `notify` and the simulation."""
+        """A digest of what all processes of a fleet must have alike: all but `notify`, `web` and the simulation."""
         plain = self.model_copy(update={"notify": None}).to_plain()
+        del plain["web"]  # only the page depends on it
         plain["controllers"] = {name: [config.host, config.digest] for name, config in self.controllers.items()}
         text = json.dumps(plain, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -48,7 +48,9 @@ def browser() -> Iterator[Browser]:
     if not (PAGE / "page.js").is_file():
         pytest.exit("the page is not built: make page", 2)
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=find_program(), args=["--no-sandbox"])
+        # A mocked page has no address, and is taken for one of the internet, which may not load from this computer.
+        options = ["--no-sandbox", "--disable-features=LocalNetworkAccessChecks"]
+        browser = playwright.chromium.launch(executable_path=find_program(), args=options)
         yield browser
         browser.close()
 
@@ -100,7 +102,8 @@ class MockedStream:
     sent: what the page has sent. replies: what requests are answered, by their paths without query; a list is
     answered one after the other, its last element for ever. asked: the requests with these paths, and their bodies.
     beating: an empty patch is sent three times a second, as a gateway does whose state does not change; without it
-    the page shows after 1 s that its state is old, and refuses what moves.
+    the page shows after 1 s that its state is old, and refuses what moves. policy: the content security policy of the
+    page.
     """
 
     def __init__(self, page: Page, state: dict[str, Any], **hello: Any) -> None:
@@ -111,6 +114,7 @@ class MockedStream:
         self.asked: list[tuple[str, Any]] = []
         self._state, self._hello = state, {**HELLO, "role": "operator", "may": MAY, **hello}
         self.beating = True
+        self.policy = ""
         self._number = 0
         self._socket: WebSocketRoute | None = None
         page.route(f"{MOCKED}**", self._serve)
@@ -132,6 +136,11 @@ class MockedStream:
     def beat(self) -> None:
         if self.beating and self._socket is not None:
             self.patch({})
+
+    def mute(self) -> None:
+        """Answer no frame any more."""
+        assert self._socket is not None
+        self._socket.on_message(lambda message: self.sent.append(json.loads(message)))
 
     def close(self) -> None:
         """Close the socket. The page opens another."""
@@ -169,7 +178,7 @@ class MockedStream:
                 reply = reply.pop(0) if len(reply) > 1 else reply[0]
             route.fulfill(json=reply)
         elif path.is_file():
-            route.fulfill(path=path)
+            route.fulfill(path=path, headers={"Content-Security-Policy": self.policy} if self.policy else None)
         else:
             route.fulfill(status=503, json={"refused": {"code": "absent", "text": "no gateway", "remedy": ""}})
 
@@ -261,10 +270,15 @@ def mock(page: Page) -> Callable[..., MockedStream]:
     page.add_init_script("setInterval(() => beat(), 333)")
 
     def open_mock(
-        state: dict[str, Any] | None = None, view: str = "run", replies: dict[str, Any] | None = None, **hello: Any
+        state: dict[str, Any] | None = None,
+        view: str = "run",
+        replies: dict[str, Any] | None = None,
+        policy: str = "",
+        **hello: Any,
     ) -> MockedStream:
         stream = MockedStream(page, make_state() if state is None else state, **hello)
         stream.replies |= replies or {}
+        stream.policy = policy
         streams.append(stream)
         return stream.open(view)
 

@@ -9,6 +9,8 @@ from typing import Literal
 import pytest
 from browser.conftest import LARGE, find_address, find_program
 from browser.devtools import open_tools
+from browser.test_gamepad import PAD, set_pad
+from browser.test_rules import wait_for
 from children import wait_until
 from fleet import RunningFleet
 from playwright.sync_api import Browser, Page, Route, WebSocketRoute, expect
@@ -92,6 +94,23 @@ def test_a_jog_that_is_let_go_stops(page: Page, ready: RunningFleet) -> None:
     require_end(ready, let_go_ns)
 
 
+def test_a_gamepad_jogs_until_its_dead_man_button_is_let_go(page: Page, ready: RunningFleet) -> None:
+    page.add_init_script(PAD)
+    open_page(page, ready, "setup")
+    page.get_by_role("button", name="Use a gamepad").click()
+    set_pad(page, held=True)
+    expect(page.get_by_text("enabled: the stick moves")).to_be_visible()
+    count = ready.starts("gantry")
+    set_pad(page, across=-1)
+    wait_for(page, lambda: ready.starts("gantry") > count)
+    set_pad(page, across=-0.5)  # another speed, by a renewal
+    page.wait_for_timeout(500)
+    let_go_ns = raw_ns()
+    set_pad(page, held=False)
+    require_end(ready, let_go_ns, page)
+    expect(page.get_by_role("region", name="Messages").get_by_text("gantry.x")).to_have_count(0)
+
+
 @pytest.mark.parametrize("how", ["closed", "silent"])
 def test_a_socket_killed_in_mid_jog_stops_the_axis(page: Page, ready: RunningFleet, how: str) -> None:
     """closed: both ends are closed. silent: frames no longer arrive, in neither direction, and nothing is closed."""
@@ -173,6 +192,18 @@ def test_roles_are_enforced_whatever_the_page_shows(page: Page, ready: RunningFl
     page.get_by_role("button", name="Sign out").click()
     expect(page.get_by_role("button", name="Sign in")).to_be_visible()
     ready.ready()
+
+
+def test_a_maintainer_asks_a_controller_in_its_own_language(page: Page, ready: RunningFleet, users: UserFile) -> None:
+    sign_in(page, ready, "mia")
+    page.get_by_role("navigation", name="Views").get_by_role("button", name="Service").click()
+    panel = page.get_by_role("region", name="Console")
+    panel.get_by_role("checkbox", name=re.compile("^I know")).check()
+    panel.get_by_role("textbox").fill("MG _TPX")
+    panel.get_by_role("textbox").press("Enter")
+    log = panel.get_by_role("log", name="Commands and replies")
+    expect(log).to_contain_text(re.compile(r"MG _TPX\s*-?[0-9]"))
+    expect(panel.get_by_role("log", name="Trace of gantry")).to_contain_text("MG _TPX")
 
 
 def test_a_wrong_password_is_said(page: Page, ready: RunningFleet, users: UserFile) -> None:

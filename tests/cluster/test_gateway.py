@@ -336,6 +336,42 @@ def test_a_frame_with_wrong_values_is_refused_in_words(tmp_path: Path, frame: di
     run_with_gateway(main)
 
 
+def test_a_renewal_changes_the_speed_of_a_jog(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        _, socket = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        await begin_jog(fleet, socket)
+        for _ in range(8):
+            await asyncio.sleep(0.1)
+            assert "ok" in await socket.ask("renew", velocity=5)
+        assert socket.state["controllers"]["gantry"]["axes"]["x"]["velocity"] == pytest.approx(5, abs=0.5)
+        for velocity in (0, "fast", True, None, float("inf")):
+            answer = await socket.ask("renew", velocity=velocity)
+            assert answer["refused"]["code"] == "bad-request" and "end-jog" in answer["refused"]["remedy"]
+
+    run_with_gateway(main)
+
+
+def test_a_renewal_at_another_speed_moves_nothing_after_a_stop(tmp_path: Path) -> None:
+    """A stick of a gamepad that stays deflected sends new speeds: none of them may begin what a stop has ended."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway, socket = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        await begin_jog(fleet, socket)
+        other = await gateway.connect()
+        assert "ok" in await other.ask("stop")
+        await find_end_ns(fleet)
+        for velocity in (6, 7):
+            await socket.ask("renew", velocity=velocity)
+            await asyncio.sleep(0.1)
+            assert not fleet.controllers["gantry"].is_moving("X")
+        assert socket.find_kind("jog")["refused"]["code"] in ("not-jogging", "not-leased")
+        assert (await socket.ask("renew", velocity=8))["refused"]["code"] == "not-jogging"
+
+    run_with_gateway(main)
+
+
 def test_too_many_frames_end_a_socket(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         _, socket = await open_gateway(fleet, tmp_path)

@@ -13,6 +13,7 @@ from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 from orchestrator.gateway.access.users import StoredToken
 from orchestrator.model.queue import shift_utc
+from orchestrator.model.web_views import WebSettings, WebView
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 USERS: dict[str, Role] = {"vera": "viewer", "paul": "proposer", "olga": "operator", "mia": "maintainer"}
@@ -109,6 +110,54 @@ def test_without_a_session_nothing_is_answered(tmp_path: Path) -> None:
             socket = await gateway.connect(headers)
             assert socket.denied is not None and socket.denied.status == 401
         assert (await gateway.get("/")).status == 404  # the page itself is no secret; here it is not built
+
+    run_with_gateway(main)
+
+
+def test_cameras_of_the_fleet_file_are_in_the_state_and_in_the_policy_of_the_page(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        await outcome(fleet, PREPARE)
+        before = await gateway.get("/v1/state")
+        assert "views" not in before.json and "frame-src" not in before.headers["content-security-policy"]
+        socket = await gateway.connect()
+        views = [
+            WebView(title="From above", url="http://camera-1.lab:8080/stream.mjpg"),
+            WebView(title="Side", url="https://media.lab/side", kind="page"),
+        ]
+        file = fleet.fleet.model_copy(update={"web": WebSettings(views=views)})
+        assert await fleet.make_client().reload_fleet(file) == []
+        await socket.wait_for(lambda: "views" in socket.state)
+        assert socket.state["views"] == [view.to_plain() for view in views]
+        policy = (await gateway.get("/v1/state")).headers["content-security-policy"]
+        assert "img-src 'self' data: blob: http://camera-1.lab:8080; frame-src https://media.lab;" in policy
+
+    run_with_gateway(main)
+
+
+def test_a_command_in_the_controllers_own_language_acquires_its_axes_meanwhile(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, mia="maintainer", olga="operator")
+        await outcome(fleet, PREPARE)
+        session, path = await gateway.sign_in("mia"), "/v1/controllers/gantry/raw"
+        body = {"command": "MG _TPX", "i_know": True}
+        answer = await gateway.post(path, body, session)
+        assert answer.status == 200 and answer.json["refused"] is None and answer.json["reply"]
+        client = fleet.make_client()
+        assert not [
+            lease.holder for lease in await client.list_leases() if lease.controller == "gantry" and lease.holder
+        ]
+        assert (await gateway.post(path, {"command": "MG _TPX"}, session)).refused == "raw-needs-flag"
+        for wrong in ({}, {"command": 5, "i_know": True}, {"command": "x" * 4001, "i_know": True}, {**body, "now": 1}):
+            assert (await gateway.post(path, wrong, session)).refused == "bad-request", wrong
+        assert (await gateway.post(path, body, await gateway.sign_in("olga"))).refused == "not-allowed"
+        async with client.manual_control(["gantry.x"], what="alignment"):
+            answer = await gateway.post(path, body, session)
+            assert answer.refused == "leased" and "alignment" in str(answer.body)
+        holder = {**body, "holder": "manual-none"}
+        assert (await gateway.post(path, holder, session)).json["refused"]["code"] == "not-leased"
+        schemas = (await gateway.get("/v1/openapi.json", session)).json["components"]["schemas"]
+        assert schemas["RawRequest"]["required"] == ["command"]
 
     run_with_gateway(main)
 
@@ -488,10 +537,19 @@ def test_a_job_file_is_checked_drawn_and_submitted(tmp_path: Path) -> None:
         gateway = await open_gateway(fleet, tmp_path)
         (tmp_path / "scan.job.yaml").write_text((EXAMPLES / "scan.template.job.yaml").read_text())
         (tmp_path / "bad.job.yaml").write_text("steps: [")
+        park = "schema: tutti.job/1\nname: park\nbutton: {label: Park, group: Ends}\nsteps:\n  - {do: dwell, duration: 1 s}\n"
+        (tmp_path / "park.job.yaml").write_text(park)
+        (tmp_path / "lost.job.yaml").write_text(park.replace("1 s", "soon"))
         await outcome(fleet, PREPARE)
         templates = {each["file"]: each for each in (await gateway.get("/v1/templates")).json["templates"]}
         assert [each["name"] for each in templates["scan.job.yaml"]["parameters"]][:2] == ["width", "points"]
-        assert templates["bad.job.yaml"]["problem"]
+        assert templates["bad.job.yaml"]["problem"] and templates["bad.job.yaml"]["button"] is None
+        assert templates["scan.job.yaml"]["button"] is None
+        button = {"label": "Park", "group": "Ends"}
+        assert (templates["park.job.yaml"]["button"], templates["park.job.yaml"]["problem"]) == (button, None)
+        assert templates["lost.job.yaml"]["button"] == button and "duration" in templates["lost.job.yaml"]["problem"]
+        parked = (await gateway.post("/v1/check-job", {"template": "park.job.yaml"})).json["job"]
+        assert parked["name"] == "park" and "button" not in parked
         await fleet.make_client().save_position("sample", "stage.u", "gantry.x")
         body: dict[str, Any] = {"template": "scan.job.yaml", "values": {"width": "30 mm", "lines": "2"}}
         found = (await gateway.post("/v1/check-job", body)).json

@@ -94,17 +94,24 @@ class FleetActs:
 
     async def _jog(self, frame: Frame) -> dict[str, Any]:
         self._require("jog")
-        axis, velocity = frame.get("axis"), frame.get("velocity")
-        if not isinstance(axis, str) or not isinstance(velocity, int | float) or not velocity or not isfinite(velocity):
+        axis, velocity = frame.get("axis"), _read_velocity(frame)
+        if not isinstance(axis, str) or velocity is None:
             raise Refusal("bad-request", "a jog needs an `axis`, and a `velocity` that is not 0", "for example 5.0")
         self._require_manual(axis)
-        self._jogged = {axis: float(velocity)}
+        self._jogged = {axis: velocity}
         self._send_jog(renew=False)
         return {}
 
-    async def _renew(self, _: Frame) -> dict[str, Any]:
+    async def _renew(self, frame: Frame) -> dict[str, Any]:
+        """Renew the jog, also at another velocity: unlike `jog` it never moves an axis that has been stopped."""
         if not self._jogged:
             raise Refusal("not-jogging", "no axis is being jogged", "begin with `jog`")
+        if "velocity" in frame:
+            velocity = _read_velocity(frame)
+            if velocity is None:
+                text = "the `velocity` of a renewal must be a number that is not 0"
+                raise Refusal("bad-request", text, "leave it out to keep the last one; end a jog by `end-jog`")
+            self._jogged = dict.fromkeys(self._jogged, velocity)
         self._send_jog(renew=True)
         return {}
 
@@ -213,6 +220,14 @@ class FleetActs:
 
 
 _SILENT = Refusal("silent", "the page has sent nothing for a second, so its axes were released", "acquire them again")
+
+
+def _read_velocity(frame: Frame) -> float | None:
+    """The velocity of a frame, unit/s; None: it is no number, or 0."""
+    velocity = frame.get("velocity")
+    if isinstance(velocity, bool) or not isinstance(velocity, int | float) or not velocity or not isfinite(velocity):
+        return None
+    return float(velocity)
 
 
 def _read_axes(frame: Frame) -> list[str]:

@@ -1,7 +1,7 @@
 """The state of the fleet as one JSON object, gathered from the bus. It never contains null (see `merge_patch`)."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic import ValidationError
@@ -19,6 +19,7 @@ from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
 from orchestrator.model.state import ControllerEvent, ControllerState, LinkTotals
+from orchestrator.model.web_views import WebView
 
 MAX_EVENTS = 100
 MAX_CONTROLLERS, MAX_JOBS, MAX_ALARMS, MAX_LEASES = 500, 300, 1000, 2000  # whatever is published
@@ -27,6 +28,17 @@ STALE_NS = NS_PER_S
 LEADER_NS = NS_PER_S  # ten heartbeats are missing
 
 _Take = Callable[[BusSample], None]
+
+
+def list_views(fleet: Fleet | None) -> Sequence[WebView]:
+    """The cameras of the machine; none while the fleet file is not known."""
+    return () if fleet is None else fleet.web.views
+
+
+def show_views(fleet: Fleet | None) -> dict[str, Any]:
+    """The cameras as a part of the state; without any no part."""
+    views = [view.to_plain() for view in list_views(fleet)]
+    return {"views": views} if views else {}
 
 
 class FleetState:
@@ -221,6 +233,7 @@ class FleetState:
             plain = self._queue.to_plain()
             state["permits"] = plain.pop("missing_permits")
             state["queue"] = drop_nulls(plain)
+        state |= show_views(self.fleet)
         if self._last_stop is not None:
             state["last_stop"] = self._last_stop
         return state

@@ -1,8 +1,9 @@
-"""The JSON Schema of a job file for editors: that of a job, its declarations, and `${name}` where values stand."""
+"""The JSON Schema of a job file for editors: a job, declarations, a button, and `${name}` where values stand."""
 
 from typing import Any, cast
 
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.templates.button import ButtonDeclaration
 from orchestrator.model.templates.parameters import PARAMETER_NAME, ParameterDeclarations
 
 REFERENCE = {"type": "string", "pattern": rf"\$\{{{PARAMETER_NAME}\}}"}
@@ -13,11 +14,13 @@ _SELECTS_KIND = {"do", "schema"}  # they select what the other fields are: writt
 def make_job_file_schema() -> dict[str, Any]:
     """The schema of `tutti schema job`."""
     schema, declarations = Job.model_json_schema(), ParameterDeclarations.model_json_schema()
+    button = ButtonDeclaration.model_json_schema()
     schema_below = schema["$defs"]
     for part in (schema, *schema_below.values()):
         _accept_references(part)
-    schema_below |= declarations["$defs"]
+    schema_below |= declarations["$defs"] | button["$defs"]
     schema["properties"]["parameters"] = declarations["properties"]["parameters"]
+    schema["properties"]["button"] = button["properties"]["button"]  # a fixed text: no references
     return schema
 
 

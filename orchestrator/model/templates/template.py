@@ -23,6 +23,7 @@ from orchestrator.model.jobs.files import (
 )
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.paths.files.steps import read_path_steps
+from orchestrator.model.templates.button import ButtonDeclaration, JobButton
 from orchestrator.model.templates.parameters import (
     MAX_PARAMETERS,
     Parameter,
@@ -32,7 +33,8 @@ from orchestrator.model.templates.parameters import (
 from orchestrator.model.templates.references import MARK, find_references, find_whole, replace_references
 from orchestrator.model.yaml_reader import YamlNode, resolve_plain
 
-DECLARATIONS, USED = "parameters", "parameters_used"
+DECLARATIONS, USED, BUTTON = "parameters", "parameters_used", "button"
+NOT_OF_JOB = (DECLARATIONS, BUTTON)  # parts of the file alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +71,7 @@ class Template:
     """A job file with parameters.
 
     `Template.load("scan.job.yaml").fill(width="20 mm", passes=5)` is a `Job`. parameters: the declarations, by name.
+    button: how the operators' page offers the job; None: by its list of templates alone.
     """
 
     def __init__(self, file: LoadedFile) -> None:
@@ -78,16 +81,22 @@ class Template:
         self._entries = cast("dict[str, YamlNode]", file.root.children)
         self._problems: list[FileProblem] = []
         self.parameters: dict[str, Parameter] = {}
+        self.button: JobButton | None = None
         self._read_declarations()
+        self._read_button()
 
     @classmethod
     def load(cls, path: Path | str) -> "Template":
         """Load the job file at `path`. Raises `FileError` with every mistake that it has, whatever the values."""
         template = cls(read_file(Path(path)))
-        problems, _ = template._fill_values(template._choose_placeholders())
+        template.check()
+        return template
+
+    def check(self) -> None:
+        """Raises `FileError` with every mistake that the file has, whatever the values."""
+        problems, _ = self._fill_values(self._choose_placeholders())
         if problems:
             raise FileError(problems)
-        return template
 
     def fill(self, values: Mapping[str, object] | None = None, /, **more: object) -> Job:
         """The job with these values, as a file would give them; a parameter without a value has its default.
@@ -144,6 +153,14 @@ class Template:
             problems = self._add_declaration_problems({name: value})
             self.parameters |= {} if problems is None else problems.parameters
 
+    def _read_button(self) -> None:
+        node = self._entries.get(BUTTON)
+        if node is None:
+            return
+        declaration, problems = validate_part({BUTTON: node.value}, ButtonDeclaration)
+        self._problems += [self._file.problem(problem.place, problem.text) for problem in problems]
+        self.button = None if declaration is None else declaration.button
+
     def _add_declaration_problems(self, value: Any) -> ParameterDeclarations | None:
         declarations, problems = validate_part({DECLARATIONS: value}, ParameterDeclarations)
         self._problems += [self._file.problem(problem.place, problem.text) for problem in problems]
@@ -197,7 +214,7 @@ class Template:
     def _fill_values(self, values: Mapping[str, ParameterValue]) -> tuple[list[FileProblem], FilledJob | None]:
         """All mistakes of the file with these values; and the job, if there are none and every value is there."""
         filler = _ValueFiller(self.parameters, values)
-        plain = {key: filler.fill_node(node, (key,)) for key, node in self._entries.items() if key != DECLARATIONS}
+        plain = {key: filler.fill_node(node, (key,)) for key, node in self._entries.items() if key not in NOT_OF_JOB}
         if self.parameters:
             plain[USED] = {name: value.text for name, value in values.items()}
         problems = list(self._problems)
@@ -221,7 +238,7 @@ class Template:
 
     def _list_values(self) -> Iterator[YamlNode]:
         """All scalars that are no declarations."""
-        todo = [node for key, node in self._entries.items() if key != DECLARATIONS]
+        todo = [node for key, node in self._entries.items() if key not in NOT_OF_JOB]
         while todo:
             node = todo.pop()
             if node.children is None:

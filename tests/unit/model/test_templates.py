@@ -283,3 +283,46 @@ def test_the_schema_for_editors_accepts_references_where_values_stand() -> None:
     assert schema["properties"]["parameters"]["additionalProperties"]["discriminator"]["propertyName"] == "type"
     assert {each["$ref"].rpartition("/")[2] for each in schema["properties"]["parameters"]["additionalProperties"]["oneOf"]} <= steps.keys()  # fmt: skip
     json.dumps(schema)
+
+
+# Buttons
+
+BUTTON = "schema: tutti.job/1\nname: park\nbutton: {}\nsteps:\n  - {{do: dwell, duration: 1 s}}\n"
+
+
+def test_a_button_is_of_the_file_and_not_of_its_job() -> None:
+    park = template(BUTTON.format("{label: ' Park ', group: Ends}"))
+    assert park.button is not None and (park.button.label, park.button.group) == ("Park", "Ends")
+    assert "button" not in park.fill().to_plain()
+    alone = template(BUTTON.format("{label: Park}")).button
+    assert alone is not None and alone.group is None
+    assert template(BUTTON.format("null")).button is None
+    assert template().button is None
+
+
+@pytest.mark.parametrize(
+    ("button", "problem"),
+    [
+        ("{label: ''}", "f.yaml:3: button.label: must have a character that is seen, for example `Park`"),
+        ("{label: '  '}", "f.yaml:3: button.label: must have a character that is seen, for example `Park`"),
+        ("{label: a, group: ''}", "f.yaml:3: button.group: must have a character that is seen, for example `Park`"),
+        (f"{{label: {'x' * 41}}}", "f.yaml:3: button.label: has 41 entries or characters; at most 40"),
+        (f"{{label: a, group: {'x' * 41}}}", "f.yaml:3: button.group: has 41 entries or characters; at most 40"),
+        ('{label: "a\\tb"}', "f.yaml:3: button.label: has the character U+0009, which cannot be seen; remove it"),
+        ('{label: "a\\u202eb"}', "f.yaml:3: button.label: has the character U+202E, which cannot be seen; remove it"),
+        ('{label: "to ${width}"}', "f.yaml:3: button.label: has a parameter, and a button is shown before parameters"),
+        ("{group: Ends}", "f.yaml:3: button.label: is missing"),
+        ("{label: 5}", 'f.yaml:3: button.label: found 5; must be text; write it in quotes: "5"'),
+        ("{label: a, colour: red}", "f.yaml:3: button.colour: unknown field"),
+        ("Park", "f.yaml:3: button: found 'Park'; must be a mapping"),
+    ],
+)
+def test_a_wrong_button_is_a_mistake_of_the_file(button: str, problem: str) -> None:
+    (found_problem,) = problems(BUTTON.format(button))
+    assert found_problem.startswith(problem)
+
+
+def test_the_schema_for_editors_has_the_button_without_references() -> None:
+    schema = make_job_file_schema()
+    assert {"$ref": "#/$defs/JobButton"} in schema["properties"]["button"]["anyOf"]
+    assert schema["$defs"]["JobButton"]["properties"]["label"]["maxLength"] == 40

@@ -2,6 +2,7 @@ import { render } from "preact";
 import { watchAlarms } from "./core/alarms.ts";
 import { watchAttention } from "./core/attention.ts";
 import { watchEvents } from "./core/eventlog.ts";
+import { watchPads } from "./core/gamepad.ts";
 import { watchKeys } from "./core/keys.ts";
 import { watchReports } from "./core/lastreport.ts";
 import { watchAddress } from "./core/look.ts";
@@ -30,6 +31,7 @@ if (place !== null) {
   watchAddress();
   watchKeys();
   watchPage();
+  watchPads();
   watchAlarms();
   watchAttention();
   watchEvents();

@@ -303,6 +303,32 @@ export const T = {
     lost: "Manual control has ended",
   },
 
+  pad: {
+    title: "Gamepad",
+    use: "Use a gamepad",
+    noApi: "this browser gives pages no gamepads; open the page by https, or on the computer of the gateway",
+    none: "No gamepad is seen. Connect it, and press one of its buttons: until then browsers hide it.",
+    deadMan: "Button to hold",
+    button: (number: number) => `button ${number + 1}`,
+    stick: { across: "Stick for left and right", upwards: "Stick for up and down" },
+    axis: (number: number) => `axis ${number + 1}`,
+    reversed: "reversed",
+    deadZone: "Dead zone",
+    now: { across: "Left and right", upwards: "Up and down" },
+    drives: (axis: string, velocity: string) => `${axis} ${velocity}`,
+    missing: (name: string) => `${name}, not on this one`,
+    pressed: (number: number) => `button ${number + 1} is pressed`,
+    armed: "enabled: the stick moves",
+    held: "let the button go, centre the stick, and press again",
+    loose: "hold the button, then move the stick",
+    scale: (axis: string, velocity: string) => `Full deflection moves ${axis} at ${velocity}.`,
+    hint: "One axis at a time. Use a cable: that a radio link is lost is known late.",
+    again: "Let the button go, and press it again.",
+    otherJog: "another button or key jogs",
+    lost: (name: string) => `${name} is gone`,
+    lostRemedy: "Its jog has ended. Connect it, and switch it on again.",
+  },
+
   work: {
     busy: (words: string) => `Not while this is under way: ${words}`,
     busyRemedy: "Wait for its end, or stop it.",
@@ -359,6 +385,22 @@ export const T = {
     description: "Description",
     axes: "Axes",
     allAxes: "all referenced",
+  },
+
+  cameras: {
+    title: "Cameras",
+    show: "Show",
+    hide: "Hide",
+    loading: (title: string) => `${title}: waiting for the picture …`,
+    silent: (title: string) => `${title} does not answer`,
+    silentRemedy: (host: string) => `Look whether ${host} is on and in the network, and whether this browser opens its address.`,
+    late: "Nothing has come for 10 s.",
+    unknown: (title: string) => `${title} was not known when this page was loaded`,
+    unknownRemedy: "Load the page again: a browser asks the gateway only then where pictures may come from.",
+    plain: (title: string) => `${title} has an address without TLS`,
+    plainRemedy: "A page by https shows nothing of http. Give the camera TLS, or a proxy with it, and its https address in the fleet file.",
+    again: "Try again",
+    note: "A picture may be late or stand still: it is no sign that nothing moves.",
   },
 
   plots: {
@@ -481,6 +523,14 @@ export const T = {
     propose: "Propose",
     submitted: (name: string) => `${name} is in the queue`,
     proposed: (name: string) => `${name} waits for the approval of an operator`,
+  },
+
+  buttons: {
+    title: "Buttons",
+    withForm: (label: string) => `${label} …`,
+    from: (file: string) => `submits ${file}`,
+    broken: (problem: string) => `its job file has a mistake: ${problem}`,
+    mend: (file: string) => `Mend ${file} on the computer of the fleet.`,
   },
 
   preview: {
@@ -662,6 +712,22 @@ export const T = {
     from: "Now",
     to: "Then",
     tooLargeRemedy: "Have it loaded on the computer of the fleet.",
+  },
+
+  console: {
+    title: "Console",
+    controller: "Controller",
+    command: "Command in its own language",
+    send: "Send",
+    sent: (controller: string) => `Command to ${controller}`,
+    know: "I know: it is sent as it is. No limit is checked, also of a motion that it begins.",
+    whyKnow: "confirm first that no limit is checked",
+    empty: "write a command first",
+    underWay: "the last command has not been answered yet",
+    log: "Commands and replies",
+    noReply: "(an empty reply)",
+    hint: "Arrow keys bring earlier commands back. All axes of the controller are acquired meanwhile; it is logged.",
+    stops: "Stop and E-stop work as always.",
   },
 
   recordings: { title: "Recordings", none: "There are no recordings." },

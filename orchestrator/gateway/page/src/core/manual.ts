@@ -23,9 +23,13 @@ let further: object[] = [];
 /** Why the view cannot be changed now. */
 export const isBusy = computed(() => jogging.value !== null || working.value !== null || held.value.length > 0);
 
-interface Press {
-  axis: string;
+export interface Press {
+  readonly axis: string;
   velocity: number;
+  /** The velocity that the gateway has been asked for. */
+  sent: number;
+  /** Called before each renewal; it may end the jog. */
+  readonly look: (() => void) | undefined;
   asked: boolean;
   answeredMs: number | null;
   askedMs: number;
@@ -37,15 +41,22 @@ let aliveTimer = 0;
 let idleTimer = 0;
 let workId = 0;
 
-/** A pointer or a key has been pressed: jog `axis` at `velocity` (unit/s, never 0) until `endJog`. */
-export function beginJog(axis: string, velocity: number): void {
+/**
+ * A pointer or a key has been pressed: jog `axis` at `velocity` (unit/s, never 0) until `endJog`. Null: it cannot begin.
+ *
+ * `look`: called before each renewal, for what does not end by an event; it may end the jog.
+ */
+export function beginJog(axis: string, velocity: number, look?: () => void): Press | null {
   endJog();
-  if (velocity === 0 || working.value !== null) return;
+  if (velocity === 0 || working.value !== null) return null;
   clearTimeout(idleTimer);
-  const mine: Press = { axis, velocity, asked: false, answeredMs: null, askedMs: performance.now() };
+  const mine: Press = { axis, velocity, sent: velocity, look, asked: false, answeredMs: null, askedMs: performance.now() };
   press = mine;
   jogging.value = { axis, direction: Math.sign(velocity) };
-  if (held.value.includes(axis)) return requestJog(mine);
+  if (held.value.includes(axis)) {
+    requestJog(mine);
+    return mine;
+  }
   if (held.value.length > 0) release();
   keepAlive();
   void ask({ do: "acquire", axes: [axis] }).then((answer) => {
@@ -60,6 +71,16 @@ export function beginJog(axis: string, velocity: number): void {
     if (press === mine) requestJog(mine);
     else waitIdle();
   });
+  return mine;
+}
+
+export function isPressed(mine: Press): boolean {
+  return press === mine;
+}
+
+/** Another velocity (unit/s) in the same direction: it goes with the next renewal, and so begins nothing that has ended. */
+export function changeJog(mine: Press, velocity: number): void {
+  if (velocity * mine.velocity > 0) mine.velocity = velocity;
 }
 
 /** The pointer or the key has been let go: one frame, at once. */
@@ -75,17 +96,21 @@ const END_JOG = { do: "end-jog" };
 function requestJog(mine: Press): void {
   mine.asked = true;
   mine.askedMs = performance.now();
+  mine.sent = mine.velocity;
   void ask({ do: "jog", axis: mine.axis, velocity: mine.velocity }).then((answer) => noteAnswer(mine, answer));
   clearInterval(renewTimer);
   renewTimer = setInterval(() => renew(mine), RENEW_MS);
 }
 
 function renew(mine: Press): void {
+  mine.look?.();
   if (press !== mine) return clearInterval(renewTimer);
   const now = performance.now();
   const silent = now - (mine.answeredMs ?? mine.askedMs);
   if (mine.answeredMs !== null && silent < FRESH_MS) {
-    void ask({ do: "renew" }).then((answer) => noteAnswer(mine, answer));
+    const frame = mine.velocity === mine.sent ? { do: "renew" } : { do: "renew", velocity: mine.velocity };
+    mine.sent = mine.velocity;
+    void ask(frame).then((answer) => noteAnswer(mine, answer));
   } else if (silent > GIVE_UP_MS) {
     endJog();
     showNote(T.jog.ended(mine.axis), T.jog.noAnswer);

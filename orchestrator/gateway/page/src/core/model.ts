@@ -212,6 +212,13 @@ export interface LastStop {
   utc?: string;
 }
 
+/** A camera of the machine, of the fleet file. */
+export interface WebView {
+  title: string;
+  url: string;
+  kind: "image" | "page";
+}
+
 export interface State {
   fleet: string;
   utc: string;
@@ -228,6 +235,7 @@ export interface State {
   alarms?: Record<string, Alarm>;
   events?: FleetEvent[];
   last_stop?: LastStop;
+  views?: WebView[];
 }
 
 export interface Work {
@@ -432,6 +440,10 @@ export interface Template {
   file: string;
   description?: string;
   parameters: Parameter[];
+  /** How the fleet offers it as a button. */
+  button?: { label: string; group?: string | null } | null;
+  /** Why its job cannot be submitted, in words. */
+  problem?: string | null;
 }
 
 export interface Checked {

@@ -16,6 +16,11 @@ export function whyNot(verb: string, controller = ""): string {
   return controller ? whyNotController(controller) : "";
 }
 
+/** Whether jobs of this user wait for an approval. */
+export function proposes(): boolean {
+  return !(session.value?.may.includes("approve") ?? false);
+}
+
 function whyNotController(id: string): string {
   const controller = findController(id);
   if (controller === undefined) return T.why.unknownController(id);

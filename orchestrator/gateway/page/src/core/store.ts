@@ -20,6 +20,7 @@ import type {
   Permit,
   QueueState,
   State,
+  WebView,
 } from "./model.ts";
 import { isObject, mergePatch, type Json, type JsonObject } from "./patch.ts";
 import { Ring } from "./ring.ts";
@@ -138,6 +139,7 @@ export const members = signal<Record<string, Members>>({});
 export const alarms = signal<Record<string, Alarm>>({});
 export const events = signal<FleetEvent[]>([]);
 export const lastStop = signal<LastStop | undefined>(undefined);
+export const views = signal<WebView[]>([]);
 /** Whether a snapshot has come. */
 export const loaded = signal(false);
 /** Increases when new samples are in the rings. */
@@ -194,6 +196,7 @@ function publish(patch: JsonObject | null, nowMs: number): void {
     alarms.value = now.alarms ?? NOTHING;
     events.value = now.events ?? NO_LIST;
     lastStop.value = now.last_stop;
+    views.value = now.views ?? NO_LIST;
     const change = patch === null ? null : patch["controllers"];
     if (change !== undefined) takeControllers(now.controllers ?? {}, isObject(change ?? undefined) ? (change as JsonObject) : null);
     takeSamples(nowMs);

@@ -6,6 +6,8 @@ import { connection } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { AlarmsPanel } from "./alarmlist.tsx";
 import { AxisTable } from "./axes.tsx";
+import { ButtonsPanel } from "./buttons.tsx";
+import { CamerasPanel } from "./cameras.tsx";
 import { ClocksPanel } from "./clocks.tsx";
 import { CommandsPanel, ConfigurationPanel, RecordingsPanel } from "./configuration.tsx";
 import { EventsPanel } from "./eventlist.tsx";
@@ -19,6 +21,7 @@ import { LivePlots } from "./liveplots.tsx";
 import { Login } from "./login.tsx";
 import { Messages } from "./messages.tsx";
 import { PlanePanel } from "./plane.tsx";
+import { ConsolePanel } from "./console.tsx";
 import { DialogHost } from "./parts.tsx";
 import { PositionsPanel } from "./positions.tsx";
 import { PreparePanel } from "./prepare.tsx";
@@ -50,6 +53,8 @@ function ViewPanels(): JSX.Element {
       <div class="column">
         {runningJobs.value.length > 0 ? <JobPanel key="job" /> : null}
         <AxisTable key="axes" />
+        <CamerasPanel key="cameras" />
+        <ButtonsPanel key="buttons" />
         {runningJobs.value.length > 0 ? null : <JobPanel key="job" />}
         <QueuePanel key="queue" />
         <LivePlots key="plots" />
@@ -61,12 +66,14 @@ function ViewPanels(): JSX.Element {
       <>
         <div class="column">
           <AxisTable />
+          <CamerasPanel />
           <div class="pictures">
             <LivePlots />
             <PlanePanel />
           </div>
         </div>
         <div class="column right">
+          <ButtonsPanel />
           <JobPanel />
           <QueuePanel />
         </div>
@@ -82,6 +89,8 @@ function ViewPanels(): JSX.Element {
         <div class="column">
           <AxisTable onChoose={(axis) => (across.value = axis)} chosen={across.value} />
           <PlanePanel />
+          <CamerasPanel />
+          <ButtonsPanel />
           <PositionsPanel />
           <IoPanel />
         </div>
@@ -97,6 +106,7 @@ function ViewPanels(): JSX.Element {
       <ConfigurationPanel />
       <RecordingsPanel />
       <CommandsPanel />
+      <ConsolePanel />
     </>
   );
 }

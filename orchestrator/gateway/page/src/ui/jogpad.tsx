@@ -20,6 +20,7 @@ import { allAxes, findAxis, findController, jobs, leases, permits, queue, type A
 import { pageAge } from "../core/stream.ts";
 import { T } from "../texts.ts";
 import { holderOf } from "./axes.tsx";
+import { type AxisDrive, GamepadForm } from "./gamepad.tsx";
 import { Act, Empty, Mark, Panel, Progress } from "./parts.tsx";
 import { askRelease } from "./start.tsx";
 
@@ -58,6 +59,16 @@ function whyNotJog(axis: AxisStore): string {
     whyHeld(axis),
     flags.enabled ? "" : T.why.disabled(axis.id),
   );
+}
+
+/** An axis of the pad for a stick of a gamepad; full deflection is the chosen speed. */
+function makeDrive(axis: AxisStore): AxisDrive {
+  return {
+    axis: axis.id,
+    velocity: (part) => part * speed.value * jogSpeed(axis),
+    whyNot: () => whyNotJog(axis),
+    show: (part) => `${formatQuantity(part * speed.value * jogSpeed(axis), axis.flags.value.unit)}/s`,
+  };
 }
 
 function press(source: string, axis: AxisStore, direction: number): void {
@@ -233,6 +244,7 @@ export function JogPanel(): JSX.Element {
           onInput={(event) => (speed.value = FRACTIONS[Number(event.currentTarget.value)] ?? 0.2)}
         />
       </label>
+      <GamepadForm across={makeDrive(first)} upwards={second ? makeDrive(second) : undefined} />
       <WorkLine />
     </Panel>
   );

@@ -2,8 +2,9 @@
 
 import type { JSX } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { formatBytes } from "../core/format.ts";
+import { explain, formatBytes } from "../core/format.ts";
 import { get } from "../core/http.ts";
+import type { Refusal } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { controllers } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
@@ -20,6 +21,7 @@ interface TraceFrame {
 
 const MOST_FRAMES = 500;
 const REFRESH_MS = 1000;
+const RETRY_MS = 5000;
 
 export function LinksPanel(): JSX.Element {
   const [traced, setTraced] = useState("");
@@ -74,8 +76,10 @@ export function LinksPanel(): JSX.Element {
   );
 }
 
-function Trace({ controller }: { controller: string }): JSX.Element {
+/** `beside`: it stands beside something else, so that it says in its place why there is none, and goes on trying. */
+export function Trace({ controller, beside = false }: { controller: string; beside?: boolean }): JSX.Element {
   const [frames, setFrames] = useState<TraceFrame[] | null>(null);
+  const [refused, setRefused] = useState<Refusal | null>(null);
   const newest = useRef(0);
   useEffect(() => {
     let over = false;
@@ -83,6 +87,11 @@ function Trace({ controller }: { controller: string }): JSX.Element {
     const load = async (): Promise<void> => {
       const answer = await get<{ frames: TraceFrame[]; newest: number }>(`trace/${encodeURIComponent(controller)}?after=${newest.current}`);
       if (over) return;
+      setRefused(beside && "refused" in answer ? answer.refused : null);
+      if (beside && "refused" in answer) {
+        timer = setTimeout(() => void load(), RETRY_MS);
+        return;
+      }
       const part = accept(T.links.traceOf(controller), answer);
       if (part === null) return setFrames((before) => before ?? []);
       newest.current = part.newest;
@@ -98,6 +107,7 @@ function Trace({ controller }: { controller: string }): JSX.Element {
     };
   }, [controller]);
   const now = performance.now() / 1000;
+  if (refused !== null) return <p class="reason">{explain(refused)}</p>;
   if (frames === null) return <Empty text={T.loading} />;
   if (frames.length === 0) return <Empty text={T.links.noTrace} />;
   return (

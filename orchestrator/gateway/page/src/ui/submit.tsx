@@ -8,8 +8,7 @@ import { get, newKey, post } from "../core/http.ts";
 import { view } from "../core/look.ts";
 import type { Checked, Parameter, QueueTerms, Refusal, Template } from "../core/model.ts";
 import { accept, showNote, showRefusal } from "../core/notices.ts";
-import { firstOf, whyNot } from "../core/rights.ts";
-import { session } from "../core/stream.ts";
+import { firstOf, proposes, whyNot } from "../core/rights.ts";
 import { onPage, placeOnPage, T } from "../texts.ts";
 import { Act, closeDialog, Empty, Field, openDialog } from "./parts.tsx";
 import { ForecastSteps, PreviewPlots } from "./preview.tsx";
@@ -51,23 +50,25 @@ export function NewJob(): JSX.Element {
             <div class="cardtext">
               <b>{template.name}</b>
               <p class="reason">{template.description || template.file}</p>
+              {template.problem ? <p class="reason bad">{`▲ ${template.problem}`}</p> : null}
             </div>
-            <Act
-              label={T.submit.use}
-              name={T.submit.useOf(template.name)}
-              onAct={() =>
-                openDialog(
-                  T.submit.of(template.name),
-                  <JobForm key={template.file} source={{ template: template.file }} parameters={template.parameters} name={template.name} />,
-                  true,
-                )
-              }
-            />
+            <Act label={T.submit.use} name={T.submit.useOf(template.name)} onAct={() => openForm(template)} />
           </li>
         ))}
       </ul>
     </div>
   );
+}
+
+/** The form of a template, with its check and its drawing. */
+export function openForm({ name, file, parameters }: Template): void {
+  openDialog(T.submit.of(name), <JobForm key={file} source={{ template: file }} parameters={parameters} name={name} />, true);
+}
+
+/** Submit a checked job; whether it was taken. `key`: the same one is the same job. */
+export async function submitJob(name: string, job: Checked["job"], terms: QueueTerms, key: string): Promise<boolean> {
+  const answer = await post<{ job_id: string }>("submit", { job, client_key: key, terms }, key);
+  return accept(T.submit.of(name), answer) !== null;
 }
 
 /** Read a job file that was dropped or chosen. */
@@ -130,7 +131,6 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
     );
     return () => clearTimeout(timer);
   }, [values]);
-  const proposes = !(session.value?.may.includes("approve") ?? false);
   const problems = checked?.problems ?? [];
   const why = firstOf(
     whyNot("submit"),
@@ -140,12 +140,11 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
   );
   const submit = async (): Promise<void> => {
     setBusy(true);
-    const answer = await post<{ job_id: string }>("submit", { job: checked?.job, client_key: key.current, terms }, key.current);
+    const done = await submitJob(name, checked?.job, terms, key.current);
     setBusy(false);
-    const done = accept(T.submit.of(name), answer);
-    if (done === null) return;
+    if (!done) return;
     closeDialog();
-    if (proposes) showNote(T.submit.proposed(name));
+    if (proposes()) showNote(T.submit.proposed(name));
     else if (view.value !== "run") showNote(T.submit.submitted(name)); // there the queue shows it
   };
   return (
@@ -184,7 +183,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
       {problems.length === 0 ? <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} /> : null}
       <TermsForm terms={terms} onTerms={setTerms} />
       <div class="row finish">
-        <Act label={proposes ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
+        <Act label={proposes() ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
         {why ? <span class="hint">{why}</span> : null}
       </div>
     </div>
