@@ -38,6 +38,7 @@ from orchestrator.model.report import (
     StepRecording,
     StepReport,
 )
+from orchestrator.model.script import WrongValue
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
@@ -104,6 +105,7 @@ __all__ = [
     "Tutti",
     "TuttiError",
     "WaitInput",
+    "WrongValue",
     "load_fleet",
     "load_job",
 ]

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.outside_text import PLAIN_TEXT, SHOW_TEXT, show_json
+from orchestrator.model.outside_text import SHOW_TEXT, show_json
 
 ID_PATTERN = r"^[a-z0-9_-]+$"
 
@@ -21,7 +21,7 @@ def _make_cut(most: int) -> BeforeValidator:
     return BeforeValidator(lambda text: f"{text[: most - 1]}…" if isinstance(text, str) and len(text) > most else text)
 
 
-Label = Annotated[str, PLAIN_TEXT, Field(max_length=128)]
+Label = Annotated[str, SHOW_TEXT, Field(max_length=128)]
 """A name that a program makes: of a request, an event, a holder."""
 
 Actor = Annotated[str, SHOW_TEXT, _make_cut(128)]
