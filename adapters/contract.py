@@ -53,8 +53,9 @@ class ControllerIdentity:
 class AxisReading:
     """One axis as the controller reports it, in its counts.
 
-    position_lost: the counts may no longer match the position of the axis (an encoder failed, or a motor without an
-    encoder was off).
+    limit_inferred: the controller does not report its switches; that one is active is concluded from a motion that has
+    ended too early, and only the next motion can show whether it still is. position_lost: the counts may no longer
+    match the position of the axis (an encoder failed, or a motor without an encoder was off).
     """
 
     commanded_counts: int
@@ -63,6 +64,7 @@ class AxisReading:
     moving: bool
     enabled: bool
     limit: Literal["none", "forward", "reverse", "both"] = "none"
+    limit_inferred: bool = False
     position_lost: bool = False
 
 

@@ -55,6 +55,7 @@ class Smc30Poller:
             moving=is_moving,
             enabled=unit.enabled,
             limit=unit.limit,
+            limit_inferred=True,
             position_lost=unit.lost,
         )
         return ControllerReading(

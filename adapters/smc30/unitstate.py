@@ -51,7 +51,8 @@ class Smc30State:
     rest_counts: its position when it last was at rest.
     enabled: as set by the adapter; the controller cannot be queried for it.
     lost: K has stopped it in motion, so that its position is unknown (L1848-L1859).
-    limit: the end at which a motion has ended too early.
+    limit: the end at which a motion has ended too early, until a motion ends at its target, a jog begins, a reference
+    is found, or faults are cleared. The inputs at the ends of travel cannot be queried (L767-L827).
     program_error, overflow: reported by F, once.
     program: the program in working memory, as far as is known.
     live: whether V1 is answered in motion; None: not known yet.

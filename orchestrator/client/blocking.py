@@ -275,7 +275,8 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._run(self._wrapped.home(*axes, wait=wait))
 
     def enable(self, *axes: str, wait: bool = False) -> JobResult:
-        """Switch the motors of axes (groups, controllers) on. Raises `Refusal`, `JobFailed`."""
+        """Switch the motors of axes (groups, controllers) on; without any, of the whole fleet. Raises `Refusal`,
+        `JobFailed`."""
         return self._run(self._wrapped.enable(*axes, wait=wait))
 
     def disable(self, *axes: str, wait: bool = False) -> JobResult:

@@ -110,8 +110,10 @@ class StepRequests(JobRequests):
         return await self.run(Home(axes=list(axes) or None), wait=wait)
 
     async def enable(self, *axes: str, wait: bool = False) -> JobResult:
-        """Switch the motors of axes (groups, controllers) on. Raises `Refusal`, `JobFailed`."""
-        return await self.run(Enable(axes=list(axes)), wait=wait)
+        """Switch the motors of axes (groups, controllers) on; without any, of the whole fleet. Raises `Refusal`,
+        `JobFailed`."""
+        names = axes or (await self.list_names()).controllers
+        return await self.run(Enable(axes=list(names)), wait=wait)
 
     async def disable(self, *axes: str, wait: bool = False) -> JobResult:
         """Switch the motors of axes (groups, controllers) off. Raises `Refusal`, `JobFailed`."""

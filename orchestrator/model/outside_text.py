@@ -6,9 +6,6 @@ They are shown as escapes, `\x1b` or `\u202e`; new names that have one are refus
 """
 
 import re
-from typing import Any
-
-from pydantic import AfterValidator, BeforeValidator
 
 # C0, DEL and C1; soft hyphen; Arabic letter mark; zero width and directional marks; line and paragraph separators;
 # embeddings and overrides; word joiner, invisible operators and isolates; byte order mark; annotations; lone halves.
@@ -63,22 +60,10 @@ def _show_utf8(match: re.Match[bytes]) -> bytes:
     return b"\\" + show_text(match[0].decode()).encode()
 
 
-def _show_any(value: Any) -> Any:
-    return show_text(value) if isinstance(value, str) else value
-
-
-SHOW_TEXT = BeforeValidator(_show_any)
-"""For a free text of a request: a stop is not refused because its reason has a control character."""
-
-
-def _refuse_hidden(name: str) -> str:
-    found = _HIDDEN_TEXT.search(name)
-    if found is not None:
-        shown = show_text(name)
-        text = f'"{shown[:60]}" has a character that is not shown, {_show_character(found)}, at {found.start() + 1}'
-        raise ValueError(f"{text}; remove it")
-    return name
-
-
-PLAIN_TEXT = AfterValidator(_refuse_hidden)
-"""For a new name: what cannot be seen, or would be obeyed, is refused."""
+def explain_hidden(name: str) -> str:
+    """What is wrong with a new name that has a character that is not seen or would be obeyed; empty: nothing."""
+    match = _HIDDEN_TEXT.search(name)
+    if match is None:
+        return ""
+    text = f'"{show_text(name)[:60]}" has a character that is not shown, {_show_character(match)}, at'
+    return f"{text} {match.start() + 1}; remove it"

@@ -6,10 +6,10 @@ from pydantic import Field
 
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
-from orchestrator.model.outside_text import SHOW_TEXT
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass, TimeInterval
+from orchestrator.model.text_fields import SHOW_TEXT
 from orchestrator.model.units import Unit
 
 JobState = Literal[

@@ -151,7 +151,8 @@ class JogControl:
                 "jog more slowly" if is_referenced else "jog more slowly, or home it first",
             )
         counts_s = velocity * float(axis.counts_per_unit)
-        limit = reading.axes[name].limit
+        axis_reading = reading.axes[name]
+        limit = "none" if axis_reading.limit_inferred else axis_reading.limit
         if limit in ("both", "forward" if counts_s > 0 else "reverse"):
             raise Refusal("limit", f"axis {name} is on its {limit} limit switch", "jog in the other direction")
         end = self._end_counts(name, axis, counts_s, reading)

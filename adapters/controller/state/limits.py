@@ -39,7 +39,9 @@ def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *,
                 "plan again from the present position",
             )
         check_limits(name, axis, profile)
-        _check_limit_switch(name, axis_reading.limit, profile)
+        # A switch that is only inferred may have been released: it stops the next motion itself, and refuses none.
+        if not axis_reading.limit_inferred:
+            _check_limit_switch(name, axis_reading.limit, profile)
 
 
 def check_path_limits(status: ControllerStatus, profiles: Mapping[str, Profile]) -> None:

@@ -1,6 +1,6 @@
 """`tutti journal …`: check, back up, export and import the journal of a fleet."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from orchestrator.cli.base.errors import exit_with_error, expected_errors
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
+    from orchestrator.runtime.state.restore import ImportedState
 
 OUTPUT = click.Path(path_type=Path, dir_okay=False)
 
@@ -154,6 +155,10 @@ def import_(
         fields["checked"] = result.checked
         print_json({"state": str(folder), **fields, "controllers": epochs, "damages": damages})
         return
+    _print_lines(_describe_import(folder, result, epochs))
+
+
+def _describe_import(folder: Path, result: "ImportedState", epochs: Mapping[str, int]) -> list[str]:
     jobs = ", ".join(f"{count} {name}" for name, count in result.jobs.items()) or "none"
     lines = [f"{folder}: imported; epoch {result.epoch}; jobs: {jobs}"]
     lines += [] if result.checked else ["the export is of an earlier version: a change in it could not be seen"]
@@ -163,7 +168,7 @@ def import_(
         [f"epochs of controllers: {', '.join(f'{name} {epoch}' for name, epoch in epochs.items())}"] if epochs else []
     )
     lines += [f"damaged: {damage.place}: {damage.problem}\n  {damage.remedy}" for damage in result.damages]
-    _print_lines([*lines, "the queue is stopped: look which jobs still have to run, then `tutti queue start`"])
+    return [*lines, "the queue is stopped: look which jobs still have to run, then `tutti queue start`"]
 
 
 async def _find_epochs(tutti: "Tutti") -> dict[str, int]:

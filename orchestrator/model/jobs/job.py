@@ -6,11 +6,11 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from orchestrator.model.duration import Duration
-from orchestrator.model.outside_text import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.base import Step, require_in_files
 from orchestrator.model.steps.repeat import JobStep
 from orchestrator.model.steps.tree import iterate_steps
+from orchestrator.model.text_fields import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.triggers import check_job_outputs
 
 UNKNOWN_ACTOR = "unknown"

@@ -9,7 +9,6 @@ from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of
-from orchestrator.model.outside_text import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, Utc
 from orchestrator.model.report import (
     JobProgress,
@@ -22,6 +21,7 @@ from orchestrator.model.report import (
     StepReport,
 )
 from orchestrator.model.steps.points import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
+from orchestrator.model.text_fields import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.units import Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one

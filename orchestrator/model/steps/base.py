@@ -10,11 +10,11 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
-from orchestrator.model.outside_text import PLAIN_TEXT
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
+from orchestrator.model.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity
 
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]

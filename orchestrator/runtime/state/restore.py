@@ -70,14 +70,14 @@ def _import_opened(source: BinaryIO, file: Path, folder: Path, wishes: ImportWis
             raise JournalError(f"{folder}: it has a journal already", REMEDY_REPLACE)
         with TemporaryDirectory(prefix=".import-", dir=folder) as scratch:
             fresh = Path(scratch)
-            checked = _unpack(source, str(file), fresh, wishes)
+            has_checksum = _unpack(source, str(file), fresh, wishes)
             epoch = _find_epoch(fresh, folder, wishes.seen)
             damages = _prepare_journal(fresh / JOURNAL, file, epoch, wishes)
             jobs = check_journal(fresh / JOURNAL).jobs
             old_folder = _set_aside(folder, wishes.utc)
             left_out = _move_files(fresh, folder)
         sync_folder(folder)
-        return ImportedState(epoch, jobs, old_folder, left_out, damages, checked)
+        return ImportedState(epoch, jobs, old_folder, left_out, damages, has_checksum)
     finally:
         lock.release()
 
