@@ -99,6 +99,13 @@ class LeaderRule(AlarmRule):
     )
 
 
+class UnknownRule(AlarmRule):
+    """Controllers that the fleet file does not have publish states: one alarm, with their number and the last."""
+
+    priority: AlarmPriority = "medium"
+    for_: Duration = Field(default=NS_PER_S, alias="for", description="Those that come within it are counted.")
+
+
 class NoticeRule(AlarmRule):
     """The command of `notify` fails again and again."""
 
@@ -122,6 +129,7 @@ class AlarmRules(Model):
     following_error: FollowingRule = Field(default_factory=FollowingRule)
     second_leader: LeaderRule = Field(default_factory=LeaderRule)
     double_answer: LeaderRule = Field(default_factory=LeaderRule)
+    unknown_controller: UnknownRule = Field(default_factory=UnknownRule)
     notify: NoticeRule = Field(default_factory=NoticeRule)
     other: AlarmRule = Field(
         default_factory=AlarmRule, description="Alarms of other processes; each of them states its priority."

@@ -322,6 +322,24 @@ def test_links_that_break_often_and_forged_leaders_are_alarms() -> None:
     run_fleet(main, fleet_with())
 
 
+def test_states_of_controllers_that_the_fleet_does_not_have_are_one_alarm_and_nothing_else() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        real_state = (await client.status())["gantry"]
+        for number in range(3):
+            forged_state = real_state.model_copy(update={"controller": f"ghost{number}", "mode": "moving"})
+            client.bus.put(client.keys.state(f"ghost{number}"), forged_state.to_json(), Priority.EVENT)
+        await wait_s(fleet, 2)
+        (alarm,) = [alarm for alarm in await client.list_alarms() if alarm.kind == "unknown-controller"]
+        assert alarm.text == "3 controllers publish states that the fleet file does not have; the last one is ghost2"
+        assert "ghost0" not in await client.status()
+        await client.wait_for_job(await client.submit(PREPARE))
+        await wait_s(fleet, 15)
+        assert (await states(fleet))["unknown-controller-fleet"] == "returned"
+
+    run_fleet(main, fleet_with())
+
+
 def test_ten_steps_near_their_budget_raise_one_alarm() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)

@@ -213,6 +213,24 @@ def test_a_hung_router_stops_everything_and_work_continues(shared: RunningFleet)
 
 
 @pytest.mark.nightly
+def test_a_router_that_hangs_in_a_motion_and_stays_so_is_restarted(shared: RunningFleet) -> None:
+    """The last states that arrived say that axes move, for ever; they are at rest half a second later."""
+    shared.bring_back()
+    job_id = shared.slow_move()
+    router = shared.pid("orchestrator.bus.zenoh.router")
+    os.kill(router, signal.SIGSTOP)
+    stopped_ns = raw_ns()
+    for name in SLOW_AXES:
+        shared.rest_ns(name)
+    wait_until(lambda: router not in shared.family(), "the router that hangs is ended")
+    shared.works()
+    took_s = (raw_ns() - stopped_ns) / 1e9
+    assert shared.wait(job_id).state in BROKEN_OFF
+    shared.bring_back()
+    note("works_again_s", took_s)
+
+
+@pytest.mark.nightly
 def test_a_killed_simulator_stops_the_others_and_comes_back(shared: RunningFleet) -> None:
     shared.bring_back()
     job_id = shared.slow_move()

@@ -22,7 +22,7 @@ from orchestrator.model.operation.alarms import AlarmRecord
 
 TICK_NS = NS_PER_S
 # Nothing reports that they are over.
-FLEETING = ("second-leader", "double-answer", "notify", "disk", "link-errors", "version")
+FLEETING = ("second-leader", "double-answer", "notify", "disk", "link-errors", "version", "unknown-controller")
 
 
 class AlarmService:
@@ -51,6 +51,7 @@ class AlarmService:
         self.note_write = keep_apart(access.tasks, self._service.note_write)
         self.note_contradiction = keep_apart(access.tasks, self._service.note_contradiction)
         self.note_double_answer = keep_apart(access.tasks, self._service.note_double_answer)
+        view.on_unknown = keep_apart(access.tasks, self._service.note_unknown)
         self.note_version = keep_apart(access.tasks, self._service.note_version)
         self.register.explain_absence = lambda record: _explain_reservation(find_reserved(), record)
         self.register.needs_notice = self._notifier.needs_notice

@@ -20,6 +20,7 @@ REQUEST_NS = 120 * NS_PER_S  # an alarm that another process does not repeat for
 VERSION_NS = 10 * NS_PER_S  # the alarm is over when no state of the refused adapter has come for this long
 MAX_SOURCES, MAX_REQUESTED = 20, 20  # processes that raise alarms, and alarms of each that are not normal
 MAX_SOURCE = 130  # characters of the name of a process
+MAX_UNKNOWN = 1000  # names that are counted
 MB = 1_000_000
 
 FindFree = Callable[[], Awaitable[int | None]]
@@ -37,6 +38,7 @@ class ServiceAlarms:
         self._log = log
         self._rules = rules
         self._looked_ns: int | None = None
+        self._unknown_names: set[str] = set()
 
     # Journal and disk
 
@@ -71,6 +73,16 @@ class ServiceAlarms:
         """A controller is not adopted, because its adapter is of another version; called with each of its states."""
         cause = AlarmCause("version", controller, refusal.text, refusal.remedy)
         self._conditions.report(cause, holds=True, for_ns=VERSION_NS)
+
+    def note_unknown(self, controller: str) -> None:
+        """A controller that the fleet file does not have publishes states, which count for nothing: one alarm."""
+        if len(self._unknown_names) < MAX_UNKNOWN:
+            self._unknown_names.add(controller)
+        count = len(self._unknown_names)
+        names = "a controller publishes" if count == 1 else f"{count} controllers publish"
+        text = f"{names} states that the fleet file does not have; the last one is {controller}"
+        action = "end its adapter host, add it to the fleet file, or find the process that sends them"
+        self._conditions.report(AlarmCause("unknown-controller", "fleet", text, action), holds=True, for_ns=VERSION_NS)
 
     def note_double_answer(self, key: str) -> None:
         """Two processes have answered on one key."""

@@ -64,6 +64,8 @@ class FleetView:
         self._awaited: dict[str, tuple[str, int]] = {}
         self._listeners: list[EventListener] = []
         self._state_listeners: list[Callable[[ControllerState], None]] = []
+        self.on_unknown: Callable[[str], None] = lambda _: None
+        """Called with the name of a controller that publishes states, and that the fleet file does not have."""
         self._declared: list[BusDeclaration] = []
         self._tasks = TaskOwner()
 
@@ -169,6 +171,7 @@ class FleetView:
 
     def _store_state(self, state: ControllerState) -> None:
         if state.controller not in self.fleet.controllers:
+            self.on_unknown(state.controller)
             return
         self._states[state.controller] = state
         self._heard_ns[state.controller] = self._clock.now_ns()

@@ -41,6 +41,14 @@ def show_views(fleet: Fleet | None) -> dict[str, Any]:
     return {"views": views} if views else {}
 
 
+def show_leader(leader: tuple[int, LeaderHeartbeat] | None, now_ns: int) -> dict[str, Any]:
+    """The coordinator that leads. leader: its last heartbeat, and when that was received."""
+    if leader is None or now_ns - leader[0] > LEADER_NS:
+        return {"present": False}
+    heartbeat = leader[1]
+    return {"present": True, "name": heartbeat.coordinator[:8], "epoch": heartbeat.epoch}
+
+
 class FleetState:
     """Pass each sample to `take_sample`; `compose` returns the state.
 
@@ -158,6 +166,8 @@ class FleetState:
         """Store the configuration of the fleet."""
         self.fleet = fleet
         self._shown.clear()
+        for name in self._received_ns.keys() - fleet.controllers.keys():
+            del self._received_ns[name]
 
     def _split_key(self, key: str) -> tuple[str, str]:
         chunks = key.removeprefix(f"{self._keys.prefix}/").split("/")
@@ -165,6 +175,9 @@ class FleetState:
 
     def _take_state(self, sample: BusSample) -> None:
         controller = sample.key.split("/")[-2]
+        if self.fleet is not None and controller not in self.fleet.controllers:
+            self.on_unknown_digest()  # a new file may have it; until then nothing of it is shown
+            raise KeyError(controller)
         if len(self._received_ns) >= MAX_CONTROLLERS and controller not in self._received_ns:
             raise KeyError(controller)
         self._keep_state(controller)
@@ -220,7 +233,7 @@ class FleetState:
         state: dict[str, Any] = {
             "fleet": self._keys.fleet,
             "utc": f"{self._clock.utc()[:19]}Z",
-            "coordinator": self._show_leader(now_ns),
+            "coordinator": show_leader(self._leader, now_ns),
             "controllers": {name: self._show_controller(name, now_ns) for name in sorted(self._received_ns)},
             "leases": dict(self._leases),
             "jobs": {job_id: drop_nulls(job.to_plain()) for job_id, job in self._jobs.items()},
@@ -237,12 +250,6 @@ class FleetState:
         if self._last_stop is not None:
             state["last_stop"] = self._last_stop
         return state
-
-    def _show_leader(self, now_ns: int) -> dict[str, Any]:
-        if self._leader is None or now_ns - self._leader[0] > LEADER_NS:
-            return {"present": False}
-        heartbeat = self._leader[1]
-        return {"present": True, "name": heartbeat.coordinator[:8], "epoch": heartbeat.epoch}
 
     def _show_controller(self, name: str, now_ns: int) -> dict[str, Any]:
         shown_controller = self._shown.get(name)

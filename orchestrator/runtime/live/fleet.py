@@ -172,7 +172,7 @@ class LiveFleet:
                 await self._start_child(STANDBY, coordinator.command)
             await self._beside
             restart = self._restart_router if "router" in self.children else None
-            watch = watch_live_router(self.connect, self.fleet.fleet, restart, self.say)
+            watch = watch_live_router(self.connect, self.fleet, restart, self.say)
             self._router_watch.spawn(watch)
             self._manager.notify(READY)
         except BaseException:

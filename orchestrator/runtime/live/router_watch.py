@@ -4,6 +4,10 @@ Such a router accepts connections and never answers (`eclipse-zenoh/zenoh#2735`,
 nothing, until a process restarts or a person wants to stop it from a shell. So a session is opened every ten seconds. A
 router that does not answer three times in turn is an alarm, and is restarted: at once if nothing moves, otherwise when
 the fleet rests, because a restart takes all sessions from all processes.
+
+A router can also serve no session at all. Then the last states that arrived may say that an axis moves, and no other
+ever comes. Such a state counts for as long as a motion can last without the router: the adapters miss the coordinator,
+and brake.
 """
 
 from collections.abc import Awaitable, Callable
@@ -11,12 +15,15 @@ from dataclasses import dataclass, field
 
 from pydantic import ValidationError
 
+from adapters.host.leader_watch import COORDINATOR_LOST_NS
 from orchestrator.bus.base import BusSample, Priority
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.probe import probe_router
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.live import LiveClock
+from orchestrator.coordinator.fleet.view import OTHER_NS, SILENT_NS
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.operation.alarms import AlarmRequest
 from orchestrator.model.state import RESTING_MODES, ControllerState
 
@@ -28,11 +35,28 @@ REPEAT_NS = 60 * NS_PER_S  # an alarm that is not repeated for two minutes is ov
 ROLE, ID = "coordinator", "router-watch"  # of the alarm: `tutti up` has the identity of its coordinator
 
 
+def find_longest_stop_ns(fleet: Fleet) -> int:
+    """For how long an axis can move when nothing reaches its adapter any more, until that has published its rest: the
+    watchdog of the coordinator, the longest ramp of an axis, and the longest silence of an adapter that works."""
+    limits = [axis.limits for config in fleet.controllers.values() for axis in config.axes.values()]
+    ramps_s = (
+        limit.velocity / limit.acceleration + (limit.acceleration / limit.jerk if limit.jerk else 0.0)
+        for limit in limits
+    )
+    neighbours = len(fleet.controllers) - 1
+    return COORDINATOR_LOST_NS + round(max(ramps_s) * NS_PER_S) + SILENT_NS + OTHER_NS * neighbours
+
+
 @dataclass(slots=True)
 class FleetRest:
-    """Whether a fleet rests, by the last state of each controller."""
+    """Whether a fleet rests, by the last state of each controller.
 
-    _busy: set[str] = field(default_factory=set[str])
+    counts_ns: for how long a state in motion is what is known: see `find_longest_stop_ns`.
+    """
+
+    clock: Clock
+    counts_ns: int
+    _busy_ns: dict[str, int] = field(default_factory=dict[str, int])
 
     def receive_state(self, sample: BusSample) -> None:
         """Take a state; one that cannot be read changes nothing."""
@@ -40,26 +64,31 @@ class FleetRest:
             state = ControllerState.read_message(sample.payload)
         except ValidationError:
             return
-        (self._busy.discard if state.mode in RESTING_MODES else self._busy.add)(state.controller)
+        if state.mode in RESTING_MODES:
+            self._busy_ns.pop(state.controller, None)
+        else:
+            self._busy_ns[state.controller] = self.clock.now_ns()
 
-    def is_moving(self) -> bool:
-        """Whether a controller moves, or is about to."""
-        return bool(self._busy)
+    def list_moving(self) -> list[str]:
+        """The controllers that move, or are about to."""
+        oldest_ns = self.clock.now_ns() - self.counts_ns
+        self._busy_ns = {name: at_ns for name, at_ns in self._busy_ns.items() if at_ns >= oldest_ns}
+        return sorted(self._busy_ns)
 
 
 @dataclass(slots=True)
 class RouterWatch:
     """Watches the router at `endpoint`.
 
-    probe: opens a session and closes it; returns why that failed, "" if it did not. is_moving: whether an axis moves,
-    or may, as far as sessions from before show. raise_alarm: publishes an alarm on such a session. restart: None for a
-    router of others, which is an alarm only. say: for people.
+    probe: opens a session and closes it; returns why that failed, "" if it did not. list_moving: the controllers that
+    move, or may, as far as sessions from before show. raise_alarm: publishes an alarm on such a session. restart: None
+    for a router of others, which is an alarm only. say: for people.
     """
 
     endpoint: str
     clock: Clock
     probe: Callable[[], Awaitable[str]]
-    is_moving: Callable[[], bool]
+    list_moving: Callable[[], list[str]]
     raise_alarm: Callable[[AlarmRequest], None]
     restart: Callable[[], Awaitable[None]] | None
     say: Callable[[str], None]
@@ -83,9 +112,11 @@ class RouterWatch:
         self._report(active=True)
         if self.restart is None:
             return
-        if self.is_moving():
-            self.say("the router is restarted when the fleet rests")
-        while self.is_moving():
+        said_names: list[str] = []
+        while names := self.list_moving():
+            if names != said_names:
+                self.say(f"the router is restarted when the fleet rests; not at rest: {', '.join(names)}")
+            said_names = names
             self._report(active=True)
             await sleep_ns(self.clock, REST_NS)
         self.say(f"restarting the router at {self.endpoint}")
@@ -115,10 +146,11 @@ class RouterWatch:
 
 
 async def watch_live_router(
-    endpoint: str, fleet: str, restart: Callable[[], Awaitable[None]] | None, say: Callable[[str], None]
+    endpoint: str, fleet: Fleet, restart: Callable[[], Awaitable[None]] | None, say: Callable[[str], None]
 ) -> None:
     """Watch the router of a fleet that runs, until cancelled. Raises `RouterUnreachable` if it does not answer now."""
-    keys, fleet_rest = FleetKeys(fleet), FleetRest()
+    clock = LiveClock()
+    keys, fleet_rest = FleetKeys(fleet.fleet), FleetRest(clock, find_longest_stop_ns(fleet))
     bus = await open_bus(endpoint)
 
     async def probe() -> str:
@@ -131,9 +163,9 @@ async def watch_live_router(
         await bus.subscribe(keys.state(), fleet_rest.receive_state)
         await RouterWatch(
             endpoint=endpoint,
-            clock=LiveClock(),
+            clock=clock,
             probe=probe,
-            is_moving=fleet_rest.is_moving,
+            list_moving=fleet_rest.list_moving,
             raise_alarm=raise_alarm,
             restart=restart,
             say=say,

@@ -7,9 +7,13 @@ from typing import Any
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.operation.alarms import AlarmRequest
 from orchestrator.model.state import ControllerState, Mode
-from orchestrator.runtime.live.router_watch import FleetRest, RouterWatch
+from orchestrator.runtime.examples import find_example
+from orchestrator.runtime.live.router_watch import FleetRest, RouterWatch, find_longest_stop_ns
+
+DEMO = load_fleet(find_example("demo.fleet.yaml"))
 
 
 @dataclass
@@ -39,7 +43,13 @@ def watch(main: Callable[[World], Coroutine[Any, Any, None]], *, own: bool = Tru
         world = World(clock)
         restart = world.restart if own else None
         router = RouterWatch(
-            "tcp/r", clock, world.probe, lambda: world.moving, world.raise_alarm, restart, world.said.append
+            "tcp/r",
+            clock,
+            world.probe,
+            lambda: ["gantry"] if world.moving else [],
+            world.raise_alarm,
+            restart,
+            world.said.append,
         )
         clock.loop.create_task(router.run())
         await main(world)
@@ -74,6 +84,8 @@ def test_while_the_fleet_moves_it_waits_and_keeps_the_alarm() -> None:
 
     world = watch(main)
     assert len(world.restarts_ns) == 1 and world.alarms[-1] is False
+    waiting = "the router is restarted when the fleet rests; not at rest: gantry"
+    assert world.said.count(waiting) == 1
 
 
 def test_one_failure_is_none() -> None:
@@ -100,31 +112,64 @@ def test_a_router_of_others_is_an_alarm_only() -> None:
     assert world.alarms[0] is True and world.alarms[-1] is False and len(world.said) == 1
 
 
+def make_sample(controller: str, mode: Mode) -> BusSample:
+    state = ControllerState(
+        controller=controller,
+        instance="i",
+        seq=1,
+        utc="",
+        fleet_ns=None,
+        mode=mode,
+        axes={},
+        inputs={},
+        outputs={},
+        faults=[],
+        clock=None,
+        estop=None,
+        epoch=1,
+        digest="",
+    )
+    return BusSample("k", state.to_json())
+
+
 def test_a_fleet_rests_when_each_controller_does() -> None:
-    rest = FleetRest()
+    async def main(clock: VirtualClock) -> None:
+        rest = FleetRest(clock, NS_PER_S)
+        rest.receive_state(make_sample("a", "moving"))
+        rest.receive_state(make_sample("b", "idle"))
+        assert rest.list_moving() == ["a"]
+        rest.receive_state(BusSample("k", b"not a state"))
+        rest.receive_state(make_sample("a", "offline"))
+        assert not rest.list_moving()
 
-    def receive(controller: str, mode: Mode) -> None:
-        state = ControllerState(
-            controller=controller,
-            instance="i",
-            seq=1,
-            utc="",
-            fleet_ns=None,
-            mode=mode,
-            axes={},
-            inputs={},
-            outputs={},
-            faults=[],
-            clock=None,
-            estop=None,
-            epoch=1,
-            digest="",
+    run_virtual(main)
+
+
+def test_a_state_in_motion_counts_no_longer_than_a_motion_without_the_router_lasts() -> None:
+    """A router that hangs in a motion, and one forged state of a controller that does not exist."""
+
+    async def main(clock: VirtualClock) -> None:
+        longest_ns = find_longest_stop_ns(DEMO)
+        assert 1.2 * NS_PER_S < longest_ns < 5 * NS_PER_S
+        rest = FleetRest(clock, longest_ns)
+        world = World(clock)
+        restart = world.restart
+        router = RouterWatch(
+            "tcp/r", clock, world.probe, rest.list_moving, world.raise_alarm, restart, world.said.append
         )
-        rest.receive_state(BusSample("k", state.to_json()))
+        clock.loop.create_task(router.run())
+        for name in ("gantry", "forged"):
+            rest.receive_state(make_sample(name, "moving"))
+        world.deaf = True
+        await seconds(world, 30)
+        assert len(world.restarts_ns) == 1
 
-    receive("a", "moving")
-    receive("b", "idle")
-    assert rest.is_moving()
-    rest.receive_state(BusSample("k", b"not a state"))
-    receive("a", "offline")
-    assert not rest.is_moving()
+        # States that arrive keep it from being restarted.
+        world.deaf = True
+        for _ in range(60):
+            rest.receive_state(make_sample("gantry", "moving"))
+            await seconds(world, 1)
+        assert len(world.restarts_ns) == 1
+        assert world.said[-1].endswith("not at rest: gantry")
+
+    run_virtual(main)
