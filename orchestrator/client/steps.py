@@ -20,6 +20,8 @@ from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobResult
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.service import FleetNames
+from orchestrator.model.messages import Request
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry
 from orchestrator.model.steps.base import Step
@@ -112,8 +114,10 @@ class StepRequests(JobRequests):
     async def enable(self, *axes: str, wait: bool = False) -> JobResult:
         """Switch the motors of axes (groups, controllers) on; without any, of the whole fleet. Raises `Refusal`,
         `JobFailed`."""
-        names = axes or (await self.list_names()).controllers
-        return await self.run(Enable(axes=list(names)), wait=wait)
+        if not axes:
+            names = await self.request_service("names", Request(**self.request_fields()), FleetNames)
+            axes = tuple(names.controllers)
+        return await self.run(Enable(axes=list(axes)), wait=wait)
 
     async def disable(self, *axes: str, wait: bool = False) -> JobResult:
         """Switch the motors of axes (groups, controllers) off. Raises `Refusal`, `JobFailed`."""
