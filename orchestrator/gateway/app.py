@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from starlette.applications import Starlette
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Scope
 from starlette.websockets import WebSocket
 
 from orchestrator.bus.log import ProcessLog
@@ -89,7 +89,13 @@ class Gateway:
             "check-fleet": self._check_fleet,
         }
         app = Starlette(routes=self._make_routes())
-        self.guard = Guard(app, options.port, secure=options.secure, views=lambda: list_views(self.hub.state.fleet))
+        self.guard = Guard(
+            app,
+            options.port,
+            self._is_signed_in,
+            secure=options.secure,
+            views=lambda: list_views(self.hub.state.fleet),
+        )
         self.guard.admit(options.names)
         self.app: ASGIApp = self.guard
 
@@ -142,6 +148,8 @@ class Gateway:
                 return make_refusal_response(error.refusal, error.status)
             except NotSignedIn as error:
                 return make_refusal_response(error, 401)
+            except ClientDisconnect:
+                return Response(status_code=400)  # which nothing receives any more
             except Refusal as error:
                 return make_refusal_response(error)
             except Exception as error:
@@ -155,6 +163,14 @@ class Gateway:
         headers = connection.headers
         address = connection.client.host if connection.client is not None else "local"
         return self._authentication.identify(address, headers.get("cookie", ""), headers.get("authorization", ""))
+
+    def _is_signed_in(self, scope: Scope) -> bool:
+        """Whether a request comes with a right, before anything of its body is read."""
+        try:
+            self._identify(HTTPConnection(scope))
+        except NotSignedIn:
+            return False
+        return True
 
     async def _authorise(self, request: Request, verb: str) -> tuple[Identity, dict[str, Any]]:
         """The identity behind a POST that may use `verb`, and its body. Raises `Refusal`, `RefusedRequest`."""
