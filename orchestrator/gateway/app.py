@@ -76,7 +76,7 @@ class Gateway:
         self._authentication = Authentication(
             UserFile(options.users), clock, execute, options.new_secret, open_without_users=not options.names
         )
-        self._commands = FleetCommands(tutti, log, execute, self._note_stop)
+        self._commands = FleetCommands(tutti, clock, log, execute, self._note_stop)
         self._commands.known_controllers = lambda: self.hub.state.controllers
         self._files = JobFiles(options.jobs, execute)
         self._reads = FleetReads(self._commands, self.hub, self._files, options.recordings, execute)

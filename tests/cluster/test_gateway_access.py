@@ -372,7 +372,33 @@ def test_a_repeated_key_is_the_same_request(tmp_path: Path) -> None:
         third = await gateway.post("/v1/submit", {"job": JOB}, {"idempotency-key": "two"})
         assert first.json["job_id"] == second.json["job_id"] != third.json["job_id"]
         answer = await gateway.post("/v1/submit", {"job": JOB | {"name": "other"}}, key)
-        assert (answer.status, answer.refused) == (409, "key-reused")
+        assert (answer.status, answer.refused) == (409, "key-used")
+        assert " by operator@127.0.0.1 for another request" in answer.json["refused"]["text"]
+
+    run_with_gateway(main)
+
+
+def test_the_key_of_another_user_gives_no_job_of_that_user(tmp_path: Path) -> None:
+    """A proposer that guesses the key of tonight's job must not put its own in the place of it."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, **USERS)
+        evil, good = JOB | {"name": "evil"}, JOB | {"name": "good"}
+        paul, olga = await gateway.sign_in("paul"), await gateway.sign_in("olga")
+        for headers in ({"idempotency-key": "nightly-1"}, {}):
+            keys = {} if headers else {"client_key": "nightly-1"}
+            first = await gateway.post("/v1/submit", {"job": evil, **keys}, {**paul, **headers})
+            second = await gateway.post("/v1/submit", {"job": good, **keys}, {**olga, **headers})
+            third = await gateway.post("/v1/submit", {"job": good, **keys}, {**olga, **headers})
+            assert (first.status, second.status, third.status) == (200, 200, 200)
+            assert second.json["entry"]["name"] == "good"
+            assert first.json["job_id"] != second.json["job_id"] == third.json["job_id"]
+        # Of the same user: another job, or other terms, are refused; its tokens and computers share its keys.
+        for body in ({"job": evil}, {"job": good, "terms": {"priority": 3}}):
+            answer = await gateway.post("/v1/submit", body | {"client_key": "nightly-1"}, olga)
+            assert (answer.status, answer.refused) == (409, "key-used")
+            assert " by olga@127.0.0.1 for another request" in answer.json["refused"]["text"]
+        assert len((await gateway.get("/v1/jobs", olga)).json["jobs"]) == 4
 
     run_with_gateway(main)
 
