@@ -13,6 +13,7 @@ from orchestrator.coordinator.jobs.queue.times import MISSED_AFTER
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
+from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
@@ -59,7 +60,7 @@ class JobIntake:
         if record.state not in FINISHED_STATES:
             text = f"job {record.id} is {record.state}; only a finished job can be re-run"
             raise Refusal("not-ended", text, "wait for its end, or cancel it")
-        terms = request.terms or QueueTerms(repeat=record.repeat)
+        terms = await self._keep_proposal(record, request.terms or QueueTerms(repeat=record.repeat))
         order = _order_steps(job, terms)
         from_step = _find_first_step(record.id, order, request)
         resolver = services.positions.make_resolver()
@@ -125,6 +126,18 @@ class JobIntake:
         entry = self._scheduler.publisher.make_entry(row)
         cause = self._scheduler.starts.describe_cause(job_id) if fresh else ""
         return JobSubmitted(job_id=job_id, entry=entry.model_copy(update={"reason": cause or entry.reason}))
+
+    async def _keep_proposal(self, record: JobRecord, terms: QueueTerms) -> QueueTerms:
+        """The terms of a re-run: of a job that was proposed and whose plan was never approved it is one again."""
+        if not record.proposed or terms.proposed:
+            return terms
+        services = self._services
+        try:
+            approval = await services.execute(services.journal.approvals.load_approval, record.id)
+        except DamagedRecord:  # which counts as none
+            approval = None
+        is_approved = approval is not None and not approval.void
+        return terms if is_approved else terms.model_copy(update={"proposed": True})
 
     async def _describe_job(self, job_id: str) -> JobSubmitted:
         """The answer to a request that is repeated: the job of the first one, as it is now."""
