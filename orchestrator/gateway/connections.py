@@ -82,11 +82,11 @@ class ConnectionTable:
             self._closed.clear()
 
     def _limit_address(self, address: str, now_s: float) -> None:
-        own = [
+        candidates = [
             connection for connection in self.connections if connection.address == address and not connection.signed_in
         ]
-        own.sort(key=lambda connection: connection.rank)
-        for connection in own[: max(0, len(own) - MAX_NOT_SIGNED_IN)]:
+        candidates.sort(key=lambda connection: connection.rank)
+        for connection in candidates[: max(0, len(candidates) - MAX_NOT_SIGNED_IN)]:
             if now_s - connection.begun_s >= GRACE_S:
                 self._end(connection)
 

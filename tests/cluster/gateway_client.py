@@ -39,6 +39,13 @@ class Answer:
     status: int
     headers: dict[str, str]
     body: bytes
+    set_cookies: list[str] = field(default_factory=list)
+
+    @property
+    def cookies(self) -> dict[str, tuple[str, ...]]:
+        """The cookies that it sets: value, and attributes in the order of their names."""
+        parts = [[part.strip() for part in cookie.split(";")] for cookie in self.set_cookies]
+        return {first.partition("=")[0]: (first.partition("=")[2], *sorted(more)) for first, *more in parts}
 
     @property
     def json(self) -> Any:
@@ -199,6 +206,7 @@ class VirtualGateway:
         async def send(message: dict[str, Any]) -> None:
             if message["type"] == "http.response.start":
                 answer.status = message["status"]
+                answer.set_cookies = [value.decode() for name, value in message["headers"] if name == b"set-cookie"]
                 answer.headers = {name.decode().lower(): value.decode() for name, value in message["headers"]}
             else:
                 answer.body += message.get("body", b"")

@@ -96,8 +96,8 @@ def test_without_a_session_nothing_is_answered(tmp_path: Path) -> None:
         gateway = await open_gateway(fleet, tmp_path, olga="operator")
         for headers in (
             {},
-            {"cookie": "tutti_session=forged"},
-            {"cookie": "tutti_session=" + "x" * 5000},
+            {"cookie": "tutti_session_demo_8080=forged"},
+            {"cookie": "tutti_session_demo_8080=" + "x" * 5000},
             {"cookie": "\x00;;==;"},
             {"authorization": "Bearer tutti_olga_forged"},
             {"authorization": "Bearer"},
@@ -359,6 +359,31 @@ def test_a_body_that_is_not_right_is_refused(tmp_path: Path, body: bytes, header
         answer = await gateway.request("POST", "/v1/submit", body, headers)
         assert answer.status == status, answer.body
         assert answer.json["refused"]["text"]
+
+    run_with_gateway(main)
+
+
+def test_wrong_passwords_of_others_keep_no_browser_out_that_was_signed_in_before(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, **USERS)
+        answer = await gateway.post("/v1/login", {"user": "olga", "password": PASSWORD})
+        cookies = answer.cookies
+        assert {name: value[1:] for name, value in cookies.items()} == {
+            "tutti_known_demo_8080_olga": ("HttpOnly", "Max-Age=34560000", "Path=/", "SameSite=strict"),
+            "tutti_session_demo_8080": ("HttpOnly", "Max-Age=604800", "Path=/", "SameSite=strict"),
+        }
+        known = {"cookie": f"tutti_known_demo_8080_olga={cookies['tutti_known_demo_8080_olga'][0]}"}
+        for _ in range(20):
+            answer = await gateway.post("/v1/login", {"user": "olga", "password": "wrong password"})
+            assert answer.refused in ("wrong-password", "too-many-tries")
+        right = {"user": "olga", "password": PASSWORD}
+        for headers, status in (({}, 429), ({"cookie": "tutti_known_demo_8080_olga=forged.mark"}, 429), (known, 200)):
+            assert (await gateway.post("/v1/login", right, headers)).status == status
+        # The mark is no session, and not another user's.
+        assert (await gateway.get("/v1/session", known)).status == 401
+        assert (
+            await gateway.get("/v1/session", {"cookie": f"tutti_session={cookies['tutti_session_demo_8080'][0]}"})
+        ).status == 401
 
     run_with_gateway(main)
 

@@ -27,7 +27,7 @@ from orchestrator.gateway import (
     reads,
     server,
 )
-from orchestrator.gateway.access import authentication, users
+from orchestrator.gateway.access import authentication, sign_in_limits, users
 from orchestrator.gateway.stream import acts, fleet_state, socket
 from orchestrator.link.trace import MAX_TRACE_ENTRIES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
@@ -85,12 +85,17 @@ ROWS = {
     "users; tokens of each": [users.MAX_USERS, users.MAX_TOKENS],
     "characters of a password": [users.MIN_PASSWORD, users.MAX_PASSWORD],
     "failed sign-ins": [
-        authentication.FREE_FAILURES,
-        authentication.FIRST_PAUSE_NS // NS_PER_S,
-        authentication.LONGEST_PAUSE_NS // NS_PER_S,
+        sign_in_limits.FREE_FAILURES,
+        sign_in_limits.FIRST_PAUSE_NS // NS_PER_S,
+        sign_in_limits.LONGEST_PAUSE_NS // NS_PER_S,
+        sign_in_limits.FORGET_NS // NS_PER_S,
     ],
-    "passwords that are verified": [authentication.MAX_VERIFYING],
-    "users and addresses": [authentication.MAX_FAILED],
+    "passwords that are verified": [
+        sign_in_limits.MAX_VERIFYING,
+        sign_in_limits.MAX_UNKNOWN_VERIFYING,
+        sign_in_limits.MAX_ADDRESS_VERIFYING,
+    ],
+    "users with an address": [sign_in_limits.MAX_FAILED],
     "idempotency keys": [commands.MAX_KEYS, app.MAX_KEY],
     "in the state": [
         fleet_state.MAX_CONTROLLERS,
