@@ -28,11 +28,12 @@ from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.fleet_files import compare_fleet
 from orchestrator.gateway.guard import Guard
 from orchestrator.gateway.job_files import JobFiles
+from orchestrator.gateway.open_stops import OpenStops
 from orchestrator.gateway.reads import FleetReads, Reader, ReadRequest
 from orchestrator.gateway.replies import RefusedRequest, make_model_response, make_refusal_response
-from orchestrator.gateway.sessions import SessionRequests
+from orchestrator.gateway.sessions import SessionRequests, find_address
 from orchestrator.gateway.stream.acts import FleetActs
-from orchestrator.gateway.stream.fleet_state import list_views
+from orchestrator.gateway.stream.fleet_state import allows_open_stop, list_views
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.gateway.stream.socket import UserSocket
 from orchestrator.model.errors import Refusal
@@ -90,6 +91,7 @@ class Gateway:
             "check-job": self._check_job,
             "check-fleet": self._check_fleet,
         }
+        self._open_stops = OpenStops(clock, lambda: allows_open_stop(self.hub.state.fleet))
         app = Starlette(routes=self._make_routes())
         self.guard = Guard(
             app,
@@ -119,6 +121,8 @@ class Gateway:
         ]
         for path, reader in self._reads.readers.items():
             routes.append(Route(path, self._handle(self._make_read(reader)), methods=["GET"]))
+        routes.append(Route("/v1/sign-in", self._show_sign_in, methods=["GET"]))
+        routes.append(Route("/v1/stop", self._handle(self._stop_openly), methods=["POST"]))
         for verb, act in self._acts.items():
             routes.append(Route(f"/v1/{verb}", self._handle(self._make_act(verb, act)), methods=["POST"]))
         for verb in SERVICE_VERBS.keys() - self._acts.keys():
@@ -218,7 +222,21 @@ class Gateway:
     async def _sign_in(self, request: Request) -> Response:
         return await self._sessions.sign_in(request, await self._read_body(request))
 
+    async def _show_sign_in(self, _: Request) -> Response:
+        """What a page may know before a user has signed in."""
+        return JSONResponse({"stop": self._open_stops.is_allowed()})
+
     # Acts
+
+    async def _stop_openly(self, request: Request) -> Response:
+        """A stop of a user; where the fleet file allows it, also of a page that is not."""
+        try:
+            identity, _ = await self._authorise(request, "stop")
+        except NotSignedIn:
+            if not self._open_stops.is_allowed():
+                raise
+            identity = self._open_stops.admit_stop(find_address(request))
+        return JSONResponse(await self._stop(identity, {}))
 
     async def _stop(self, identity: Identity, _: Mapping[str, Any]) -> Any:
         return await self._commands.stop("stop", self._commands.connect(identity), "")

@@ -19,6 +19,7 @@ from orchestrator.gateway.access.roles import Role
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.stream.merge_patch import apply_patch
+from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # The least work for each password: tests have many of them.
@@ -139,7 +140,7 @@ class Socket:
             self.frames.append(frame)
 
 
-def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]]) -> None:
+def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]], file: Fleet | None = None) -> None:
     """Run `main` with a started virtual fleet, and end its gateways: what a socket has begun ends in its own loop."""
 
     async def run(fleet: VirtualFleet) -> None:
@@ -150,7 +151,7 @@ def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]]) 
                 await gateway.close()
             VirtualGateway.started.clear()
 
-    run_fleet(run)
+    run_fleet(run, file)
 
 
 class VirtualGateway:

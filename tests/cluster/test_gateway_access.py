@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 from cluster.gateway_client import OWN, PASSWORD, PORT, VirtualGateway, run_with_gateway
-from cluster.worlds import EXAMPLES, PREPARE, outcome
+from cluster.worlds import EXAMPLES, PREPARE, demo_fleet, outcome
 
 from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 from orchestrator.gateway.access.users import StoredToken
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.queue import shift_utc
 from orchestrator.model.web_views import WebSettings, WebView
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -386,6 +387,31 @@ def test_wrong_passwords_of_others_keep_no_browser_out_that_was_signed_in_before
         ).status == 401
 
     run_with_gateway(main)
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_a_stop_needs_no_user_where_the_fleet_file_says_so(tmp_path: Path, allowed: bool) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, **USERS)
+        await asyncio.sleep(3.0)  # until the fleet file is known
+        client = fleet.make_client("anna")
+        assert (await gateway.get("/v1/sign-in")).json == {"stop": allowed}
+        answers = [await gateway.post("/v1/stop") for _ in range(3)]
+        assert [answer.status for answer in answers] == ([200, 200, 429] if allowed else [401] * 3)
+        await asyncio.sleep(1.0)
+        stops = [command for command in await client.list_commands(100) if command.verb == "stop"]
+        assert [stop.actor for stop in stops] == ["(not signed in)@127.0.0.1"] * (2 if allowed else 0)
+        assert sum("stop by (not signed in)@127.0.0.1" in line for line in gateway.lines) == len(stops)
+        # Nothing else is open, and no other page.
+        for path in ("/v1/estop", "/v1/reset", "/v1/start-queue", "/v1/submit"):
+            assert (await gateway.post(path)).status == 401
+        for headers in ({"host": "evil.example:8080"}, {"origin": "http://evil.example"}):
+            assert (await gateway.post("/v1/stop", {}, headers)).status == 403
+        assert (await gateway.post("/v1/stop", {}, await gateway.sign_in("vera"))).status == 200
+        assert (await gateway.post("/v1/stop")).status == (200 if allowed else 401)
+
+    demo = demo_fleet().to_plain()
+    run_with_gateway(main, Fleet.model_validate(demo | {"web": {"stop_without_signing_in": allowed}}))
 
 
 def test_a_repeated_key_is_the_same_request(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from orchestrator.gateway import (
     fleet_files,
     guard,
     job_files,
+    open_stops,
     preview,
     reads,
     server,
@@ -90,6 +91,7 @@ ROWS = {
         sign_in_limits.LONGEST_PAUSE_NS // NS_PER_S,
         sign_in_limits.FORGET_NS // NS_PER_S,
     ],
+    "stops that are not signed in": [open_stops.STOPS_PER_S],
     "passwords that are verified": [
         sign_in_limits.MAX_VERIFYING,
         sign_in_limits.MAX_UNKNOWN_VERIFYING,
