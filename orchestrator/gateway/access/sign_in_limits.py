@@ -70,7 +70,7 @@ class SignInLimits:
     def verify(self, source: SignInSource) -> Generator[None]:
         """Take a place for the time of a verification. Raises `TooManyTries`."""
         name = source.name
-        unknown_count = sum(count for other, count in self._verifying.items() if not other.startswith("browser "))
+        unknown_count = sum(count for key, count in self._verifying.items() if not key.startswith("browser "))
         is_full = self._verifying.total() >= MAX_VERIFYING or self._verifying[name] >= MAX_ADDRESS_VERIFYING
         if is_full or (not source.browser and unknown_count >= MAX_UNKNOWN_VERIFYING):
             raise TooManyTries("too-many-tries", "too many sign-ins at once", "try again in a second")
