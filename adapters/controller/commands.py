@@ -119,7 +119,7 @@ class ControllerCommands:
         except ValidationError as error:
             raise RequestRefused(f"{verb}: {describe_first_error(error, 'payload')}") from None
         return await self._answers.answer_once(
-            verb, request.request_id, lambda: self._execute_request(verb, reply, handler, request)
+            verb, request, sample.payload, lambda: self._execute_request(verb, reply, handler, request)
         )
 
     async def _execute_request(

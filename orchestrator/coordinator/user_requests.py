@@ -1,6 +1,7 @@
 """Requests of users to the leader: one table of verbs, and one place where an error becomes a reply."""
 
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Any
 
 from pydantic import ValidationError
@@ -129,8 +130,7 @@ class UserRequests:
     async def answer(self, sample: BusSample) -> bytes:
         """Answer one request. Raises `RequestRefused` for one that is not valid, and when the leadership is lost."""
         name = self._keys.verb_of(sample.key)
-        verb = SERVICE_VERBS.get(name)
-        if verb is None:
+        if (verb := SERVICE_VERBS.get(name)) is None:
             raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(SERVICE_VERBS))}")
         try:
             request = verb.request.model_validate_json(sample.payload)
@@ -141,7 +141,8 @@ class UserRequests:
         if verb.reads:  # its answers are large, and are not kept
             return (await self._execute(name, request)).to_json()
         # A repeated request gets the first answer.
-        return await self._answers.answer_once(name, request.request_id, lambda: self._execute_command(name, request))
+        work = partial(self._execute_command, name, request)
+        return await self._answers.answer_once(name, request, sample.payload, work)
 
     async def _execute_command(self, name: str, request: Request) -> bytes:
         """Execute a request that changes something, and record it, before it is answered as a rule."""

@@ -4,12 +4,11 @@ import asyncio
 import json
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
 from starlette.applications import Starlette
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -21,17 +20,20 @@ from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.client import Tutti
 from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor
-from orchestrator.gateway.access.authentication import COOKIE, Authentication, NotSignedIn
+from orchestrator.gateway.access.authentication import Authentication, NotSignedIn
+from orchestrator.gateway.access.cookies import BrowserMarks, CookieNames, load_key
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.fleet_files import compare_fleet
 from orchestrator.gateway.guard import Guard
 from orchestrator.gateway.job_files import JobFiles
+from orchestrator.gateway.open_stops import OpenStops
 from orchestrator.gateway.reads import FleetReads, Reader, ReadRequest
 from orchestrator.gateway.replies import RefusedRequest, make_model_response, make_refusal_response
+from orchestrator.gateway.sessions import SessionRequests, find_address
 from orchestrator.gateway.stream.acts import FleetActs
-from orchestrator.gateway.stream.fleet_state import list_views
+from orchestrator.gateway.stream.fleet_state import allows_open_stop, list_views
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.gateway.stream.socket import UserSocket
 from orchestrator.model.errors import Refusal
@@ -39,7 +41,6 @@ from orchestrator.model.errors import Refusal
 MAX_SOCKETS = 200
 LONG_BODY = 100_000  # bytes; a longer one is parsed in a thread
 MAX_KEY = 200
-COOKIE_S = 7 * 24 * 3600
 PAGE = Path(__file__).parent / "static"
 NO_PAGE = (
     "The operators' page is not part of this installation. In a source tree build it with `make page`; the HTTP "
@@ -72,11 +73,13 @@ class Gateway:
         """execute: for passwords, files and other work that takes long."""
         self.hub = StreamHub(tutti, clock)
         self._clock, self._log, self._execute, self._options = clock, log, execute, options
-        self._fleet = tutti.keys.fleet
         self._authentication = Authentication(
             UserFile(options.users), clock, execute, options.new_secret, open_without_users=not options.names
         )
-        self._commands = FleetCommands(tutti, log, execute, self._note_stop)
+        cookies = CookieNames(tutti.keys.fleet, options.port, secure=options.secure)
+        marks = BrowserMarks(load_key(options.users.parent))
+        self._sessions = SessionRequests(self._authentication, cookies, marks, log, options.new_secret)
+        self._commands = FleetCommands(tutti, clock, log, execute, self._note_stop)
         self._commands.known_controllers = lambda: self.hub.state.controllers
         self._files = JobFiles(options.jobs, execute)
         self._reads = FleetReads(self._commands, self.hub, self._files, options.recordings, execute)
@@ -88,8 +91,15 @@ class Gateway:
             "check-job": self._check_job,
             "check-fleet": self._check_fleet,
         }
+        self._open_stops = OpenStops(clock, lambda: allows_open_stop(self.hub.state.fleet))
         app = Starlette(routes=self._make_routes())
-        self.guard = Guard(app, options.port, secure=options.secure, views=lambda: list_views(self.hub.state.fleet))
+        self.guard = Guard(
+            app,
+            options.port,
+            self._sessions.is_signed_in,
+            secure=options.secure,
+            views=lambda: list_views(self.hub.state.fleet),
+        )
         self.guard.admit(options.names)
         self.app: ASGIApp = self.guard
 
@@ -104,13 +114,15 @@ class Gateway:
 
     def _make_routes(self) -> list[BaseRoute]:
         routes: list[BaseRoute] = [
-            Route("/v1/session", self._handle(self._show_session), methods=["GET"]),
+            Route("/v1/session", self._handle(self._sessions.show_session), methods=["GET"]),
             Route("/v1/login", self._handle(self._sign_in), methods=["POST"]),
-            Route("/v1/logout", self._handle(self._sign_out), methods=["POST"]),
+            Route("/v1/logout", self._handle(self._sessions.sign_out), methods=["POST"]),
             WebSocketRoute("/v1/stream", self._serve_socket),
         ]
         for path, reader in self._reads.readers.items():
             routes.append(Route(path, self._handle(self._make_read(reader)), methods=["GET"]))
+        routes.append(Route("/v1/sign-in", self._show_sign_in, methods=["GET"]))
+        routes.append(Route("/v1/stop", self._handle(self._stop_openly), methods=["POST"]))
         for verb, act in self._acts.items():
             routes.append(Route(f"/v1/{verb}", self._handle(self._make_act(verb, act)), methods=["POST"]))
         for verb in SERVICE_VERBS.keys() - self._acts.keys():
@@ -142,6 +154,8 @@ class Gateway:
                 return make_refusal_response(error.refusal, error.status)
             except NotSignedIn as error:
                 return make_refusal_response(error, 401)
+            except ClientDisconnect:
+                return Response(status_code=400)  # which nothing receives any more
             except Refusal as error:
                 return make_refusal_response(error)
             except Exception as error:
@@ -151,14 +165,9 @@ class Gateway:
 
         return handle
 
-    def _identify(self, connection: HTTPConnection) -> Identity:
-        headers = connection.headers
-        address = connection.client.host if connection.client is not None else "local"
-        return self._authentication.identify(address, headers.get("cookie", ""), headers.get("authorization", ""))
-
     async def _authorise(self, request: Request, verb: str) -> tuple[Identity, dict[str, Any]]:
         """The identity behind a POST that may use `verb`, and its body. Raises `Refusal`, `RefusedRequest`."""
-        identity = self._identify(request)
+        identity = self._sessions.identify(request)
         if identity.access == "cookie" and request.headers.get("x-tutti-csrf", "") != identity.csrf:
             text = "the header X-Tutti-CSRF is missing, or not that of the session"
             raise RefusedRequest(403, Refusal("bad-csrf", text, "send `csrf` of GET /v1/session in it"))
@@ -184,7 +193,7 @@ class Gateway:
     def _make_read(self, reader: Reader) -> Callable[[Request], Awaitable[Response]]:
         async def read(request: Request) -> Response:
             values = {**request.query_params, **request.path_params}
-            return await reader(ReadRequest(self._identify(request), values))
+            return await reader(ReadRequest(self._sessions.identify(request), values))
 
         return read
 
@@ -210,47 +219,24 @@ class Gateway:
 
         return pass_on
 
-    # Users
-
-    def _describe_session(self, identity: Identity) -> dict[str, Any]:
-        return {
-            "fleet": self._fleet,
-            "version": version("tutti"),
-            "user": identity.user or None,
-            "role": identity.role,
-            "users": identity.access != "open",
-            "csrf": identity.csrf,
-            "may": identity.list_rights(),
-        }
-
-    async def _show_session(self, request: Request) -> Response:
-        return JSONResponse(self._describe_session(self._identify(request)))
-
     async def _sign_in(self, request: Request) -> Response:
-        body = await self._read_body(request)
-        user, password = body.get("user"), body.get("password")
-        if not isinstance(user, str) or not isinstance(password, str):
-            raise Refusal("bad-request", "`user` and `password` must be texts", "")
-        address = request.client.host if request.client is not None else "local"
-        try:
-            secret, identity = await self._authentication.sign_in(user, password, address)
-        except Refusal as error:
-            self._log.warning(f"sign-in of {user[:64]!r} from {address} refused: {error.code}")
-            raise
-        self._log.info(f"signed in: {identity.actor}", actor=identity.actor)
-        response = JSONResponse(self._describe_session(identity))
-        response.set_cookie(
-            COOKIE, secret, httponly=True, samesite="strict", secure=self._options.secure, path="/", max_age=COOKIE_S
-        )
-        return response
+        return await self._sessions.sign_in(request, await self._read_body(request))
 
-    async def _sign_out(self, request: Request) -> Response:
-        self._authentication.sign_out(request.headers.get("cookie", ""))
-        response = JSONResponse({})
-        response.delete_cookie(COOKIE, path="/")
-        return response
+    async def _show_sign_in(self, _: Request) -> Response:
+        """What a page may know before a user has signed in."""
+        return JSONResponse({"stop": self._open_stops.is_allowed()})
 
     # Acts
+
+    async def _stop_openly(self, request: Request) -> Response:
+        """A stop of a user; where the fleet file allows it, also of a page that is not."""
+        try:
+            identity, _ = await self._authorise(request, "stop")
+        except NotSignedIn:
+            if not self._open_stops.is_allowed():
+                raise
+            identity = self._open_stops.admit_stop(find_address(request))
+        return JSONResponse(await self._stop(identity, {}))
 
     async def _stop(self, identity: Identity, _: Mapping[str, Any]) -> Any:
         return await self._commands.stop("stop", self._commands.connect(identity), "")
@@ -282,7 +268,7 @@ class Gateway:
 
     async def _serve_socket(self, socket: WebSocket) -> None:
         try:
-            identity = self._identify(socket)
+            identity = self._sessions.identify(socket)
         except NotSignedIn as error:
             await socket.send_denial_response(make_refusal_response(error, 401))
             return
@@ -292,7 +278,7 @@ class Gateway:
             return
         await socket.accept()
         user = UserSocket(socket, self.hub, identity, self._clock, lambda: self._authentication.is_valid(identity))
-        user.send({"hello": self._describe_session(identity)})
+        user.send({"hello": self._sessions.describe_session(identity)})
         self._sockets.add(user)
         try:
             await user.run(FleetActs(user, self._commands.connect(identity), self._clock, self._commands.stop))

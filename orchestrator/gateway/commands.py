@@ -6,13 +6,14 @@ A stop is in the log before it is sent, and is reported to every open page.
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from pydantic import ValidationError
 
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS, ServiceVerb
 from orchestrator.client import Tutti
+from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
@@ -31,14 +32,22 @@ USUAL_ANSWER_S = 5.0
 ShowStop = Callable[[str, str, dict[str, Any]], None]
 
 
+class _UsedKey(NamedTuple):
+    """An idempotency key: the digest of its first body, of which user that was, and when."""
+
+    body: str
+    actor: str
+    utc: str
+
+
 class FleetCommands:
     """Passes requests on. on_stop: called with what every page shows of a stop."""
 
-    def __init__(self, tutti: Tutti, log: ProcessLog, execute: Executor, on_stop: ShowStop) -> None:
+    def __init__(self, tutti: Tutti, clock: Clock, log: ProcessLog, execute: Executor, on_stop: ShowStop) -> None:
         self.known_controllers: Callable[[], list[str]] = list
-        self._tutti, self._log, self._execute, self._on_stop = tutti, log, execute, on_stop
+        self._tutti, self._clock, self._log, self._execute, self._on_stop = tutti, clock, log, execute, on_stop
         self._connections: OrderedDict[str, Tutti] = OrderedDict()
-        self._keys: OrderedDict[str, str] = OrderedDict()
+        self._keys: OrderedDict[str, _UsedKey] = OrderedDict()
 
     def connect(self, identity: Identity) -> Tutti:
         """The connection with the actor of a user."""
@@ -76,7 +85,7 @@ class FleetCommands:
     async def request(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str = "") -> Model:
         """Pass a request of `svc/{verb}` on. key: an idempotency key; the same one is the same request.
 
-        Raises `Refusal`: codes `bad-request`, `key-reused`, and those of the fleet.
+        Raises `Refusal`: codes `bad-request`, `key-used`, and those of the fleet.
         """
         identity.require_right(verb)
         service, tutti = SERVICE_VERBS[verb], self.connect(identity)
@@ -107,14 +116,18 @@ class FleetCommands:
         return await tutti.request_controller(controller, verb, request, service.reply)
 
     def _find_request_id(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str) -> str:
-        """The id of a request with an idempotency key; without one, a new one."""
+        """The id of a request with an idempotency key; without one, a new one. A key is of its user, at whichever
+        computer that is."""
         if not key:
             return self._tutti.new_id()
-        request_id = hashlib.sha256(f"{identity.actor} {verb} {key}".encode()).hexdigest()[:40]
+        request_id = hashlib.sha256(f"{identity.user or identity.role} {verb} {key}".encode()).hexdigest()[:40]
         body = hashlib.sha256(repr(sorted(fields.items())).encode()).hexdigest()
-        if self._keys.setdefault(request_id, body) != body:
-            text = f"the idempotency key {key[:60]!r} was used for another request"
-            raise Refusal("key-reused", text, "use a new key for each request, and the same only to repeat it")
+        used_key = self._keys.setdefault(request_id, _UsedKey(body, identity.actor, self._clock.utc()))
+        if used_key.body != body:
+            text = (
+                f"the idempotency key {key[:60]!r} was used at {used_key.utc} by {used_key.actor} for another request"
+            )
+            raise Refusal("key-used", text, "use a new key for each request, and the same only to repeat it")
         if len(self._keys) > MAX_KEYS:
             self._keys.popitem(last=False)
         return request_id

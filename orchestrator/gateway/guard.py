@@ -8,15 +8,20 @@ certificate.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from orchestrator.gateway.bodies import MAX_BODY_BYTES, BodyReader, explain_size
+from orchestrator.gateway.connections import MAX_CONNECTIONS, STOP_RESERVE, Connection
 from orchestrator.gateway.reach import OWN_NAMES
-from orchestrator.gateway.replies import RefusedRequest, make_refusal_response
+from orchestrator.gateway.replies import make_refusal_response
 from orchestrator.model.errors import Refusal
 from orchestrator.model.web_views import WebView, list_origins
 
-MAX_BODY_BYTES = 4_000_000  # a job of 10,000 steps, and a part of points, fit
+MAX_HEADER_BYTES = 32_000
+CONNECTION = "connection"  # in the state of a scope: the `Connection` that it came by
+STOP_PATHS = ("/v1/stop", "/v1/estop")
 STRICT_TRANSPORT = "max-age=2592000"  # 30 days (RFC 6797)
 
 SECURITY_HEADERS = {
@@ -48,14 +53,34 @@ def find_headers(scope: Scope) -> dict[str, str]:
     return {name.decode("latin-1").lower(): value.decode("latin-1") for name, value in scope["headers"]}
 
 
+def measure_head(scope: Scope) -> int:
+    """The bytes of the first line and the headers of a request: of those in one piece the server takes any number."""
+    sizes = (len(name) + len(value) + 4 for name, value in scope["headers"])
+    return len(scope.get("raw_path") or b"") + len(scope["query_string"]) + sum(sizes)
+
+
+def find_connection(scope: Scope) -> Connection:
+    """The connection of a request; one of its own where the server keeps none."""
+    state: dict[str, Any] = scope.setdefault("state", {})
+    return state.setdefault(CONNECTION, Connection("local", 0.0, lambda: None))
+
+
 class Guard:
     """Refuses requests and sockets from elsewhere and bodies that are too large, and adds security headers."""
 
     def __init__(
-        self, app: ASGIApp, port: int, *, secure: bool = False, views: Callable[[], Sequence[WebView]] = tuple
+        self,
+        app: ASGIApp,
+        port: int,
+        is_signed_in: Callable[[Scope], bool],
+        *,
+        secure: bool = False,
+        views: Callable[[], Sequence[WebView]] = tuple,
     ) -> None:
-        """port: of the gateway. secure: it speaks TLS. views: called for the cameras that the page may show now."""
-        self._app, self._views = app, views
+        """port: of the gateway. is_signed_in: whether a request has the right to be here, by its head. secure: it
+        speaks TLS. views: called for the cameras that the page may show now."""
+        self._app, self._views, self._is_signed_in = app, views, is_signed_in
+        self._bodies = BodyReader()
         self._scheme, self._port = ("https" if secure else "http"), port
         self._own_hosts = set(self._list_hosts(OWN_NAMES))
         self.admit(())
@@ -81,6 +106,11 @@ class Guard:
         if refusal is not None:
             await make_refusal_response(refusal, 403)(scope, receive, send)
             return
+        if measure_head(scope) > MAX_HEADER_BYTES:
+            text = f"the headers have more than {MAX_HEADER_BYTES:,} bytes"
+            await make_refusal_response(Refusal("bad-request", text, "send fewer cookies"))(scope, receive, send)
+            return
+        find_connection(scope).signed_in = self._is_signed_in(scope)
         if scope["type"] == "websocket":
             await self._app(scope, receive, send)
             return
@@ -97,20 +127,11 @@ class Guard:
         return None
 
     async def _guard_request(self, scope: Scope, receive: Receive, send: Send) -> None:
-        size = 0
         headers = find_headers(scope)
         added_headers = {"Content-Security-Policy": make_content_policy(self._views()), **SECURITY_HEADERS}
         if self._scheme == "https" and headers["host"].lower() not in self._own_hosts:
             # Not for `localhost`: a browser would then refuse every other plain page there.
             added_headers["Strict-Transport-Security"] = STRICT_TRANSPORT
-
-        async def receive_limited() -> Message:
-            nonlocal size
-            message = await receive()
-            size += len(message.get("body", b""))
-            if size > MAX_BODY_BYTES:
-                raise RefusedRequest(413, explain_size())
-            return message
 
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -128,14 +149,20 @@ class Guard:
                 }
             await send(message)
 
+        connection = find_connection(scope)
+        refusal = self._find_busy(scope, connection)
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
             await make_refusal_response(explain_size(), 413)(scope, receive, send_guarded)
-            return
-        await self._app(scope, receive_limited, send_guarded)
+        elif refusal is not None:
+            await make_refusal_response(refusal, 503)(scope, receive, send_guarded)
+        else:
+            async with self._bodies.read_body(receive, signed_in=connection.signed_in) as receive_limited:
+                await self._app(scope, receive_limited, send_guarded)
 
-
-def explain_size() -> Refusal:
-    """The refusal of a body that is too large."""
-    text = f"the body has more than {MAX_BODY_BYTES // 1_000_000} MB"
-    return Refusal("too-large", text, "split the job, or submit points of scans as a file: `tutti submit FILE`")
+    def _find_busy(self, scope: Scope, connection: Connection) -> Refusal | None:
+        """The refusal of a request in the places that are kept for stops."""
+        if not connection.beyond or scope["path"] in STOP_PATHS:
+            return None
+        text = f"{MAX_CONNECTIONS} connections are open, and the last {STOP_RESERVE} are for stops"
+        return Refusal("too-many", text, "close pages and programs that are not used, or try again in a second")

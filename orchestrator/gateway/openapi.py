@@ -43,7 +43,7 @@ _TEXT = (
 )
 _SECURITY = {
     "token": {"type": "http", "scheme": "bearer", "description": "made by `tutti user token`"},
-    "cookie": {"type": "apiKey", "in": "cookie", "name": "tutti_session"},
+    "cookie": {"type": "apiKey", "in": "cookie", "name": "tutti_session_FLEET_PORT"},
 }
 _OWN = {
     "/v1/login": 'Begin a session: {"user", "password"}.',

@@ -75,7 +75,7 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         files = place.state / USERS_FILE, token_urlsafe, place.jobs, place.state / RECORDINGS
         options = GatewayOptions(port, *files, secure=secure, names=names)
         gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, execute, options)
-        server = make_server(gateway.app, context)
+        server = make_server(gateway.app, context, log.warning)
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             # The server has handlers of its own while it runs; the signal comes here afterwards.

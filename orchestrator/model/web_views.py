@@ -74,9 +74,13 @@ class WebView(Model):
 
 
 class WebSettings(Model):
-    """What the operators' page shows besides the fleet."""
+    """What the operators' page shows besides the fleet, and whether its stop needs a user."""
 
     views: list[WebView] = Field(default=[], max_length=MAX_VIEWS, description="Cameras of the machine, at most 8.")
+    stop_without_signing_in: bool = Field(
+        default=False,
+        description="The page that asks to sign in has *Stop*, and `POST /v1/stop` needs no user. An e-stop needs one.",
+    )
 
     @field_validator("views")
     @classmethod

@@ -19,6 +19,7 @@ from orchestrator.gateway.access.roles import Role
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.stream.merge_patch import apply_patch
+from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # The least work for each password: tests have many of them.
@@ -39,6 +40,13 @@ class Answer:
     status: int
     headers: dict[str, str]
     body: bytes
+    set_cookies: list[str] = field(default_factory=list)
+
+    @property
+    def cookies(self) -> dict[str, tuple[str, ...]]:
+        """The cookies that it sets: value, and attributes in the order of their names."""
+        parts = [[part.strip() for part in cookie.split(";")] for cookie in self.set_cookies]
+        return {first.partition("=")[0]: (first.partition("=")[2], *sorted(more)) for first, *more in parts}
 
     @property
     def json(self) -> Any:
@@ -132,7 +140,7 @@ class Socket:
             self.frames.append(frame)
 
 
-def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]]) -> None:
+def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]], file: Fleet | None = None) -> None:
     """Run `main` with a started virtual fleet, and end its gateways: what a socket has begun ends in its own loop."""
 
     async def run(fleet: VirtualFleet) -> None:
@@ -143,7 +151,7 @@ def run_with_gateway(main: Callable[[VirtualFleet], Coroutine[Any, Any, None]]) 
                 await gateway.close()
             VirtualGateway.started.clear()
 
-    run_fleet(run)
+    run_fleet(run, file)
 
 
 class VirtualGateway:
@@ -199,6 +207,7 @@ class VirtualGateway:
         async def send(message: dict[str, Any]) -> None:
             if message["type"] == "http.response.start":
                 answer.status = message["status"]
+                answer.set_cookies = [value.decode() for name, value in message["headers"] if name == b"set-cookie"]
                 answer.headers = {name.decode().lower(): value.decode() for name, value in message["headers"]}
             else:
                 answer.body += message.get("body", b"")

@@ -68,6 +68,35 @@ async def count_motions(fleet: VirtualFleet) -> int:
     return sum(len(unit.commanded_motions) for unit in fleet.controllers.values())
 
 
+def test_a_re_run_of_a_job_that_was_never_approved_is_a_proposal_again() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        bob, anna = fleet.make_client("bob"), fleet.make_client("anna")
+        await outcome(fleet, PREPARE)
+        motions = await count_motions(fleet)
+        job_id = await bob.submit(ABSOLUTE, terms=PROPOSED)
+        await anna.cancel_job(job_id)
+        for terms in (None, QueueTerms(priority=3)):
+            again = (await anna.retry_job(job_id, terms=terms)).job_id
+            await asyncio.sleep(1.0)
+            waiting = await entry(anna, again)
+            assert (waiting.state, waiting.held_by, waiting.proposed) == ("queued", APPROVAL, True)
+            assert waiting.terms.priority == (0 if terms is None else 3)
+            # So it is with the re-run of a re-run.
+            await anna.cancel_job(again)
+            third = (await anna.retry_job(again)).job_id
+            assert (await entry(anna, third)).held_by == APPROVAL
+        assert (await refused(anna.retry_job(job_id, terms=QueueTerms(now=True)))).code == "bad-terms"
+        assert await count_motions(fleet) == motions
+        await approve(anna, third)
+        assert (await anna.wait_for_job(third)).state == "done"
+        # What was approved once is an operator's to run again.
+        fourth = (await anna.retry_job(third)).job_id
+        assert not (await entry(anna, fourth)).proposed
+        assert (await anna.wait_for_job(fourth)).state == "done"
+
+    run_fleet(main, FLEET)
+
+
 def test_a_proposed_job_waits_for_its_approval_and_then_runs() -> None:
     async def main(fleet: VirtualFleet) -> None:
         bob, anna = fleet.make_client("bob"), fleet.make_client("anna")

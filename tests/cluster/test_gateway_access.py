@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 from cluster.gateway_client import OWN, PASSWORD, PORT, VirtualGateway, run_with_gateway
-from cluster.worlds import EXAMPLES, PREPARE, outcome
+from cluster.worlds import EXAMPLES, PREPARE, demo_fleet, outcome
 
 from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.gateway.access.roles import LEAST_ROLES, ROLES, Role, may
 from orchestrator.gateway.access.users import StoredToken
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.queue import shift_utc
 from orchestrator.model.web_views import WebSettings, WebView
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -96,8 +97,8 @@ def test_without_a_session_nothing_is_answered(tmp_path: Path) -> None:
         gateway = await open_gateway(fleet, tmp_path, olga="operator")
         for headers in (
             {},
-            {"cookie": "tutti_session=forged"},
-            {"cookie": "tutti_session=" + "x" * 5000},
+            {"cookie": "tutti_session_demo_8080=forged"},
+            {"cookie": "tutti_session_demo_8080=" + "x" * 5000},
             {"cookie": "\x00;;==;"},
             {"authorization": "Bearer tutti_olga_forged"},
             {"authorization": "Bearer"},
@@ -363,6 +364,56 @@ def test_a_body_that_is_not_right_is_refused(tmp_path: Path, body: bytes, header
     run_with_gateway(main)
 
 
+def test_wrong_passwords_of_others_keep_no_browser_out_that_was_signed_in_before(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, **USERS)
+        answer = await gateway.post("/v1/login", {"user": "olga", "password": PASSWORD})
+        cookies = answer.cookies
+        assert {name: value[1:] for name, value in cookies.items()} == {
+            "tutti_known_demo_8080_olga": ("HttpOnly", "Max-Age=34560000", "Path=/", "SameSite=strict"),
+            "tutti_session_demo_8080": ("HttpOnly", "Max-Age=604800", "Path=/", "SameSite=strict"),
+        }
+        known = {"cookie": f"tutti_known_demo_8080_olga={cookies['tutti_known_demo_8080_olga'][0]}"}
+        for _ in range(20):
+            answer = await gateway.post("/v1/login", {"user": "olga", "password": "wrong password"})
+            assert answer.refused in ("wrong-password", "too-many-tries")
+        right = {"user": "olga", "password": PASSWORD}
+        for headers, status in (({}, 429), ({"cookie": "tutti_known_demo_8080_olga=forged.mark"}, 429), (known, 200)):
+            assert (await gateway.post("/v1/login", right, headers)).status == status
+        # The mark is no session, and not another user's.
+        assert (await gateway.get("/v1/session", known)).status == 401
+        assert (
+            await gateway.get("/v1/session", {"cookie": f"tutti_session={cookies['tutti_session_demo_8080'][0]}"})
+        ).status == 401
+
+    run_with_gateway(main)
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_a_stop_needs_no_user_where_the_fleet_file_says_so(tmp_path: Path, allowed: bool) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, **USERS)
+        await asyncio.sleep(3.0)  # until the fleet file is known
+        client = fleet.make_client("anna")
+        assert (await gateway.get("/v1/sign-in")).json == {"stop": allowed}
+        answers = [await gateway.post("/v1/stop") for _ in range(3)]
+        assert [answer.status for answer in answers] == ([200, 200, 429] if allowed else [401] * 3)
+        await asyncio.sleep(1.0)
+        stops = [command for command in await client.list_commands(100) if command.verb == "stop"]
+        assert [stop.actor for stop in stops] == ["(not signed in)@127.0.0.1"] * (2 if allowed else 0)
+        assert sum("stop by (not signed in)@127.0.0.1" in line for line in gateway.lines) == len(stops)
+        # Nothing else is open, and no other page.
+        for path in ("/v1/estop", "/v1/reset", "/v1/start-queue", "/v1/submit"):
+            assert (await gateway.post(path)).status == 401
+        for headers in ({"host": "evil.example:8080"}, {"origin": "http://evil.example"}):
+            assert (await gateway.post("/v1/stop", {}, headers)).status == 403
+        assert (await gateway.post("/v1/stop", {}, await gateway.sign_in("vera"))).status == 200
+        assert (await gateway.post("/v1/stop")).status == (200 if allowed else 401)
+
+    demo = demo_fleet().to_plain()
+    run_with_gateway(main, Fleet.model_validate(demo | {"web": {"stop_without_signing_in": allowed}}))
+
+
 def test_a_repeated_key_is_the_same_request(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         gateway = await open_gateway(fleet, tmp_path)
@@ -372,7 +423,33 @@ def test_a_repeated_key_is_the_same_request(tmp_path: Path) -> None:
         third = await gateway.post("/v1/submit", {"job": JOB}, {"idempotency-key": "two"})
         assert first.json["job_id"] == second.json["job_id"] != third.json["job_id"]
         answer = await gateway.post("/v1/submit", {"job": JOB | {"name": "other"}}, key)
-        assert (answer.status, answer.refused) == (409, "key-reused")
+        assert (answer.status, answer.refused) == (409, "key-used")
+        assert " by operator@127.0.0.1 for another request" in answer.json["refused"]["text"]
+
+    run_with_gateway(main)
+
+
+def test_the_key_of_another_user_gives_no_job_of_that_user(tmp_path: Path) -> None:
+    """A proposer that guesses the key of tonight's job must not put its own in the place of it."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path, **USERS)
+        evil, good = JOB | {"name": "evil"}, JOB | {"name": "good"}
+        paul, olga = await gateway.sign_in("paul"), await gateway.sign_in("olga")
+        for headers in ({"idempotency-key": "nightly-1"}, {}):
+            keys = {} if headers else {"client_key": "nightly-1"}
+            first = await gateway.post("/v1/submit", {"job": evil, **keys}, {**paul, **headers})
+            second = await gateway.post("/v1/submit", {"job": good, **keys}, {**olga, **headers})
+            third = await gateway.post("/v1/submit", {"job": good, **keys}, {**olga, **headers})
+            assert (first.status, second.status, third.status) == (200, 200, 200)
+            assert second.json["entry"]["name"] == "good"
+            assert first.json["job_id"] != second.json["job_id"] == third.json["job_id"]
+        # Of the same user: another job, or other terms, are refused; its tokens and computers share its keys.
+        for body in ({"job": evil}, {"job": good, "terms": {"priority": 3}}):
+            answer = await gateway.post("/v1/submit", body | {"client_key": "nightly-1"}, olga)
+            assert (answer.status, answer.refused) == (409, "key-used")
+            assert " by olga@127.0.0.1 for another request" in answer.json["refused"]["text"]
+        assert len((await gateway.get("/v1/jobs", olga)).json["jobs"]) == 4
 
     run_with_gateway(main)
 

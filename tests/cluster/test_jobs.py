@@ -11,6 +11,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
+from orchestrator.model.queue import QueueTerms, shift_utc
 from orchestrator.model.report import LeaseState
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -132,6 +133,46 @@ def test_the_same_client_key_gives_the_same_job() -> None:
         assert await client.submit(dwell, "key-1") == first
         assert await client.submit(dwell, "key-2") != first
         assert len((await client.list_jobs()).jobs) == 2
+
+    run_fleet(main)
+
+
+def test_a_client_key_is_that_of_its_user_and_of_one_request() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        dwell, other = job("[{do: dwell, duration: 10 ms}]"), job("[{do: dwell, duration: 20 ms}]")
+        at_home, away, ben = (fleet.make_client(name) for name in ("anna@192.0.2.1", "anna/ci@2001:db8::1", "ben@lab"))
+        first = await at_home.submit(dwell, "nightly-1")
+        assert await away.submit(dwell, "nightly-1") == first
+        assert await ben.submit(other, "nightly-1") != first
+        for client, job_, terms in ((away, other, None), (at_home, dwell, QueueTerms(priority=1))):
+            with pytest.raises(Refusal) as refused:
+                await client.submit(job_, "nightly-1", terms)
+            assert refused.value.code == "key-used" and f"job {first}" in refused.value.remedy
+            assert re.search(r"'nightly-1' was used at \S+Z by anna@192.0.2.1 for", refused.value.text)
+        # The journal has it: a successor answers the same.
+        fleet.kill("coordinator/first")
+        fleet.start_coordinator("second")
+        await asyncio.sleep(5.0)
+        assert await at_home.submit(dwell, "nightly-1") == first
+        with pytest.raises(Refusal, match="was used at"):
+            await at_home.submit(other, "nightly-1")
+        # It is answered also when its terms would be refused now.
+        late = QueueTerms(expires=shift_utc(fleet.clock.utc(), 10.0))
+        kept = await ben.submit(dwell, "late", late)
+        await asyncio.sleep(20.0)
+        assert await ben.submit(dwell, "late", late) == kept
+
+    run_fleet(main)
+
+
+def test_two_requests_with_one_key_at_the_same_time_are_one_job_or_one_is_refused() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client("anna")
+        jobs = [job(f"[{{do: dwell, duration: {length} ms}}]") for length in (10, 10, 20)]
+        results = await asyncio.gather(*(client.submit(each, "k") for each in jobs), return_exceptions=True)
+        refusals = [result for result in results if isinstance(result, Refusal)]
+        assert [refusal.code for refusal in refusals] in (["key-used"], ["key-used", "key-used"])
+        assert len((await client.list_jobs()).jobs) == 1
 
     run_fleet(main)
 

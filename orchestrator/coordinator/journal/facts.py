@@ -15,10 +15,23 @@ class RetryOrigin(NamedTuple):
 
 
 class QueueEntryOptions(NamedTuple):
-    """Options of a new job: its place in the queue, and the job that it re-runs."""
+    """Options of a new job: its place in the queue, and the job that it re-runs. key_owner: whose its key is; with the
+    same key of another one it is another job. digest: of the request."""
 
     terms: QueueTerms = QueueTerms()
     again: RetryOrigin | None = None
+    key_owner: str = ""
+    digest: str = ""
+
+
+class KeyedJob(NamedTuple):
+    """The job of a client's key: when and by which user it was submitted. digest: of the request; empty in journals of
+    schema 10 and before."""
+
+    job_id: str
+    actor: str
+    submitted_utc: str
+    digest: str
 
 
 class StepDecision(NamedTuple):

@@ -6,6 +6,7 @@ from typing import Protocol
 from orchestrator.coordinator.journal.facts import (
     AlarmChange,
     AlarmNotice,
+    KeyedJob,
     QueueEntryOptions,
     Reservation,
     StatisticsRow,
@@ -201,11 +202,12 @@ class JournalStore(Protocol):
     def accept_job(
         self, job_id: str, client_key: str, job: Job, utc: str, entry: QueueEntryOptions | None = None
     ) -> tuple[str, bool]:
-        """Accept a job: (its id, whether it is new). The same `client_key` returns the same job."""
+        """Accept a job: (its id, whether it is new). The same `client_key` of the same owner returns the same job."""
         ...
 
-    def has_client_key(self, client_key: str) -> bool:
-        """Whether a job was accepted with that key."""
+    def find_keyed_job(self, owner: str, client_key: str) -> KeyedJob | None:
+        """The job that was accepted with that key of that owner. Keys of schema 10 and before had none: they count for
+        all."""
         ...
 
     def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:

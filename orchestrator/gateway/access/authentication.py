@@ -1,4 +1,4 @@
-"""Authentication: users and their sessions, tokens, and the limit of failed sign-ins.
+"""Authentication: users with their sessions and tokens.
 
 Without users, whatever reaches this machine's own address is an operator; where other computers reach the gateway,
 nothing is let in without. A file of users that cannot be read lets nothing in.
@@ -8,23 +8,18 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
-from http.cookies import CookieError, SimpleCookie
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.roles import ROLES, Role
+from orchestrator.gateway.access.sign_in_limits import SignInLimits, SignInSource
 from orchestrator.gateway.access.users import TOKEN_START, UserFile, UserTable, find_token, verify_password
 from orchestrator.model.errors import Refusal
 
-COOKIE = "tutti_session"
 SESSION_NS = 12 * 3600 * NS_PER_S  # from the last request on
 LONGEST_SESSION_NS = 7 * 24 * 3600 * NS_PER_S
 MAX_SESSIONS = 1000  # the one that was not used for the longest time ends
-FREE_FAILURES = 5  # failed sign-ins of one user, or from one address, that cost no time
-FIRST_PAUSE_NS, LONGEST_PAUSE_NS = NS_PER_S, 300 * NS_PER_S
-MAX_FAILED = 10_000  # users and addresses whose failures are counted
-MAX_VERIFYING = 8  # passwords that wait for verification: each takes a tenth of a second
 FILE_CHECK_NS = NS_PER_S // 2
 
 
@@ -36,18 +31,8 @@ class _Session:
     user_changed_utc: str
 
 
-@dataclass(slots=True)
-class _Failures:
-    count: int = 0
-    wait_until_ns: int = 0
-
-
 class NotSignedIn(Refusal):
     """The request has no valid identity. HTTP status 401."""
-
-
-class TooManyTries(Refusal):
-    """Too many sign-ins have failed. HTTP status 429."""
 
 
 class Authentication:
@@ -66,12 +51,11 @@ class Authentication:
         self._file, self._clock, self._execute, self._new_secret = file, clock, execute, new_secret
         self._open_without_users = open_without_users
         self._sessions: OrderedDict[str, _Session] = OrderedDict()
-        self._failures: OrderedDict[str, _Failures] = OrderedDict()
+        self._limits = SignInLimits(clock)
         self._table = UserTable()
         self._damage: Refusal | None = None
         self._version: tuple[int, int, int] | None = None
         self._checked_ns = -FILE_CHECK_NS
-        self._verifying = 0
 
     @property
     def has_users(self) -> bool:
@@ -79,8 +63,8 @@ class Authentication:
         self._read_file()
         return self._damage is not None or bool(self._table.users)
 
-    def identify(self, address: str, cookie: str, authorization: str) -> Identity:
-        """The identity of a request by its headers. Raises `NotSignedIn`."""
+    def identify(self, address: str, session: str, authorization: str) -> Identity:
+        """The identity of a request by the cookie of its session, and its header. Raises `NotSignedIn`."""
         self._read_file()
         if self._damage is not None:
             raise NotSignedIn("bad-users", self._damage.text, self._damage.remedy)
@@ -91,7 +75,7 @@ class Authentication:
                 text = "the fleet has no users, and other computers reach this gateway"
                 raise NotSignedIn("no-users", text, "add one on its computer: `tutti user add NAME --role operator`")
             return Identity("", "operator", address, "open")
-        return self._identify_session(address, _find_cookie(cookie))
+        return self._identify_session(address, session)
 
     def is_valid(self, identity: Identity) -> bool:
         """Whether an identity that was found before still holds: its session has not ended, its token has not expired,
@@ -117,39 +101,32 @@ class Authentication:
         session.used_ns = self._clock.now_ns()
         return True
 
-    async def sign_in(self, user: str, password: str, address: str) -> tuple[str, Identity]:
+    async def sign_in(self, user: str, password: str, source: SignInSource) -> tuple[str, Identity]:
         """Begin a session; return its cookie and identity. Raises `TooManyTries`, and `NotSignedIn` for a wrong name or
         password."""
         self._read_file()
         if self._damage is not None:
             raise NotSignedIn("bad-users", self._damage.text, self._damage.remedy)
-        counters = (f"user {user[:64]}", f"address {address}")
-        self._require_pause(counters)
-        if self._verifying >= MAX_VERIFYING:
-            raise TooManyTries("too-many-tries", "too many sign-ins at once", "try again in a second")
+        self._limits.require_pause(user, source)
         stored_user = self._table.users.get(user)
-        self._verifying += 1
-        try:
+        with self._limits.verify(source):
             right = await self._execute(verify_password, stored_user, password)
-        finally:
-            self._verifying -= 1
         if not right or stored_user is None:
-            self._count_failure(counters)
+            self._limits.count_failure(user, source)
             raise NotSignedIn(
                 "wrong-password", "user or password is wrong", "try again; `tutti user passwd` sets another one"
             )
-        for counter in counters:
-            self._failures.pop(counter, None)
+        self._limits.forget_failures(user, source)
         secret, now_ns = self._new_secret(), self._clock.now_ns()
         csrf = _derive_csrf(secret)
         self._sessions[csrf] = _Session(user, now_ns, now_ns, stored_user.changed_utc)
         if len(self._sessions) > MAX_SESSIONS:
             self._sessions.popitem(last=False)
-        return secret, Identity(user, stored_user.role, address, "cookie", csrf)
+        return secret, Identity(user, stored_user.role, source.address, "cookie", csrf)
 
-    def sign_out(self, cookie: str) -> None:
-        """End the session of a cookie header, if there is one."""
-        self._sessions.pop(_derive_csrf(_find_cookie(cookie)), None)
+    def sign_out(self, session: str) -> None:
+        """End the session of a cookie, if there is one."""
+        self._sessions.pop(_derive_csrf(session), None)
 
     # Inside
 
@@ -184,25 +161,6 @@ class Authentication:
         is_young = now_ns - session.used_ns < SESSION_NS and now_ns - session.begun_ns < LONGEST_SESSION_NS
         return user is not None and is_young and user.changed_utc == session.user_changed_utc
 
-    def _require_pause(self, counted: tuple[str, ...]) -> None:
-        now_ns = self._clock.now_ns()
-        until_ns = max(self._failures[counter].wait_until_ns if counter in self._failures else 0 for counter in counted)
-        if until_ns > now_ns:
-            seconds = -(-(until_ns - now_ns) // NS_PER_S)
-            raise TooManyTries("too-many-tries", f"too many sign-ins have failed; wait {seconds} s", "then try again")
-
-    def _count_failure(self, counted: tuple[str, ...]) -> None:
-        now_ns = self._clock.now_ns()
-        for counter in counted:
-            failures = self._failures.setdefault(counter, _Failures())
-            self._failures.move_to_end(counter)
-            failures.count += 1
-            over = failures.count - FREE_FAILURES
-            if over >= 0:
-                failures.wait_until_ns = now_ns + min(FIRST_PAUSE_NS << min(over, 20), LONGEST_PAUSE_NS)
-        while len(self._failures) > MAX_FAILED:
-            self._failures.popitem(last=False)
-
     def _read_file(self) -> None:
         """Take over a change of the file, at most twice a second."""
         now_ns = self._clock.now_ns()
@@ -221,15 +179,6 @@ class Authentication:
 def _lower(one: Role, other: Role) -> Role:
     """The lower of two roles: a token has at most that of its user."""
     return ROLES[min(ROLES.index(one), ROLES.index(other))]
-
-
-def _find_cookie(header: str) -> str:
-    """The session of a cookie header; empty if there is none."""
-    try:
-        morsel = SimpleCookie(header).get(COOKIE)
-    except CookieError:
-        return ""
-    return "" if morsel is None else morsel.value
 
 
 def _derive_csrf(secret: str) -> str:

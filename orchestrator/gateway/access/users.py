@@ -184,7 +184,8 @@ def hash_password(password: str) -> str:
 
 def verify_password(user: StoredUser | None, password: str) -> bool:
     """Whether it is the password of a user; takes the same time for a user that does not exist."""
-    hashed_password = user.password if user is not None and user.password else _make_dummy_hash()
+    dummy_hash = _make_dummy_hash()  # for every user: the first one of all waits for it
+    hashed_password = user.password if user is not None and user.password else dummy_hash
     try:
         _HASHER.verify(hashed_password, password[: MAX_PASSWORD + 1])
     except (VerificationError, InvalidHashError):

@@ -35,6 +35,11 @@ def list_views(fleet: Fleet | None) -> Sequence[WebView]:
     return () if fleet is None else fleet.web.views
 
 
+def allows_open_stop(fleet: Fleet | None) -> bool:
+    """Whether a stop needs no user; not while the fleet file is not known."""
+    return fleet is not None and fleet.web.stop_without_signing_in
+
+
 def show_views(fleet: Fleet | None) -> dict[str, Any]:
     """The cameras as a part of the state; without any no part."""
     views = [view.to_plain() for view in list_views(fleet)]

@@ -61,7 +61,7 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         SqliteJournal.find_jobs,
         SqliteJournal.find_referenced_jobs,
         SqliteJournal.load_job,
-        SqliteJournal.has_client_key,
+        SqliteJournal.find_keyed_job,
         SqliteJournal.load_recording,
         SqliteJournal.load_report,
         SqliteJournal.list_named_points,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.clock.executor import ThreadExecutor
-from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin, StepDecision
+from orchestrator.coordinator.journal.facts import KeyedJob, QueueEntryOptions, RetryOrigin, StepDecision
 from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertaken, JobHasEnded, JournalError
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, require_journal
 from orchestrator.coordinator.journal.sqlite.schema import MIGRATIONS, SCHEMA, VERSION
@@ -149,6 +149,8 @@ def test_upgrade_from_older_versions(tmp_path: Path, version: int) -> None:
         ("j3", 3, QueueTerms()),
     ]
     assert journal.accept_job("x", "k1", JOB, utc(4)) == ("j1", False)
+    # Its keys had no owner: they count for all.
+    assert journal.accept_job("x", "k1", JOB, utc(4), QueueEntryOptions(key_owner="anna")) == ("j1", False)
     assert journal.accept_job("j4", "k4", JOB, utc(4)) == ("j4", True)
     assert journal._db.execute("PRAGMA user_version").fetchone() == (VERSION,)  # pyright: ignore[reportPrivateUsage]
     journal.close()
@@ -160,7 +162,8 @@ def test_jobs_of_an_older_version_keep_their_checksums(tmp_path: Path) -> None:
     path = tmp_path / "journal.db"
     journal = SqliteJournal(path)
     journal.accept_job("a", "a", JOB, utc(1))
-    for statement in ("DROP TABLE approvals", "DROP TABLE commands", "ALTER TABLE jobs DROP COLUMN proposed"):
+    columns = [f"ALTER TABLE jobs DROP COLUMN {name}" for name in ("proposed", "request_digest")]
+    for statement in ("DROP TABLE approvals", "DROP TABLE commands", *columns):
         journal.database.execute(statement)
     journal.database.execute("PRAGMA user_version=9")
     journal.close()
@@ -171,6 +174,18 @@ def test_jobs_of_an_older_version_keep_their_checksums(tmp_path: Path) -> None:
     journal.database.execute("UPDATE jobs SET proposed = 1")
     with pytest.raises(DamagedRecord, match="its checksum is wrong"):
         journal.load_job("a")
+
+
+def test_a_key_is_of_its_owner_alone() -> None:
+    journal = SqliteJournal(":memory:")
+    for owner in ("anna", "ben"):
+        options = QueueEntryOptions(key_owner=owner, digest=f"digest of {owner}")
+        assert journal.accept_job(owner, "nightly-1", JOB, utc(1), options) == (owner, True)
+        assert journal.accept_job("x", "nightly-1", JOB, utc(2), options) == (owner, False)
+        keyed = KeyedJob(owner, JOB.actor, utc(1), f"digest of {owner}")
+        assert journal.find_keyed_job(owner, "nightly-1") == keyed
+        assert journal.load_job(owner) == JOB
+    assert journal.find_keyed_job("eve", "nightly-1") is None
 
 
 def approval(job_id: str) -> JobApproval:

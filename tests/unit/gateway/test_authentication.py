@@ -1,6 +1,7 @@
 """Users, sessions and tokens, with a clock that is set by hand."""
 
 import asyncio
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -9,16 +10,26 @@ from argon2 import PasswordHasher
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_inline
+from orchestrator.gateway.access import users as users_module
 from orchestrator.gateway.access.authentication import (
     LONGEST_SESSION_NS,
     MAX_SESSIONS,
-    MAX_VERIFYING,
     SESSION_NS,
     Authentication,
     NotSignedIn,
+)
+from orchestrator.gateway.access.cookies import BrowserMarks, CookieNames, find_cookie, load_key
+from orchestrator.gateway.access.identity import Identity
+from orchestrator.gateway.access.sign_in_limits import (
+    FORGET_NS,
+    FREE_FAILURES,
+    MAX_ADDRESS_VERIFYING,
+    MAX_UNKNOWN_VERIFYING,
+    MAX_VERIFYING,
+    SignInLimits,
+    SignInSource,
     TooManyTries,
 )
-from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.users import StoredToken, UserFile
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc
@@ -63,10 +74,13 @@ class Door:
         self.drawn += 1
         return f"secret-{self.drawn}"
 
-    def sign_in(self, user: str = "olga", password: str = PASSWORD, address: str = "127.0.0.1") -> str:
-        """The cookie header of a new session."""
-        secret, _ = asyncio.run(self.authentication.sign_in(user, password, address))
-        return f"tutti_session={secret}"
+    def sign_in(
+        self, user: str = "olga", password: str = PASSWORD, address: str = "127.0.0.1", browser: str = ""
+    ) -> str:
+        """The cookie of a new session."""
+        source = SignInSource(address, browser)
+        secret, _ = asyncio.run(self.authentication.sign_in(user, password, source))
+        return secret
 
     def identify(self, cookie: str = "", authorization: str = "") -> Identity:
         return self.authentication.identify("127.0.0.1", cookie, authorization)
@@ -132,40 +146,127 @@ def test_pauses_after_failures_grow_to_five_minutes_and_end_with_success(
         door.sign_in(password="wrong password")
 
 
-def test_failures_of_one_address_slow_down_another_user_there_only(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_passwords_keep_out_neither_another_address_nor_another_user(
+    door: Door, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(VERIFY, lambda _, password: password == PASSWORD)
     door.users.add_user("mia", "maintainer", PASSWORD, door.clock.utc())
     door.clock.move(1)
-    for _ in range(5):
-        with pytest.raises(NotSignedIn):
-            door.sign_in(password="wrong password", address="192.0.2.1")
+    fail(door, 9, "olga", "192.0.2.1")
+    with pytest.raises(TooManyTries, match="wait "):
+        door.sign_in("olga", address="192.0.2.1")
+    door.sign_in("mia", address="192.0.2.1")
+    door.sign_in("olga", address="192.0.2.2")
+
+
+def test_a_computer_has_one_count_for_its_whole_network_of_ipv6(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(VERIFY, lambda _, password: password == PASSWORD)
+    for number in range(FREE_FAILURES):
+        fail(door, 1, "olga", f"2001:db8::{number}")
     with pytest.raises(TooManyTries):
-        door.sign_in("mia", address="192.0.2.1")
-    door.sign_in("mia", address="192.0.2.2")
+        door.sign_in("olga", address="2001:db8::99")
+    door.sign_in("olga", address="2001:db8:1::1")
 
 
-def test_passwords_wait_for_each_other_in_bounded_number(door: Door) -> None:
-    begun: list[asyncio.Future[None]] = []
+def test_a_browser_of_the_user_has_its_own_count_at_the_same_address(
+    door: Door, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through a tunnel all have the address 127.0.0.1."""
+    monkeypatch.setattr(VERIFY, lambda _, password: password == PASSWORD)
+    fail(door, 20, "olga", "127.0.0.1")
+    with pytest.raises(TooManyTries):
+        door.sign_in()
+    door.sign_in(browser="tablet")
+    fail(door, FREE_FAILURES, "olga", "192.0.2.9", "tablet")
+    with pytest.raises(TooManyTries):
+        door.sign_in(browser="tablet")
+    door.sign_in(browser="other")
 
-    async def wait(*_: object) -> bool:
-        gate = asyncio.get_running_loop().create_future()
-        begun.append(gate)
-        await gate
+
+def test_failures_are_forgotten_one_by_one(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(VERIFY, lambda _, password: password == PASSWORD)
+    for _ in range(50):
+        fail(door, 1, "olga", "192.0.2.1")
+        door.clock.move(FORGET_NS / NS_PER_S)
+    fail(door, FREE_FAILURES - 1, "olga", "192.0.2.1")
+    door.sign_in("olga", address="192.0.2.1")
+
+
+def fail(door: Door, count: int, user: str, address: str, browser: str = "") -> None:
+    """Wrong passwords without a pause between them: some are refused unseen."""
+    for _ in range(count):
+        with pytest.raises((NotSignedIn, TooManyTries)):
+            door.sign_in(user, "wrong password", address, browser)
+
+
+def test_an_unknown_user_costs_the_same_as_a_known_one(door: Door, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also the first sign-in of a process, and that of a user with tokens only."""
+    door.users.add_user("ci", "operator", "", door.clock.utc())
+    door.clock.move(1)
+    for user in ("olga", "eve", "ci"):
+        users_module._make_dummy_hash.cache_clear()
+        work: list[str] = []
+        hasher = users_module._HASHER
+        counted = CountedHasher(hasher, work)
+        monkeypatch.setattr(users_module, "_HASHER", counted)
+        fail(door, 2, user, "192.0.2.1")
+        monkeypatch.setattr(users_module, "_HASHER", hasher)
+        assert work == ["hash", "verify", "verify"], user
+
+
+class CountedHasher:
+    """Notes what a hasher does."""
+
+    def __init__(self, hasher: PasswordHasher, work: list[str]) -> None:
+        self._hasher, self._work = hasher, work
+
+    def hash(self, password: str) -> str:
+        self._work.append("hash")
+        return self._hasher.hash(password)
+
+    def verify(self, hashed: str, password: str) -> bool:
+        self._work.append("verify")
+        return self._hasher.verify(hashed, password)
+
+
+def test_places_for_verifications_are_shared() -> None:
+    limits = SignInLimits(HandClock())  # pyright: ignore[reportArgumentType]
+
+    def take(stack: ExitStack, *sources: SignInSource) -> bool:
+        try:
+            for source in sources:
+                stack.enter_context(limits.verify(source))
+        except TooManyTries:
+            return False
         return True
 
-    async def main() -> None:
-        authentication = Authentication(door.users, door.clock, wait, door.draw)  # pyright: ignore[reportArgumentType]
-        tasks = [
-            asyncio.ensure_future(authentication.sign_in("olga", PASSWORD, f"192.0.2.{number}"))
-            for number in range(MAX_VERIFYING + 1)
-        ]
-        await asyncio.sleep(0)
-        for gate in begun:
-            gate.set_result(None)
-        results = await asyncio.gather(*tasks, return_exceptions=True)
-        assert sum(isinstance(each, TooManyTries) for each in results) == 1
+    for _ in range(2):  # the places are free again afterwards
+        with ExitStack() as stack:
+            assert take(stack, *[SignInSource("192.0.2.1")] * MAX_ADDRESS_VERIFYING)
+            assert not take(stack, SignInSource("192.0.2.1"))
+            others = [SignInSource(f"192.0.2.{number}") for number in range(2, MAX_UNKNOWN_VERIFYING)]
+            assert take(stack, *others) and not take(stack, SignInSource("192.0.2.99"))
+            known = [SignInSource("192.0.2.1", f"tablet {number}") for number in range(MAX_VERIFYING)]
+            assert take(stack, *known[: MAX_VERIFYING - MAX_UNKNOWN_VERIFYING])
+            assert not take(stack, known[-1])
 
-    asyncio.run(main())
+
+def test_cookies_have_the_names_of_fleet_and_port(tmp_path: Path) -> None:
+    names = CookieNames("demo", 8080)
+    assert (names.session, names.name_browser("olga")) == ("tutti_session_demo_8080", "tutti_known_demo_8080_olga")
+    assert CookieNames("demo", 8443, secure=True).session == "__Host-tutti_session_demo_8443"
+    header = 'odd{"x"}; a=b=c; tutti_session_demo_8081=other; tutti_session_demo_8080=mine; =; ;'
+    assert find_cookie(header, names.session) == "mine" and find_cookie(header, "a") == "b=c"
+    assert find_cookie(header, "tutti") == "" and find_cookie("", names.session) == ""
+    # The mark of a browser is its user's, and counts after a restart.
+    mark = BrowserMarks(load_key(tmp_path)).make_mark("olga", "tablet")
+    marks = BrowserMarks(load_key(tmp_path))
+    assert marks.find_browser("olga", mark) == "tablet" and marks.find_browser("mia", mark) == ""
+    for forged in ("", ".", "tablet", "tablet.", mark.replace("tablet", "other"), mark[:-1], "é.é"):
+        assert marks.find_browser("olga", forged) == ""
+    assert (tmp_path / "browsers.key").stat().st_mode & 0o777 == 0o600
+    (tmp_path / "browsers.key").write_bytes(b"short")
+    assert BrowserMarks(load_key(tmp_path)).find_browser("olga", mark) == ""
 
 
 def test_an_identity_without_users_holds_until_there_is_one(tmp_path: Path) -> None:

@@ -15,8 +15,20 @@ from orchestrator.coordinator.journal.sqlite.command_table import MAX_COMMANDS
 from orchestrator.coordinator.journal.sqlite.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
 from orchestrator.coordinator.journal.sqlite.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
-from orchestrator.gateway import app, commands, fleet_files, guard, job_files, preview, reads, server
-from orchestrator.gateway.access import authentication, users
+from orchestrator.gateway import (
+    app,
+    bodies,
+    commands,
+    connections,
+    fleet_files,
+    guard,
+    job_files,
+    open_stops,
+    preview,
+    reads,
+    server,
+)
+from orchestrator.gateway.access import authentication, sign_in_limits, users
 from orchestrator.gateway.stream import acts, fleet_state, socket
 from orchestrator.link.trace import MAX_TRACE_ENTRIES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
@@ -55,8 +67,13 @@ ROWS = {
     "warnings of one source": [log.MAX_PUBLISHED_PER_S],
     "log file": [logfile.MAX_LOG_BYTES, logfile.KEPT_LOGS],
     "sockets of the gateway": [app.MAX_SOCKETS],
-    "connections of requests": [server.MAX_CONNECTIONS],
-    "body of a request": [guard.MAX_BODY_BYTES, server.MAX_HEADER_BYTES],
+    "connections of requests": [connections.MAX_CONNECTIONS, connections.STOP_RESERVE],
+    "connections of an address": [connections.MAX_NOT_SIGNED_IN],
+    "body of a request": [bodies.MAX_BODY_BYTES, guard.MAX_HEADER_BYTES],
+    "body of a request that is not signed in": [bodies.MAX_UNPROVEN_BYTES, int(bodies.BODY_S)],
+    "time for the head": [int(server.HEAD_S)],
+    "pace of a body": [int(bodies.BODY_S), bodies.LEAST_BYTES_PER_S // 1000, int(bodies.LONGEST_BODY_S)],
+    "bodies of all requests": [bodies.MAX_BODIES_BYTES],
     "a frame from a page": [socket.MAX_FRAME_CHARS],
     "frames of a socket": [socket.MAX_FRAMES_PER_S],
     "answers that wait for a slow reader": [socket.MAX_WAITING, int(socket.SEND_S)],
@@ -69,12 +86,18 @@ ROWS = {
     "users; tokens of each": [users.MAX_USERS, users.MAX_TOKENS],
     "characters of a password": [users.MIN_PASSWORD, users.MAX_PASSWORD],
     "failed sign-ins": [
-        authentication.FREE_FAILURES,
-        authentication.FIRST_PAUSE_NS // NS_PER_S,
-        authentication.LONGEST_PAUSE_NS // NS_PER_S,
+        sign_in_limits.FREE_FAILURES,
+        sign_in_limits.FIRST_PAUSE_NS // NS_PER_S,
+        sign_in_limits.LONGEST_PAUSE_NS // NS_PER_S,
+        sign_in_limits.FORGET_NS // NS_PER_S,
     ],
-    "passwords that are verified": [authentication.MAX_VERIFYING],
-    "users and addresses": [authentication.MAX_FAILED],
+    "stops that are not signed in": [open_stops.STOPS_PER_S],
+    "passwords that are verified": [
+        sign_in_limits.MAX_VERIFYING,
+        sign_in_limits.MAX_UNKNOWN_VERIFYING,
+        sign_in_limits.MAX_ADDRESS_VERIFYING,
+    ],
+    "users with an address": [sign_in_limits.MAX_FAILED],
     "idempotency keys": [commands.MAX_KEYS, app.MAX_KEY],
     "in the state": [
         fleet_state.MAX_CONTROLLERS,

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from datetime import timedelta
 
 from orchestrator.coordinator.jobs.check import check_job
+from orchestrator.coordinator.jobs.intake.client_keys import ClientKeys, digest_request, find_owner
 from orchestrator.coordinator.jobs.intake.path_intake import split_paths
 from orchestrator.coordinator.jobs.intake.point_intake import PointIntake
 from orchestrator.coordinator.jobs.needs import find_axes, find_needed_controllers
@@ -12,6 +13,7 @@ from orchestrator.coordinator.jobs.queue.times import MISSED_AFTER
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
+from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
@@ -32,17 +34,21 @@ class JobIntake:
         self._scheduler = scheduler
         self._new_id = new_id
         self.points = PointIntake(services)
+        self._keys = ClientKeys(services)
 
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
         """Accept a job: it is in the journal when this returns. Raises `Refusal`."""
+        first_job = await self._keys.find_job(request)
+        if first_job is not None:
+            return await self._describe_job(first_job.job_id)
         job = await split_paths(self._services.view, await self.points.resolve_points(request.job))
         _order_steps(job, request.terms)
         order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
         await self._check_steps(order.list_remaining(), request.terms)
-        await self._check_terms(request.terms, request.client_key)
+        await self._check_terms(request.terms)
         if request.terms.now:
-            await self._require_free_way(request)
-        return await self._accept_job(request.client_key, job, request.terms, None)
+            self._require_free_way(request)
+        return await self._accept_job(request, job, QueueEntryOptions(request.terms))
 
     async def retry_job(self, request: RetryJob) -> JobRetried:
         """Re-run a finished job from a step on; or report what that would do. Raises `Refusal`, `UnknownName`."""
@@ -54,13 +60,15 @@ class JobIntake:
         if record.state not in FINISHED_STATES:
             text = f"job {record.id} is {record.state}; only a finished job can be re-run"
             raise Refusal("not-ended", text, "wait for its end, or cancel it")
-        terms = request.terms or QueueTerms(repeat=record.repeat)
+        terms = await self._keep_proposal(record, request.terms or QueueTerms(repeat=record.repeat))
         order = _order_steps(job, terms)
         from_step = _find_first_step(record.id, order, request)
         resolver = services.positions.make_resolver()
         remaining = resolver.resolve_remaining(job.steps, terms.repeat, from_step).list_remaining(from_step)
-        await self._check_steps(remaining, terms)
-        await self._check_terms(terms, request.client_key)
+        first_job = None if request.dry_run else await self._keys.find_job(request)
+        if first_job is None:
+            await self._check_steps(remaining, terms)
+            await self._check_terms(terms)
         axes = find_axes(services.view.fleet, [step.step for step in remaining])
         described_steps = order.list_remaining(from_step)[:MAX_DESCRIBED_STEPS]
         reply = JobRetried(
@@ -71,7 +79,11 @@ class JobIntake:
         if request.dry_run:
             return reply
         fresh = job.model_copy(update={"actor": request.actor})
-        taken_job = await self._accept_job(request.client_key, fresh, terms, RetryOrigin(record.id, from_step))
+        if first_job is not None:
+            taken_job = await self._describe_job(first_job.job_id)
+        else:
+            options = QueueEntryOptions(terms, RetryOrigin(record.id, from_step))
+            taken_job = await self._accept_job(request, fresh, options)
         return reply.model_copy(update={"job_id": taken_job.job_id, "entry": taken_job.entry})
 
     async def prune_jobs(self, request: PruneJobs) -> int:
@@ -93,18 +105,19 @@ class JobIntake:
         members = find_needed_controllers(fleet, [step.step for step in steps])
         services.fleet.certificates.require_until(members, least_s, terms.at)
 
-    async def _accept_job(
-        self, client_key: str, job: Job, terms: QueueTerms, retried: RetryOrigin | None
-    ) -> JobSubmitted:
+    async def _accept_job(self, request: SubmitJob | RetryJob, job: Job, options: QueueEntryOptions) -> JobSubmitted:
         services = self._services
+        digest = digest_request(request)
         job_id, fresh = await services.execute(
             services.journal.accept_job,
             self._new_id()[:8],
-            client_key,
+            request.client_key,
             job,
             services.clock.utc(),
-            QueueEntryOptions(terms, retried),
+            options._replace(key_owner=find_owner(request.actor), digest=digest),
         )
+        if not fresh:  # another request came with the key at the same time
+            await self._keys.find_job(request)
         row = await services.execute(services.journal.load_record, job_id)
         assert row is not None
         if fresh:
@@ -114,21 +127,34 @@ class JobIntake:
         cause = self._scheduler.starts.describe_cause(job_id) if fresh else ""
         return JobSubmitted(job_id=job_id, entry=entry.model_copy(update={"reason": cause or entry.reason}))
 
-    async def _require_free_way(self, request: SubmitJob) -> None:
-        """Raise `Refusal` for a job that must begin at once, and would have to wait."""
+    async def _keep_proposal(self, record: JobRecord, terms: QueueTerms) -> QueueTerms:
+        """The terms of a re-run: of a job that was proposed and whose plan was never approved it is one again."""
+        if not record.proposed or terms.proposed:
+            return terms
         services = self._services
-        if await services.execute(services.journal.has_client_key, request.client_key):
-            return
+        try:
+            approval = await services.execute(services.journal.approvals.load_approval, record.id)
+        except DamagedRecord:  # which counts as none
+            approval = None
+        is_approved = approval is not None and not approval.void
+        return terms if is_approved else terms.model_copy(update={"proposed": True})
+
+    async def _describe_job(self, job_id: str) -> JobSubmitted:
+        """The answer to a request that is repeated: the job of the first one, as it is now."""
+        services = self._services
+        row = await services.execute(services.journal.load_record, job_id)
+        return JobSubmitted(job_id=job_id, entry=None if row is None else self._scheduler.publisher.make_entry(row))
+
+    def _require_free_way(self, request: SubmitJob) -> None:
+        """Raise `Refusal` for a job that must begin at once, and would have to wait."""
         obstacle = self._scheduler.find_obstacle(request.job, request.terms)
         if obstacle is not None:
             raise Refusal(obstacle.code, obstacle.text, obstacle.remedy)
 
-    async def _check_terms(self, terms: QueueTerms, client_key: str) -> None:
+    async def _check_terms(self, terms: QueueTerms) -> None:
         """Raises `Refusal` for a proposed job that must not wait, for a start time in the past, and for a predecessor
-        that cannot become done any more; a repeated request gets its earlier answer."""
+        that cannot become done any more."""
         services = self._services
-        if await services.execute(services.journal.has_client_key, client_key):
-            return
         if terms.proposed and (terms.now or terms.session is not None):
             text = "a proposed job waits for its approval: it cannot begin at once, or belong to a waiting command"
             raise Refusal("bad-terms", text, "propose it without `now` and `session`")

@@ -15,7 +15,7 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
-from orchestrator.coordinator.journal.facts import QueueEntryOptions, Reservation, StepDecision
+from orchestrator.coordinator.journal.facts import KeyedJob, QueueEntryOptions, Reservation, StepDecision
 from orchestrator.coordinator.journal.records import (
     UNREADABLE_TIME,
     DamagedRecord,
@@ -30,7 +30,14 @@ from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
 from orchestrator.coordinator.journal.sqlite.job_states import insert_transition, is_queued
 from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
 from orchestrator.coordinator.journal.sqlite.point_store import PointStore
-from orchestrator.coordinator.journal.sqlite.rows import CHECKED_COLUMNS, COLUMNS, find_checksum, make_record
+from orchestrator.coordinator.journal.sqlite.rows import (
+    CHECKED_COLUMNS,
+    COLUMNS,
+    FIND_KEY,
+    find_checksum,
+    make_record,
+    scope_key,
+)
 from orchestrator.coordinator.journal.sqlite.saved_positions import read_positions
 from orchestrator.coordinator.journal.sqlite.schema import VERSION, list_statements, read_version
 from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
@@ -184,23 +191,18 @@ class SqliteJournal:
     # Jobs
 
     def accept_job(
-        self,
-        job_id: str,
-        client_key: str,
-        job: Job,
-        utc: str,
-        entry: QueueEntryOptions | None = None,
+        self, job_id: str, client_key: str, job: Job, utc: str, entry: QueueEntryOptions | None = None
     ) -> tuple[str, bool]:
-        terms, origin = entry or QueueEntryOptions()
+        terms, origin, owner, digest = entry or QueueEntryOptions()
         self._require_same_file()
         with self._transaction():
-            row = self._db.execute("SELECT id FROM jobs WHERE client_key = ?", (client_key,)).fetchone()
-            if row is not None:
-                return row[0], False
+            first_job = self.find_keyed_job(owner, client_key)
+            if first_job is not None:
+                return first_job.job_id, False
             reason = WAITS_FOR_APPROVAL if terms.proposed else "submitted"
             values = {
                 "id": job_id,
-                "client_key": client_key,
+                "client_key": scope_key(owner, client_key),
                 "name": job.name,
                 "actor": job.actor,
                 "body": job.model_dump_json(),
@@ -220,6 +222,7 @@ class SqliteJournal:
                 "now": int(terms.now),
                 "session": terms.session,
                 "proposed": int(terms.proposed),
+                "request_digest": digest,
             }
             values["crc"] = find_checksum(values)
             marks = ", ".join("?" * len(values))
@@ -231,8 +234,9 @@ class SqliteJournal:
             self._db.execute("INSERT INTO transitions VALUES (?, 'queued', ?, ?, ?, NULL)", fields)
         return job_id, True
 
-    def has_client_key(self, client_key: str) -> bool:
-        return bool(self._select_rows("SELECT 1 FROM jobs WHERE client_key = ?", (client_key,)))
+    def find_keyed_job(self, owner: str, client_key: str) -> KeyedJob | None:
+        rows = self._select_rows(FIND_KEY, (scope_key(owner, client_key), client_key))
+        return KeyedJob(*rows[0]) if rows else None
 
     def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:
         with self._transaction():

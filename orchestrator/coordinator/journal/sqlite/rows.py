@@ -18,6 +18,7 @@ COLUMNS = (
 )
 
 
+FIND_KEY = "SELECT id, actor, submitted_utc, request_digest FROM jobs WHERE client_key IN (?, ?)"
 CHECKED_COLUMNS = (
     "id",
     "client_key",
@@ -36,6 +37,12 @@ CHECKED_COLUMNS = (
     "session",
 )
 """What never changes of a job, besides `proposed`."""
+
+
+def scope_key(owner: str, client_key: str) -> str:
+    """A client's key as it is stored: behind its owner, from schema 11 on. No key has a line break, so none of an older
+    journal looks like that."""
+    return f"{owner}\n{client_key}"
 
 
 def find_checksum(values: Mapping[str, Any]) -> int:

@@ -4,7 +4,7 @@ import sqlite3
 
 from orchestrator.coordinator.journal.records import JournalError
 
-VERSION = 10
+VERSION = 11
 SCHEMA_WITH_COPIES = 6  # the first one that keeps single values twice
 
 SCHEMA = """
@@ -109,6 +109,10 @@ CREATE TABLE commands (
   number INTEGER PRIMARY KEY AUTOINCREMENT, utc TEXT NOT NULL, actor TEXT NOT NULL, verb TEXT NOT NULL,
   subject TEXT NOT NULL, refused TEXT NOT NULL
 ) STRICT;
+""",
+    # From here on a key stands behind its owner, in `client_key`: that is unique, and cannot be made anew.
+    10: """
+ALTER TABLE jobs ADD COLUMN request_digest TEXT NOT NULL DEFAULT '';
 """,
 }
 

@@ -110,6 +110,9 @@ export const T = {
     password: "Password",
     signIn: "Sign in",
     stopHint: "To stop without signing in, use the E-stop button of the machine, or a page that is signed in",
+    stop: "Stop",
+    stopped: "All controllers have stopped",
+    notStopped: (names: string[]) => `${names.join(", ")} did not confirm the stop: use the E-stop button of the machine`,
   },
 
   link: {

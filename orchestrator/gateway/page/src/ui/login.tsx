@@ -1,9 +1,9 @@
 /** Signing in. The gateway limits how often it can be tried. */
 
 import type { JSX } from "preact";
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import { explain } from "../core/format.ts";
-import { post } from "../core/http.ts";
+import { get, post } from "../core/http.ts";
 import type { Refusal, Session } from "../core/model.ts";
 import { reconnect, session } from "../core/stream.ts";
 import { T } from "../texts.ts";
@@ -21,6 +21,17 @@ export function Login(): JSX.Element {
     if ("refused" in answer) return setRefused(answer.refused);
     session.value = answer.ok;
     reconnect();
+  };
+  const [canStop, setCanStop] = useState(false);
+  const [stopped, setStopped] = useState("");
+  useEffect(() => {
+    void get<{ stop: boolean }>("sign-in").then((answer) => setCanStop("ok" in answer && answer.ok.stop));
+  }, []);
+  const stop = async (): Promise<void> => {
+    const answer = await post<{ answers: Record<string, Refusal | null> }>("stop");
+    if ("refused" in answer) return setStopped(explain(answer.refused));
+    const failed = Object.entries(answer.ok.answers).filter(([, refusal]) => refusal !== null);
+    setStopped(failed.length ? T.login.notStopped(failed.map(([name]) => name)) : T.login.stopped);
   };
   return (
     <main class="login">
@@ -49,7 +60,14 @@ export function Login(): JSX.Element {
         <button type="submit" class="act strong" disabled={busy}>
           {T.login.signIn}
         </button>
-        <p class="hint">{T.login.stopHint}</p>
+        {canStop ? (
+          <button type="button" class="stop" onClick={() => void stop()}>
+            {T.login.stop}
+          </button>
+        ) : (
+          <p class="hint">{T.login.stopHint}</p>
+        )}
+        {stopped ? <p role="alert">{stopped}</p> : null}
       </form>
     </main>
   );
