@@ -11,11 +11,6 @@ C = TypeVar("C", bound=type)
 R = TypeVar("R")
 
 
-def shorten_traceback(error: TuttiError) -> TuttiError:
-    """The error without the frames that it has passed. What else has caused it is in its text."""
-    return error.with_traceback(None)
-
-
 def end_tracebacks(cls: C) -> C:
     """Let each public coroutine method of a class raise errors of `TuttiError` without the frames below it."""
     for name, function in inspect.getmembers(cls, inspect.iscoroutinefunction):
@@ -30,6 +25,6 @@ def _end_here(function: Callable[..., Coroutine[Any, Any, R]]) -> Callable[..., 
         try:
             return await function(*arguments, **named)
         except TuttiError as error:
-            raise shorten_traceback(error) from None
+            raise error.with_traceback(None) from None
 
     return call

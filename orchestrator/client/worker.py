@@ -6,7 +6,6 @@ from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, Protocol, TypeVar
 
-from orchestrator.client.tracebacks import shorten_traceback
 from orchestrator.model.errors import TuttiError
 
 T = TypeVar("T")
@@ -86,7 +85,7 @@ class BlockingObject(Generic[T]):
         try:
             return self._worker.run_coroutine(work)
         except TuttiError as error:
-            raise shorten_traceback(error) from None
+            raise error.with_traceback(None) from None
 
     def _iterate(self, items: AsyncGenerator[R]) -> Iterator[R]:
         """The items as they come; leaving the loop ends them."""

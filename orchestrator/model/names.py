@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
-from orchestrator.model.units import check_position
+from orchestrator.model.units import check_axis_unit, check_quantity
 
 ALL_AXES = "*"
 """In the targets of a move: all axes of a named position. `to: sample` is `{"*": "sample"}`."""
@@ -35,7 +35,7 @@ _NUMBER_OR_TEXT: dict[str, Any] = {"anyOf": [{"type": "number"}, {"type": "strin
 
 
 def _check_target(value: object) -> object:
-    return value if is_position_name(value) else check_position(value)
+    return value if is_position_name(value) else check_axis_unit(check_quantity(value))
 
 
 Target = Annotated[int | float | str, BeforeValidator(_check_target), WithJsonSchema(_NUMBER_OR_TEXT)]

@@ -11,7 +11,7 @@ from enum import StrEnum
 from fractions import Fraction
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema
 
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.numbers import MAX_TEXT, name_odd_sign, split_number, suggest_number
@@ -191,18 +191,12 @@ Quantity = Annotated[
 """A value for an axis whose unit is known only together with the fleet: convert it with `parse_quantity`."""
 
 
-def check_position(value: object) -> object:
-    """`check_quantity`, and a unit is one of axes. Raises `ValueError`."""
-    quantity = check_quantity(value)
+def check_axis_unit(quantity: object) -> object:
+    """Return a quantity as it is, if its unit, where it has one, is one of axes. Raises `UnitError`."""
     if isinstance(quantity, str) and (parts := split_number(quantity)) is not None and parts[1]:
         _parse_unit(parts[1])
     return quantity
 
 
-AxisQuantity = Annotated[
-    int | float | str,
-    BeforeValidator(check_position),
-    Field(description='A number in the axis\'s own unit, or text with a convertible unit, e.g. "12.5 um".'),
-    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
-]
+AxisQuantity = Annotated[Quantity, AfterValidator(check_axis_unit)]
 """A position or a distance of an axis. That its unit fits the axis is known only together with the fleet."""

@@ -1,5 +1,7 @@
 """The jog panel's logic in virtual time: keys and answers in, requests out."""
 
+from unit.controller_states import make_controller_state
+
 from orchestrator.cli.manual.jog.held_key import REPEAT_WAIT_NS, SILENCE_NS, TAP_NS
 from orchestrator.cli.manual.jog.keys import FocusChange, KeyEvent
 from orchestrator.cli.manual.jog.panel import (
@@ -44,23 +46,7 @@ def state(controller: str = "gantry", referenced: bool = True, leases: dict[str,
         enabled=True,
         referenced=referenced,
     )
-    return ControllerState(
-        controller=controller,
-        instance="i",
-        seq=1,
-        utc="",
-        fleet_ns=None,
-        mode="idle",
-        axes={"x": now, "y": now},
-        inputs={},
-        outputs={},
-        faults=[],
-        clock=None,
-        estop=None,
-        epoch=1,
-        digest="d",
-        leases=leases or {},
-    )
+    return make_controller_state(controller, {"x": now, "y": now}, leases=leases)
 
 
 class Desk:

@@ -4,6 +4,7 @@ import io
 
 import pytest
 from rich.console import Console
+from unit.controller_states import make_controller_state
 
 from orchestrator.cli.manual.jog.keys import KeyEvent
 from orchestrator.cli.manual.jog.panel import JogPanel
@@ -11,7 +12,7 @@ from orchestrator.cli.manual.jog.screen import STALE_NS, render_panel
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.state import AxisState, ControllerState, EstopLatch
+from orchestrator.model.state import AxisState, EstopLatch
 
 LIMITS = {"velocity": 200, "acceleration": 1000}
 
@@ -36,22 +37,7 @@ def panel(count: int = 2, releases: bool = True, **more: object) -> JogPanel:
             **more,
         }
     )
-    state = ControllerState(
-        controller="gantry",
-        instance="i",
-        seq=1,
-        utc="",
-        fleet_ns=None,
-        mode="idle",
-        axes={f"a{k}": now for k in range(count)},
-        inputs={},
-        outputs={},
-        faults=[],
-        clock=None,
-        estop=None,
-        epoch=1,
-        digest="d",
-    )
+    state = make_controller_state("gantry", {f"a{k}": now for k in range(count)})
     made.store_state(state, 0)
     return made
 

@@ -4,12 +4,14 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any
 
+from unit.controller_states import make_controller_state
+
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.operation.alarms import AlarmRequest
-from orchestrator.model.state import ControllerState, Mode
+from orchestrator.model.state import Mode
 from orchestrator.runtime.examples import find_example
 from orchestrator.runtime.live.router_watch import FleetRest, RouterWatch, find_longest_stop_ns
 
@@ -113,23 +115,7 @@ def test_a_router_of_others_is_an_alarm_only() -> None:
 
 
 def make_sample(controller: str, mode: Mode) -> BusSample:
-    state = ControllerState(
-        controller=controller,
-        instance="i",
-        seq=1,
-        utc="",
-        fleet_ns=None,
-        mode=mode,
-        axes={},
-        inputs={},
-        outputs={},
-        faults=[],
-        clock=None,
-        estop=None,
-        epoch=1,
-        digest="",
-    )
-    return BusSample("k", state.to_json())
+    return BusSample("k", make_controller_state(controller, mode=mode).to_json())
 
 
 def test_a_fleet_rests_when_each_controller_does() -> None:

@@ -96,3 +96,10 @@ export function explain(problem: { text: string; remedy?: string; controller?: s
   if (!problem.remedy) return onPage(text);
   return onPage(/[.!?;:]$/.test(text) ? `${text} ${problem.remedy}` : `${text}; ${problem.remedy}`);
 }
+
+/** A number as people write it, with a comma or a point; null for anything else. */
+export function readNumber(text: string): number | null {
+  const plain = text.trim().replace(",", ".").replace(/^[−–]/, "-");
+  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
+  return Number(plain);
+}

@@ -8,11 +8,6 @@ import { T } from "../texts.ts";
 
 export type View = "run" | "setup" | "service";
 export const VIEWS: View[] = ["run", "setup", "service"];
-function isPlane(value: unknown): value is Plane {
-  if (typeof value !== "object" || value === null) return false;
-  const { shown, axes } = value as Record<string, unknown>;
-  return isFlag(shown) && isTexts(axes);
-}
 export type Theme = "auto" | "light" | "dark";
 
 export const theme = remembered<Theme>("theme", "auto", (value): value is Theme => ["auto", "light", "dark"].includes(value as string));
@@ -22,6 +17,13 @@ export interface Plane {
   shown: boolean;
   axes: string[];
 }
+
+function isPlane(value: unknown): value is Plane {
+  if (typeof value !== "object" || value === null) return false;
+  const { shown, axes } = value as Record<string, unknown>;
+  return isFlag(shown) && isTexts(axes);
+}
+
 export const plane = remembered<Plane>("plane", { shown: false, axes: [] }, isPlane);
 export const plotted = remembered<string[]>("plotted", [], isTexts);
 

@@ -2,13 +2,12 @@
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
-import { formatQuantity, formatUnit } from "../core/format.ts";
+import { formatQuantity, formatUnit, readNumber } from "../core/format.ts";
 import { beginWork, working } from "../core/manual.ts";
 import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { permits, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { T } from "../texts.ts";
-import { readNumber } from "./movedialog.tsx";
 import { Act, closeDialog, Field, Mark } from "./parts.tsx";
 
 export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element {
@@ -18,7 +17,6 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
   const why = firstOf(whyNot("work", controller.id), working.value ? T.why.working(working.value.words) : "");
   const value = readNumber(text);
   const valueWhy = firstOf(why, value === null ? T.axes.typeNumber : "");
-  const ready = readinessOf(axis.id, flags, controller.rest.value, permits.value);
   const work = (words: string, step: object): void => {
     void beginWork(words, [axis.id], step);
     closeDialog();
@@ -29,11 +27,7 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
         {T.axes.now}: <b class="num">{formatQuantity(axis.position.value, flags.unit)}</b>{" "}
         {flags.offset && flags.offset !== "0" ? T.axes.offset(flags.offset) : ""}
       </p>
-      {ready.remedy ? (
-        <p>
-          <Mark level={ready.level} text={ready.text} /> <small class="remedy">{ready.remedy}</small>
-        </p>
-      ) : null}
+      <ReadyLine axis={axis} controller={controller} />
       <div class="row">
         {flags.enabled ? (
           <Act label={T.axes.disable(axis.id)} why={why} onAct={() => work(T.axes.disable(axis.id), { do: "disable", axes: [axis.id] })} />
@@ -68,5 +62,16 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
       </div>
       <p class="hint">{T.axes.setHint}</p>
     </div>
+  );
+}
+
+/** Why an axis is not ready, with what to do; nothing for one that is. */
+export function ReadyLine({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element | null {
+  const ready = readinessOf(axis.id, axis.flags.value, controller.rest.value, permits.value);
+  if (!ready.remedy) return null;
+  return (
+    <p>
+      <Mark level={ready.level} text={ready.text} /> <small class="remedy">{ready.remedy}</small>
+    </p>
   );
 }

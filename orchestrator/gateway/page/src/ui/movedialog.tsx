@@ -2,17 +2,17 @@
 
 import type { JSX } from "preact";
 import { useState } from "preact/hooks";
-import { formatQuantity, formatUnit, plainNumber } from "../core/format.ts";
+import { formatQuantity, formatUnit, plainNumber, readNumber } from "../core/format.ts";
 import { whyBeyond } from "../core/limits.ts";
 import { beginWork, working } from "../core/manual.ts";
-import { readinessOf } from "../core/ready.ts";
 import { isNumber, remembered } from "../core/remember.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { manualSpeed, readSpeed } from "../core/speed.ts";
-import { permits, type AxisStore, type ControllerStore } from "../core/store.ts";
+import type { AxisStore, ControllerStore } from "../core/store.ts";
 import { T } from "../texts.ts";
+import { ReadyLine } from "./axismenu.tsx";
 import { STEPS, WorkLine } from "./jogpad.tsx";
-import { Act, closeDialog, Field, Mark } from "./parts.tsx";
+import { Act, closeDialog, Field } from "./parts.tsx";
 
 const FIRST_STEP = 1;
 const stepSize = remembered("move.step", FIRST_STEP, isNumber);
@@ -28,7 +28,6 @@ export function MoveDialog({ axis, controller }: { axis: AxisStore; controller: 
   const value = readNumber(text);
   const beyond = whyBeyond(axis, value);
   const goWhy = firstOf(why, value === null ? T.axes.typeNumber : "", beyond);
-  const ready = readinessOf(axis.id, flags, controller.rest.value, permits.value);
   const move = (target: object): Promise<boolean> =>
     beginWork(T.axes.moving(axis.id), [axis.id], { do: "move", ...target, ...(typeof speed === "string" ? {} : { speed: speed.value }) });
   const go = (): void => {
@@ -43,11 +42,7 @@ export function MoveDialog({ axis, controller }: { axis: AxisStore; controller: 
         </span>
         <span>{limitsOf(axis)}</span>
       </p>
-      {ready.remedy ? (
-        <p>
-          <Mark level={ready.level} text={ready.text} /> <small class="remedy">{ready.remedy}</small>
-        </p>
-      ) : null}
+      <ReadyLine axis={axis} controller={controller} />
       <form
         class="moveform"
         onSubmit={(event) => {
@@ -108,11 +103,4 @@ function limitsOf(axis: AxisStore): string {
   const { min, max, unit } = axis.flags.value;
   if (min === undefined && max === undefined) return T.axes.noLimits;
   return T.axes.limits(formatQuantity(min, unit), formatQuantity(max, unit));
-}
-
-/** A number as people write it, with a comma or a point; null for anything else. */
-export function readNumber(text: string): number | null {
-  const plain = text.trim().replace(",", ".").replace(/^[−–]/, "-");
-  if (!/^[+-]?(\d+\.?\d*|\.\d+)$/.test(plain)) return null;
-  return Number(plain);
 }
