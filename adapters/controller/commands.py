@@ -14,6 +14,7 @@ from adapters.controller.state.context import ControllerContext
 from adapters.controller.stops import ControllerStops
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
+from orchestrator.bus.decoding import read_request
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
@@ -114,10 +115,7 @@ class ControllerCommands:
         if verb not in self._verbs:
             raise RequestRefused(f"unknown verb {verb!r}; known: {', '.join(sorted(self._verbs))}")
         model, reply, handler = self._verbs[verb]
-        try:
-            request = model.model_validate_json(sample.payload)
-        except ValidationError as error:
-            raise RequestRefused(f"{verb}: {describe_first_error(error, 'payload')}") from None
+        request = read_request(model, sample, f"{verb}: ")
         return await self._answers.answer_once(
             verb, request, sample.payload, lambda: self._execute_request(verb, reply, handler, request)
         )

@@ -8,14 +8,12 @@ bus alone (router, both ends, and their threads); batched, it costs 3 ms.
 import asyncio
 from collections.abc import Callable
 
-from pydantic import ValidationError
-
 from orchestrator.bus.base import BusSample, RequestHandler, RequestRefused
+from orchestrator.bus.decoding import read_request
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.messages import BatchReply, BatchRequest
-from orchestrator.model.problems import describe_first_error
 
 
 class BatchAnswers:
@@ -32,10 +30,7 @@ class BatchAnswers:
     async def answer_batch(self, sample: BusSample) -> bytes:
         """Pass each request to its controller, and return the replies that arrived before the timeout."""
         verb = self._keys.verb_of(sample.key)
-        try:
-            batch = BatchRequest.model_validate_json(sample.payload)
-        except ValidationError as error:
-            raise RequestRefused(f"{verb}: {describe_first_error(error, 'payload')}") from None
+        batch = read_request(BatchRequest, sample, f"{verb}: ")
         asked_ns = self._clock.now_ns()
         replies: dict[str, str] = {}
         errors: dict[str, str] = {}

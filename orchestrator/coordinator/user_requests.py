@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
+from orchestrator.bus.decoding import read_request
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
@@ -132,10 +133,7 @@ class UserRequests:
         name = self._keys.verb_of(sample.key)
         if (verb := SERVICE_VERBS.get(name)) is None:
             raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(SERVICE_VERBS))}")
-        try:
-            request = verb.request.model_validate_json(sample.payload)
-        except ValidationError as error:
-            raise RequestRefused(f"{name}: {describe_first_error(error, '')}") from None
+        request = read_request(verb.request, sample, f"{name}: ", "")
         if self._services.leadership.over:
             raise RequestRefused("this coordinator is no longer the leader; send the request again")
         if verb.reads:  # its answers are large, and are not kept

@@ -9,9 +9,10 @@ from typing import Any, cast
 from pydantic import BaseModel, ValidationError
 
 from orchestrator.model.numbers import suggest_flag, suggest_number
-from orchestrator.model.problems import Problem
+from orchestrator.model.problems import MAX_DESCRIBED, Problem, counts_too_many, summarise_problems
 
 MAX_SHOWN = 60  # characters of a value
+MAX_COUNTED = 20_000  # mistakes of a file; of more than these not even the first ones are explained
 
 _BOUNDS = {
     "greater_than": ("gt", "above"),
@@ -22,11 +23,15 @@ _BOUNDS = {
 
 
 def list_problems(error: ValidationError, model: type[BaseModel]) -> list[Problem]:
-    """All mistakes of `error`, each with its place below `model`."""
-    return [
+    """All mistakes of `error`, each with its place below `model`; of very many the first ones, and their number."""
+    summary = [summarise_problems(error)] if counts_too_many(error) else []
+    if error.error_count() > MAX_COUNTED:
+        return summary
+    problems = [
         Problem(tuple(details["loc"]), explain_error(cast(Mapping[str, Any], details), model), details["input"])
-        for details in error.errors(include_url=False)
+        for details in error.errors(include_url=False)[:MAX_DESCRIBED]
     ]
+    return [*problems, *summary]
 
 
 def explain_error(error: Mapping[str, Any], model: type[BaseModel]) -> str:

@@ -6,7 +6,7 @@ from fractions import Fraction
 from functools import cache
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from adapters.abilities import LearningDriver
 from adapters.contract import ControllerReading
@@ -20,11 +20,11 @@ from adapters.controller.state.leases import MotionLeases
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.status import ControllerStatus
 from adapters.controller.state.store import PersistentMemory
-from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestRefused
+from orchestrator.bus.base import BusDeclaration, BusSample, Priority
+from orchestrator.bus.decoding import read_request
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import DigitalInput, DigitalOutput
 from orchestrator.model.messages import TraceRequest
-from orchestrator.model.problems import describe_first_error
 from orchestrator.model.state import (
     AxisEvidence,
     AxisState,
@@ -265,17 +265,11 @@ class StatePublisher:
         return self.current_state().to_json()
 
     async def _answer_events(self, sample: BusSample) -> bytes:
-        try:
-            request = EventsRequest.model_validate_json(sample.payload)
-        except ValidationError as error:
-            raise RequestRefused(describe_first_error(error, "payload")) from None
+        request = read_request(EventsRequest, sample, "")
         return self._events.events_after(request.after).to_json()
 
     async def _answer_trace(self, sample: BusSample) -> bytes:
-        try:
-            request = TraceRequest.model_validate_json(sample.payload)
-        except ValidationError as error:
-            raise RequestRefused(describe_first_error(error, "payload")) from None
+        request = read_request(TraceRequest, sample, "")
         return read_trace_part(self._context, request).to_json()
 
     async def _answer_info(self, _: BusSample) -> bytes:

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import partial
 
 from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler
+from orchestrator.bus.budgets import find_most_bytes, is_estop_key
 from orchestrator.bus.expression import check_expression, check_key, check_put, expressions_intersect
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
@@ -317,8 +318,8 @@ class MemoryNet:
     ) -> None:
         if self.is_cut(sender, receiver):
             return
-        if len(sample.payload) > receiver.max_message_bytes:
-            if priority is not Priority.ESTOP:
+        if len(sample.payload) > find_most_bytes("sample", sample.key, receiver.max_message_bytes):
+            if priority is not Priority.ESTOP and not is_estop_key(sample.key):
                 return
             sample = sample._replace(payload=b"")
         if receiver.hung:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from orchestrator.bus.base import BusSample, Priority, RequestHandler, RequestRefused
+from orchestrator.bus.budgets import describe_large_request, find_most_bytes
 from orchestrator.bus.expression import expressions_intersect, is_silent_on, is_wild
 from orchestrator.bus.memory.medium import BusProcess, Medium
 from orchestrator.bus.outcome import RequestOutcome
@@ -121,8 +122,10 @@ class RequestBoard:
         if not served.stands or is_silent_on(served.expression, question.outcome.key):
             self._queue_reply(served, question, None)
             return
-        if len(question.payload) > served.bus.max_message_bytes:
-            text = f"too large: a request has at most {served.bus.max_message_bytes} bytes here"
+        key = served.expression if is_wild(question.outcome.key) else question.outcome.key
+        size, process_bytes = len(question.payload), served.bus.max_message_bytes
+        if size > find_most_bytes("request", key, process_bytes):
+            text = describe_large_request(key, size, process_bytes)
             self._queue_reply(served, question, partial(question.outcome.add_refusal, served.bus.server, text))
             return
         context = served.context.copy()
@@ -135,6 +138,8 @@ class RequestBoard:
         key = served.expression if is_wild(asked_key) else asked_key
         try:
             payload = await served.handler(BusSample(key, question.payload))
+            if len(payload) > find_most_bytes("answer", key, question.asker.max_message_bytes):
+                raise RequestRefused(f"the answer on {key} is too large for this process")
         except RequestRefused as refusal:
             answer = (
                 None if is_wild(asked_key) else partial(question.outcome.add_refusal, served.bus.server, str(refusal))

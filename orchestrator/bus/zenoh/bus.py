@@ -27,6 +27,7 @@ from orchestrator.bus.expression import check_expression, check_key, check_put, 
 from orchestrator.bus.limits import MAX_ANSWERING, MAX_MESSAGE_BYTES, MAX_STATES_QUEUED, LossCounter, is_stop
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
+from orchestrator.bus.zenoh.intake import PayloadIntake
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
 from orchestrator.clock.owner import TaskOwner
@@ -104,8 +105,8 @@ class ZenohBus(RequestingBus):
     def __init__(self, endpoint: str, lossy: zenoh.Session, sure: zenoh.Session, max_message_bytes: int) -> None:
         super().__init__()
         self._endpoint = endpoint
-        self._max_message_bytes = max_message_bytes
         self._losses = LossCounter("bus", time.monotonic_ns)
+        self._intake = PayloadIntake(max_message_bytes, self._losses)
         self._loop = asyncio.get_running_loop()
         self._lossy = lossy
         self._sure = sure
@@ -149,9 +150,7 @@ class ZenohBus(RequestingBus):
         def receive_sample(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.PUT:
                 key, priority = str(sample.key_expr), _to_priority(sample)
-                payload = self._take_payload(sample.payload, key)
-                if payload is None and priority is Priority.ESTOP:
-                    payload = b""  # what cannot be read is an e-stop, too
+                payload = self._intake.take_sample(sample.payload, key, priority)
                 if payload is None:
                     return
                 if direct:
@@ -180,9 +179,11 @@ class ZenohBus(RequestingBus):
             self._answering.spawn(self._answer_query(query, payload, expression, handler))
 
         def receive_query(query: zenoh.Query) -> None:
-            payload = b"" if query.payload is None else self._take_payload(query.payload, str(query.key_expr))
+            question_key = str(query.key_expr)
+            key = expression if is_wild(question_key) else question_key
+            payload = b"" if query.payload is None else self._intake.take_payload(query.payload, key, "request")
             if payload is None:
-                self._refuse_query(query, f"too large: a request has at most {self._max_message_bytes} bytes here")
+                self._refuse_query(query, self._intake.describe_large_query(query, key))
                 return
             self._inbox.queue_call(Priority.EVENT, partial(start_answer, query, payload), len(payload))
 
@@ -193,20 +194,12 @@ class ZenohBus(RequestingBus):
         declaration.attach(queryable.undeclare)
         return declaration
 
-    def _take_payload(self, payload: zenoh.ZBytes, key: str) -> bytes | None:
-        """The bytes of a payload; None if they are more than this process takes, which is counted."""
-        size, most = len(payload), self._max_message_bytes
-        if size <= most:
-            return payload.to_bytes()
-        self._losses.count_loss(f"{size} bytes on {key} are left out; at most {most} are taken")
-        return None
-
     def _take_answer(
         self, answer: zenoh.Sample, server: str, outcome: RequestOutcome
     ) -> tuple[int, Callable[[], None]]:
         """The size of an answer, and the call that adds it to the outcome of its request."""
         key = str(answer.key_expr)
-        payload = self._take_payload(answer.payload, key)
+        payload = self._intake.take_payload(answer.payload, key, "answer")
         if payload is None:
             return 0, partial(outcome.add_refusal, server, f"the answer on {key} is too large for this process")
         return len(payload), partial(outcome.add_reply, server, key, payload)
