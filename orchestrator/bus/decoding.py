@@ -11,9 +11,12 @@ from pydantic_core import from_json
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.budgets import WorkBudget, find_request_budget
 from orchestrator.model.base import Model
+from orchestrator.model.jobs.parts import split_value
 from orchestrator.model.problems import Problem, counts_too_many, read_problems
 
 M = TypeVar("M", bound=Model)
+
+MAX_AT_ONCE = 64_000  # bytes that are decoded in a loop; more take so long that heartbeats would be late
 
 MAX_ENTRIES = 20  # of each list and object, in which the first of very many mistakes is looked for
 MAX_NODES = 2_000  # of all of them together
@@ -33,6 +36,11 @@ def read_request(model: type[M], sample: BusSample, prefix: str, whole: str = "p
     except ValidationError as error:
         problem = find_first_problem(error, model, sample.payload)
         raise RequestRefused(f"{prefix}{problem.describe(whole)}") from None
+
+
+def read_request_parts(model: type[M], sample: BusSample, prefix: str, whole: str = "payload") -> list[bytes]:
+    """`read_request` in another process, for a large one: the request in parts. Raises `RequestRefused`."""
+    return split_value(read_request(model, sample, prefix, whole))
 
 
 def require_budget(budget: WorkBudget, payload: bytes, prefix: str) -> None:

@@ -119,8 +119,12 @@ class FleetConnection:
         """The fields that every request has."""
         return {"request_id": self.new_id(), "actor": self.actor}
 
-    async def request_service(self, verb: str, request: Request, reply: type[M], timeout_s: float = ANSWER_S) -> M:
-        """Send a request to the leader and return its reply; of another process no reply counts. Raises `Refusal`."""
+    async def request_service(
+        self, verb: str, request: Request | bytes, reply: type[M], timeout_s: float = ANSWER_S
+    ) -> M:
+        """Send a request, or the JSON of one, to the leader and return its reply; of another process no reply counts.
+
+        Raises `Refusal`."""
         key = self.keys.service(verb)
         try:
             if self._leader:
@@ -197,9 +201,12 @@ class FleetConnection:
         except BusError as error:
             raise _explain_failure(error, absent) from None
 
-    async def _ask(self, key: str, request: Request, reply: type[M], timeout_s: float, server: str | None = None) -> M:
+    async def _ask(
+        self, key: str, request: Request | bytes, reply: type[M], timeout_s: float, server: str | None = None
+    ) -> M:
         """Raises `BusError`, and `Refusal` if the answer is one or cannot be read."""
-        answer = await self.bus.request(key, request.to_json(), timeout_s, server)
+        payload = request if isinstance(request, bytes) else request.to_json()
+        answer = await self.bus.request(key, payload, timeout_s, server)
         try:
             received_message = reply.read_message(answer)
         except ValidationError as error:

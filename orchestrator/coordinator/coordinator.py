@@ -99,6 +99,7 @@ class Coordinator:
             clock=clock,
             journal=environment.journal,
             execute=self._execute,
+            decode=environment.decode,
             view=self._view,
             fleet=access,
             motion=motion,

@@ -8,7 +8,6 @@ from pydantic import ValidationError
 
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
-from orchestrator.bus.decoding import read_request
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
@@ -133,11 +132,11 @@ class UserRequests:
         name = self._keys.verb_of(sample.key)
         if (verb := SERVICE_VERBS.get(name)) is None:
             raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(SERVICE_VERBS))}")
-        request = read_request(verb.request, sample, f"{name}: ", "")
+        request = await self._services.read_request(verb.request, sample, f"{name}: ")
         if self._services.leadership.over:
             raise RequestRefused("this coordinator is no longer the leader; send the request again")
         if verb.reads:  # its answers are large, and are not kept
-            return (await self._execute(name, request)).to_json()
+            return await self._services.dump_model(await self._execute(name, request))
         # A repeated request gets the first answer.
         work = partial(self._execute_command, name, request)
         return await self._answers.answer_once(name, request, sample.payload, work)
@@ -174,7 +173,7 @@ class UserRequests:
 
     async def _dry_run(self, request: DryRun) -> DryRunDone:
         job = await self._intake.points.resolve_points(request.job)
-        job = await split_paths(self._services.view, job)
+        job = await split_paths(self._services, job)
         return await self._rehearsal.dry_run(request.model_copy(update={"job": job}))
 
     async def _read_points(self, request: ReadPoints) -> PointsRead:
@@ -204,7 +203,7 @@ class UserRequests:
             raise Refusal("unknown-job", f"no job {request.job_id}", "see `tutti job ls`")
         job, report = None, await execute(journal.load_report, record.id)
         try:
-            job = await execute(journal.load_job, record.id)
+            job = await self._services.load_job(record.id)
         except DamagedRecord:
             if report is None:
                 raise

@@ -1,11 +1,10 @@
 """The gateway as an ASGI application: routes, and the rights that they need. It also runs in virtual time."""
 
 import asyncio
-import json
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
@@ -15,11 +14,12 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
+from orchestrator.bus.decoding import MAX_AT_ONCE
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.client import Tutti
 from orchestrator.clock.base import Clock
-from orchestrator.clock.executor import Executor
+from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.gateway.access.authentication import Authentication, NotSignedIn
 from orchestrator.gateway.access.cookies import BrowserMarks, CookieNames, load_key
 from orchestrator.gateway.access.identity import Identity
@@ -31,6 +31,7 @@ from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.open_stops import OpenStops
 from orchestrator.gateway.reads import FleetReads, Reader, ReadRequest
 from orchestrator.gateway.replies import RefusedRequest, make_model_response, make_refusal_response
+from orchestrator.gateway.service_requests import read_fields, require_body_budget
 from orchestrator.gateway.sessions import SessionRequests, find_address
 from orchestrator.gateway.stream.acts import FleetActs
 from orchestrator.gateway.stream.fleet_state import allows_open_stop, list_views
@@ -39,7 +40,6 @@ from orchestrator.gateway.stream.socket import UserSocket
 from orchestrator.model.errors import Refusal
 
 MAX_SOCKETS = 200
-LONG_BODY = 100_000  # bytes; a longer one is parsed in a thread
 MAX_KEY = 200
 PAGE = Path(__file__).parent / "static"
 NO_PAGE = (
@@ -54,7 +54,7 @@ Act = Callable[[Identity, Mapping[str, Any]], Awaitable[Any]]
 class GatewayOptions:
     """port: under which it is addressed. secure: with TLS. users: their file. jobs: the folder of templates.
     recordings: their folder. page: the folder of the built page. new_secret: returns 32 random bytes as text.
-    names: by which other computers reach it; with any, nothing is let in without users."""
+    names: by which other computers reach it; with any, nothing is let in without users. decode: for large requests."""
 
     port: int
     users: Path
@@ -64,6 +64,7 @@ class GatewayOptions:
     secure: bool = False
     page: Path = PAGE
     names: Sequence[str] = ()
+    decode: Executor = run_inline
 
 
 class Gateway:
@@ -79,7 +80,7 @@ class Gateway:
         cookies = CookieNames(tutti.keys.fleet, options.port, secure=options.secure)
         marks = BrowserMarks(load_key(options.users.parent))
         self._sessions = SessionRequests(self._authentication, cookies, marks, log, options.new_secret)
-        self._commands = FleetCommands(tutti, clock, log, execute, self._note_stop)
+        self._commands = FleetCommands(tutti, clock, log, options.decode, self._note_stop)
         self._commands.known_controllers = lambda: self.hub.state.controllers
         self._files = JobFiles(options.jobs, execute)
         self._reads = FleetReads(self._commands, self.hub, self._files, options.recordings, execute)
@@ -165,30 +166,22 @@ class Gateway:
 
         return handle
 
-    async def _authorise(self, request: Request, verb: str) -> tuple[Identity, dict[str, Any]]:
-        """The identity behind a POST that may use `verb`, and its body. Raises `Refusal`, `RefusedRequest`."""
+    def _admit(self, request: Request, verb: str) -> Identity:
+        """The identity behind a POST that may use `verb`. Raises `Refusal`, `RefusedRequest`."""
         identity = self._sessions.identify(request)
         if identity.access == "cookie" and request.headers.get("x-tutti-csrf", "") != identity.csrf:
             text = "the header X-Tutti-CSRF is missing, or not that of the session"
             raise RefusedRequest(403, Refusal("bad-csrf", text, "send `csrf` of GET /v1/session in it"))
         identity.require_right(verb)
-        return identity, await self._read_body(request)
+        return identity
 
-    async def _read_body(self, request: Request) -> dict[str, Any]:
-        kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-        body = await request.body()
-        if not body:
-            return {}
-        if kind != "application/json":
-            text = f"the body is {kind[:60] or 'of no type'}"
-            raise RefusedRequest(415, Refusal("bad-request", text, "send JSON, with Content-Type: application/json"))
-        try:
-            value: object = await self._execute(json.loads, body) if len(body) > LONG_BODY else json.loads(body)
-        except (ValueError, RecursionError):
-            raise Refusal("bad-request", "the body is no JSON", "send a JSON object") from None
-        if not isinstance(value, dict):
-            raise Refusal("bad-request", "the body is no JSON object", "send the fields of the request in an object")
-        return cast(dict[str, Any], value)
+    async def _authorise(self, request: Request, verb: str) -> tuple[Identity, dict[str, Any]]:
+        """The identity behind a POST that may use `verb`, and its body. Raises `Refusal`, `RefusedRequest`."""
+        return self._admit(request, verb), await self._read_body(request, verb)
+
+    async def _read_body(self, request: Request, verb: str) -> dict[str, Any]:
+        body = await _read_json(request, verb)
+        return await self._execute(read_fields, body) if len(body) > MAX_AT_ONCE else read_fields(body)
 
     def _make_read(self, reader: Reader) -> Callable[[Request], Awaitable[Response]]:
         async def read(request: Request) -> Response:
@@ -205,9 +198,9 @@ class Gateway:
 
     def _make_verb(self, verb: str) -> Callable[[Request], Awaitable[Response]]:
         async def pass_on(request: Request) -> Response:
-            identity, fields = await self._authorise(request, verb)
+            identity, body = self._admit(request, verb), await _read_json(request, verb)
             key = request.headers.get("idempotency-key", "")[:MAX_KEY]
-            return make_model_response(await self._commands.request(identity, verb, fields, key))
+            return make_model_response(await self._commands.request_body(identity, verb, body, key))
 
         return pass_on
 
@@ -220,7 +213,7 @@ class Gateway:
         return pass_on
 
     async def _sign_in(self, request: Request) -> Response:
-        return await self._sessions.sign_in(request, await self._read_body(request))
+        return await self._sessions.sign_in(request, await self._read_body(request, "login"))
 
     async def _show_sign_in(self, _: Request) -> Response:
         """What a page may know before a user has signed in."""
@@ -284,6 +277,17 @@ class Gateway:
             await user.run(FleetActs(user, self._commands.connect(identity), self._clock, self._commands.stop))
         finally:
             self._sockets.discard(user)
+
+
+async def _read_json(request: Request, verb: str) -> bytes:
+    """The body of a request, within the budget of its verb, as it came. Raises `Refusal`, `RefusedRequest`."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    body = await request.body()
+    if body and kind != "application/json":
+        text = f"the body is {kind[:60] or 'of no type'}"
+        raise RefusedRequest(415, Refusal("bad-request", text, "send JSON, with Content-Type: application/json"))
+    require_body_budget(verb, body)
+    return body
 
 
 async def _refuse_unknown(request: Request) -> Response:

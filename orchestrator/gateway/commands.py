@@ -6,23 +6,20 @@ A stop is in the log before it is sent, and is reported to every open page.
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
-from pydantic import ValidationError
-
+from orchestrator.bus.decoding import MAX_AT_ONCE
 from orchestrator.bus.log import ProcessLog
-from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS, ServiceVerb
+from orchestrator.bus.service_verbs import CONTROLLER_VERBS, SERVICE_VERBS
 from orchestrator.client import Tutti
 from orchestrator.clock.base import Clock
-from orchestrator.clock.executor import Executor
+from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
-from orchestrator.gateway.access.roles import may
+from orchestrator.gateway.service_requests import PreparedRequest, make_request, prepare_body, prepare_fields
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
-from orchestrator.model.jobs.service import SubmitJob
-from orchestrator.model.messages import RawReply, RawRequest, Request
-from orchestrator.model.problems import read_problems
+from orchestrator.model.messages import RawReply, RawRequest
 
 MAX_CONNECTIONS = 256  # actors whose connection is kept
 MAX_KEYS = 10_000  # idempotency keys
@@ -43,9 +40,10 @@ class _UsedKey(NamedTuple):
 class FleetCommands:
     """Passes requests on. on_stop: called with what every page shows of a stop."""
 
-    def __init__(self, tutti: Tutti, clock: Clock, log: ProcessLog, execute: Executor, on_stop: ShowStop) -> None:
+    def __init__(self, tutti: Tutti, clock: Clock, log: ProcessLog, decode: Executor, on_stop: ShowStop) -> None:
+        """decode: for requests that take long to read."""
         self.known_controllers: Callable[[], list[str]] = list
-        self._tutti, self._clock, self._log, self._execute, self._on_stop = tutti, clock, log, execute, on_stop
+        self._tutti, self._clock, self._log, self._decode, self._on_stop = tutti, clock, log, decode, on_stop
         self._connections: OrderedDict[str, Tutti] = OrderedDict()
         self._keys: OrderedDict[str, _UsedKey] = OrderedDict()
 
@@ -88,16 +86,21 @@ class FleetCommands:
         Raises `Refusal`: codes `bad-request`, `key-used`, and those of the fleet.
         """
         identity.require_right(verb)
+        request_id = self._find_request_id(identity, verb, repr(sorted(fields.items())).encode(), key)
+        return await self._send(identity, verb, prepare_fields(verb, fields, request_id, identity))
+
+    async def request_body(self, identity: Identity, verb: str, body: bytes, key: str = "") -> Model:
+        """The same, of a body that was not read. A large one is read in another process. Raises `Refusal`."""
+        identity.require_right(verb)
+        prepare = self._decode if len(body) > MAX_AT_ONCE else run_inline
+        request_id = self._find_request_id(identity, verb, body, key)
+        return await self._send(identity, verb, await prepare(prepare_body, verb, body, request_id, identity))
+
+    async def _send(self, identity: Identity, verb: str, prepared: PreparedRequest) -> Model:
         service, tutti = SERVICE_VERBS[verb], self.connect(identity)
-        request_id = self._find_request_id(identity, verb, fields, key)
-        given_fields = {"client_key": request_id, **fields} if "client_key" in service.request.model_fields else fields
-        # In a thread: the model of a long job takes a tenth of a second, in which a jog would not be renewed.
-        request = await self._execute(make_request, service, given_fields, request_id, identity.actor)
-        if isinstance(request, SubmitJob):
-            request = prepare_submission(request, identity)
         if not service.reads:
-            self._note(identity, verb, _describe_subject(fields))
-        return await tutti.request_service(verb, request, service.reply, ANSWER_S.get(verb, USUAL_ANSWER_S))
+            self._note(identity, verb, prepared.subject)
+        return await tutti.request_service(verb, prepared.payload, service.reply, ANSWER_S.get(verb, USUAL_ANSWER_S))
 
     async def request_controller(
         self, identity: Identity, verb: str, controller: str, fields: Mapping[str, Any]
@@ -115,13 +118,13 @@ class FleetCommands:
             return RawReply(reply=await tutti.send_raw(controller, request.command, i_know=request.i_know))
         return await tutti.request_controller(controller, verb, request, service.reply)
 
-    def _find_request_id(self, identity: Identity, verb: str, fields: Mapping[str, Any], key: str) -> str:
+    def _find_request_id(self, identity: Identity, verb: str, content: bytes, key: str) -> str:
         """The id of a request with an idempotency key; without one, a new one. A key is of its user, at whichever
-        computer that is."""
+        computer that is. content: tells one request from another."""
         if not key:
             return self._tutti.new_id()
         request_id = hashlib.sha256(f"{identity.user or identity.role} {verb} {key}".encode()).hexdigest()[:40]
-        body = hashlib.sha256(repr(sorted(fields.items())).encode()).hexdigest()
+        body = hashlib.sha256(content).hexdigest()
         used_key = self._keys.setdefault(request_id, _UsedKey(body, identity.actor, self._clock.utc()))
         if used_key.body != body:
             text = (
@@ -138,37 +141,3 @@ class FleetCommands:
 
 
 _NOT_LATCHED = Refusal("not-latched", "the controller reports no e-stop", "use the wired e-stop")
-
-
-def make_request(verb: ServiceVerb, fields: Mapping[str, Any], request_id: str, actor: str) -> Request:
-    """A request of its fields. Raises `Refusal`, code `bad-request`, with every mistake."""
-    reserved_names = [name for name in ("request_id", "actor") if name in fields]
-    if reserved_names:
-        raise Refusal(
-            "bad-request", f"{reserved_names[0]} is given by the gateway", "leave it out; see `Idempotency-Key`"
-        )
-    try:
-        return verb.request.model_validate({**fields, "request_id": request_id, "actor": actor})
-    except ValidationError as error:
-        texts = [problem.describe("body") for problem in read_problems(error)[:10]]
-        raise Refusal("bad-request", "; ".join(texts), "see /v1/openapi.json for the fields") from None
-
-
-def prepare_submission(request: SubmitJob, identity: Identity) -> SubmitJob:
-    """A submission as the role of its user allows it: jobs of a proposer wait for approval. The job's actor is the
-    user, whatever the file says."""
-    job = request.job.model_copy(update={"actor": identity.actor})
-    terms = request.terms.model_copy(update={"session": None})
-    if not may(identity.role, "approve"):
-        terms = terms.model_copy(update={"proposed": True, "now": False, "priority": 0})
-    return request.model_copy(update={"job": job, "terms": terms})
-
-
-def _describe_subject(fields: Mapping[str, Any]) -> str:
-    """What a request is about, in a few words."""
-    for name in ("job_id", "job_ids", "alarm_id", "alarm_ids", "name", "axes"):
-        value = fields.get(name)
-        if value:
-            return str(value)[:100]
-    job = fields.get("job")
-    return str(cast(Mapping[str, object], job).get("name", ""))[:100] if isinstance(job, dict) else ""

@@ -3,6 +3,8 @@
 An error carries what a user needs: what is wrong, with which value, and what to do about it. `str(error)` is that text.
 """
 
+from typing import Any
+
 
 class TuttiError(Exception):
     """The root of all errors that Tutti raises on purpose."""
@@ -23,6 +25,10 @@ class Refusal(TuttiError):
         self.controller = controller
         if remedy:
             self.add_note(remedy)  # a script that does not catch it shows what to do
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To pass it to another process, as a plain refusal."""
+        return Refusal, (self.code, self.text, self.remedy, self.controller)
 
 
 class ControllerFault(TuttiError):

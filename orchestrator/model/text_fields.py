@@ -6,8 +6,13 @@ from pydantic import AfterValidator, BeforeValidator
 
 from orchestrator.model.outside_text import explain_hidden, show_text
 
+MAX_SHOWN = 20_000
+"""Characters of a free text: its escapes are not looked for in a longer one, which no field takes."""
+
 
 def _show_any(value: Any) -> Any:
+    if isinstance(value, str) and len(value) > MAX_SHOWN:
+        raise ValueError(f"has {len(value)} characters; shorten it")
     return show_text(value) if isinstance(value, str) else value
 
 

@@ -244,6 +244,10 @@ class JournalStore(Protocol):
 
     def load_job(self, job_id: str) -> Job | None: ...
 
+    def load_job_body(self, job_id: str) -> str | None:
+        """The JSON of a job, which takes long to decode if the job is large."""
+        ...
+
     def load_record(self, job_id: str) -> JobRecord | None: ...
 
     def list_unfinished(self) -> list[JobRecord]:

@@ -39,7 +39,8 @@ class CoordinatorEnvironment:
 
     save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch. run_command: runs the
     command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known. plan: plans
-    paths, which may take seconds; heartbeats and stops go on meanwhile. certificate: of its session, if it has one.
+    paths, which may take seconds; heartbeats and stops go on meanwhile. decode: reads large requests and jobs, which
+    would hold the interpreter's lock. certificate: of its session, if it has one.
     """
 
     bus: Bus
@@ -54,4 +55,5 @@ class CoordinatorEnvironment:
     run_command: RunCommand
     find_free: Callable[[], Awaitable[int | None]]
     plan: Executor = run_inline
+    decode: Executor = run_inline
     certificate: CertificateEnd | None = None

@@ -27,6 +27,7 @@ from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
+from orchestrator.coordinator.jobs.intake.client_keys import digest_request
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
 from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
@@ -41,6 +42,7 @@ from orchestrator.coordinator.leadership.standby import wait_for_vacancy
 from orchestrator.link.base import LinkRefused, OpenLink
 from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
+from orchestrator.model.jobs.parts import dump_long
 from orchestrator.model.state import CertificateEnd, ControllerState
 from orchestrator.runtime.live.bridge import network_wire
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
@@ -61,6 +63,9 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         SqliteJournal.find_jobs,
         SqliteJournal.find_referenced_jobs,
         SqliteJournal.load_job,
+        SqliteJournal.load_job_body,
+        digest_request,
+        dump_long,
         SqliteJournal.find_keyed_job,
         SqliteJournal.load_recording,
         SqliteJournal.load_report,

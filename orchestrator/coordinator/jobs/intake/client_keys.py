@@ -10,6 +10,7 @@ from hashlib import sha256
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.facts import KeyedJob
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.parts import dump_long
 from orchestrator.model.jobs.service import RetryJob, SubmitJob
 
 _GATEWAY_ACTOR = re.compile(r"(?P<user>[a-z0-9][a-z0-9.-]{0,31})(/[a-z0-9][a-z0-9_-]{0,31})?@(?P<address>.+)")
@@ -50,13 +51,13 @@ class ClientKeys:
         """Whether a job was submitted by this request. A job of schema 10 or before has no digest: its owner's is, and
         another one's if it is the same work, which must not be done twice."""
         if keyed.digest or find_owner(keyed.actor) == find_owner(request.actor):
-            return keyed.digest in ("", digest_request(request))
+            return keyed.digest in ("", await self._services.execute(digest_request, request))
         services = self._services
-        job = await services.execute(services.journal.load_job, keyed.job_id)
+        job = await services.load_job(keyed.job_id)
         return isinstance(request, SubmitJob) and job == request.job.model_copy(update={"actor": keyed.actor})
 
 
 def digest_request(request: SubmitJob | RetryJob) -> str:
     """SHA-256 of what is asked for: job, terms, steps. Not of its id, or the computer at which its user is."""
-    content = request.model_dump_json(exclude={"request_id": True, "actor": True, "client_key": True, "job": {"actor"}})
-    return sha256(f"{type(request).__name__} {content}".encode()).hexdigest()
+    excluded_fields = {"request_id": True, "actor": True, "client_key": True, "job": {"actor"}}
+    return sha256(f"{type(request).__name__} ".encode() + dump_long(request, excluded_fields)).hexdigest()

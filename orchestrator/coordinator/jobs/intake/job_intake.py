@@ -41,7 +41,7 @@ class JobIntake:
         first_job = await self._keys.find_job(request)
         if first_job is not None:
             return await self._describe_job(first_job.job_id)
-        job = await split_paths(self._services.view, await self.points.resolve_points(request.job))
+        job = await split_paths(self._services, await self.points.resolve_points(request.job))
         _order_steps(job, request.terms)
         order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
         await self._check_steps(order.list_remaining(), request.terms)
@@ -54,7 +54,7 @@ class JobIntake:
         """Re-run a finished job from a step on; or report what that would do. Raises `Refusal`, `UnknownName`."""
         services = self._services
         record = await services.execute(services.journal.load_record, request.job_id)
-        job = await services.execute(services.journal.load_job, request.job_id)
+        job = await services.load_job(request.job_id)
         if record is None or job is None:
             raise Refusal("unknown-job", f"no job {request.job_id}", "see `tutti job ls`")
         if record.state not in FINISHED_STATES:
@@ -107,7 +107,7 @@ class JobIntake:
 
     async def _accept_job(self, request: SubmitJob | RetryJob, job: Job, options: QueueEntryOptions) -> JobSubmitted:
         services = self._services
-        digest = digest_request(request)
+        digest = await services.execute(digest_request, request)
         job_id, fresh = await services.execute(
             services.journal.accept_job,
             self._new_id()[:8],

@@ -3,7 +3,7 @@
 from contextlib import suppress
 
 from orchestrator.bus.base import BusError
-from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
@@ -14,18 +14,19 @@ from orchestrator.model.steps.tree import find_paths
 from orchestrator.plan.path_split import split_path
 
 
-async def split_paths(view: FleetView, job: Job) -> Job:
+async def split_paths(services: JobServices, job: Job) -> Job:
     """The job with each path that has such members split, as a repeat of one pass, so that what is said about a step
     names the step that was written. Raises `Refusal`, code `path-class`, for a piece that hinders.
 
     A controller that does not answer is taken to follow any path; if it cannot, the path is refused when it runs.
     """
     paths = [step for step in find_paths(job.steps) if step.file is None]
-    split = {id(path): parts for path in paths if (parts := await _split_path(view, path)) is not path}
+    split = {id(path): parts for path in paths if (parts := await _split_path(services, path)) is not path}
     return job.model_copy(update={"steps": [step.replace_steps(split) for step in job.steps]}) if split else job
 
 
-async def _split_path(view: FleetView, step: FollowPath) -> Step:
+async def _split_path(services: JobServices, step: FollowPath) -> Step:
+    view = services.view
     known_names = set(view.fleet.axis_names)
     slow = set[str]()
     for name in dict.fromkeys(controller_of(axis) for axis in step.axes if axis in known_names):
@@ -35,7 +36,7 @@ async def _split_path(view: FleetView, step: FollowPath) -> Step:
     if not slow or not known_names.issuperset(step.axes):
         return step
     units = {axis: view.fleet.axis(axis).unit for axis in step.axes}
-    parts = split_path(step, slow, units, view.fleet.frames)
+    parts = await services.motion.plan(split_path, step, slow, units, view.fleet.frames)
     if len(parts) == 1:
         return step
     if len(parts) > MAX_REPEATED:

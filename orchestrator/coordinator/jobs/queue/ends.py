@@ -42,7 +42,7 @@ class JobEnds:
         services, damage = self._services, row.damage
         if not damage:
             try:
-                return await services.execute(services.journal.load_job, row.id)
+                return await services.load_job(row.id)
             except DamagedRecord as error:
                 damage = error.text
         services.log.warning(f"job cannot be run: {damage}", job=row.id)

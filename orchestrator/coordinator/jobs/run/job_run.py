@@ -216,7 +216,7 @@ class JobRun:
             since_ns = await prepare(self.needs)
         finally:
             self._report = self._report.model_copy(update={"positions_used": preparation.positions_used})
-        preparation.publish_beginning()
+        await preparation.publish_beginning()
         await self._rest.wait_for_rest(since_ns)
         if await self._motors.enable_by_policy(self._context):
             self._rest.seen_ns = None

@@ -82,7 +82,7 @@ class JobPreparation:
         plan = await make_plan(services.view, planned_job, since_ns)
         return "" if plan.hash == approval.plan.hash else join_changes(list_changes(approval.plan, plan))
 
-    def publish_beginning(self) -> None:
+    async def publish_beginning(self) -> None:
         """Publish the job itself, for what records it."""
         services, row = self._services, self._row
         begun_job = JobBegun(
@@ -96,7 +96,7 @@ class JobPreparation:
             positions_used=self.positions_used,
             job=self._job,
         )
-        services.bus.put(services.keys.job_begun(row.id), begun_job.to_json(), Priority.EVENT)
+        services.bus.put(services.keys.job_begun(row.id), await services.dump_model(begun_job), Priority.EVENT)
 
     def _take_positions(self) -> None:
         """Take the values of the named positions of its targets, for the whole run. Raises `Refusal`."""

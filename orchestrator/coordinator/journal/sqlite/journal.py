@@ -18,7 +18,6 @@ from pydantic import ValidationError
 from orchestrator.coordinator.journal.facts import KeyedJob, QueueEntryOptions, Reservation, StepDecision
 from orchestrator.coordinator.journal.records import (
     UNREADABLE_TIME,
-    DamagedRecord,
     EpochOvertaken,
     JobHasEnded,
     JobRecord,
@@ -31,10 +30,13 @@ from orchestrator.coordinator.journal.sqlite.job_states import insert_transition
 from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
 from orchestrator.coordinator.journal.sqlite.point_store import PointStore
 from orchestrator.coordinator.journal.sqlite.rows import (
-    CHECKED_COLUMNS,
+    BODY,
     COLUMNS,
     FIND_KEY,
+    SELECT_JOB,
     find_checksum,
+    is_whole,
+    make_damaged_error,
     make_record,
     scope_key,
 )
@@ -51,6 +53,7 @@ from orchestrator.coordinator.journal.sqlite.transaction import (
 from orchestrator.coordinator.journal.sqlite.values import StoredValues
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.parts import dump_long
 from orchestrator.model.messages import MAX_EPOCH, MAX_EPOCH_STEP
 from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.problems import first_error_text
@@ -205,7 +208,7 @@ class SqliteJournal:
                 "client_key": scope_key(owner, client_key),
                 "name": job.name,
                 "actor": job.actor,
-                "body": job.model_dump_json(),
+                "body": dump_long(job).decode(),
                 "state": "queued",
                 "reason": reason,
                 "submitted_utc": utc,
@@ -287,11 +290,14 @@ class SqliteJournal:
         rows = self._select_rows("SELECT step, t0_fleet_ns FROM decisions WHERE job_id = ? ORDER BY rowid", (job_id,))
         return [(step, t0_fleet_ns) for step, t0_fleet_ns in rows]
 
+    def load_job_body(self, job_id: str) -> str | None:
+        rows = self._select_rows(SELECT_JOB, (job_id,))
+        if rows and not is_whole(rows[0]):
+            raise make_damaged_error(self._path, "the Job", job_id, "its checksum is wrong")
+        return rows[0][BODY] if rows else None
+
     def load_job(self, job_id: str) -> Job | None:
-        columns = (*CHECKED_COLUMNS, "proposed")
-        for *row, crc in self._select_rows(f"SELECT {', '.join(columns)}, crc FROM jobs WHERE id = ?", (job_id,)):
-            if crc not in (None, find_checksum(dict(zip(columns, row, strict=True)))):
-                raise self._damaged_record("the Job", job_id, "its checksum is wrong")
+        self.load_job_body(job_id)
         return self._select_body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
 
     def load_record(self, job_id: str) -> JobRecord | None:
@@ -337,7 +343,7 @@ class SqliteJournal:
         try:
             return [JobTransition(state=s, reason=r, actor=a, utc=u, fleet_ns=f) for s, r, a, u, f in rows]
         except ValidationError as error:
-            raise self._damaged_record("a transition", job_id, first_error_text(error)) from None
+            raise make_damaged_error(self._path, "a transition", job_id, first_error_text(error)) from None
 
     def load_report(self, job_id: str) -> JobReport | None:
         return self._select_body(JobReport, "SELECT body FROM reports WHERE job_id = ?", (job_id,))
@@ -428,11 +434,7 @@ class SqliteJournal:
         try:
             return model.read_stored(rows[0][0]) if rows else None
         except ValidationError as error:
-            raise self._damaged_record(f"the {model.__name__}", values[0], first_error_text(error)) from None
-
-    def _damaged_record(self, what: str, job_id: str, problem: str) -> DamagedRecord:
-        text = f"{self._path}: {what} of job {job_id} cannot be read: {problem}"
-        return DamagedRecord(text, "it is damaged, or was written by another version of Tutti")
+            raise make_damaged_error(self._path, f"the {model.__name__}", values[0], first_error_text(error)) from None
 
     def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         try:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 from zlib import crc32
 
-from orchestrator.coordinator.journal.records import UNREADABLE_TIME, JobRecord
+from orchestrator.coordinator.journal.records import UNREADABLE_TIME, DamagedRecord, JobRecord
 from orchestrator.model.base import ID_PATTERN
 from orchestrator.model.outside_text import show_text
 from orchestrator.model.queue import parse_utc
@@ -37,6 +37,23 @@ CHECKED_COLUMNS = (
     "session",
 )
 """What never changes of a job, besides `proposed`."""
+
+_JOB_COLUMNS = (*CHECKED_COLUMNS, "proposed")
+SELECT_JOB = f"SELECT {', '.join(_JOB_COLUMNS)}, crc FROM jobs WHERE id = ?"
+BODY = _JOB_COLUMNS.index("body")
+"""Place of the body in a row of `SELECT_JOB`."""
+
+
+def is_whole(row: Sequence[Any]) -> bool:
+    """Whether a row of `SELECT_JOB` is as it was stored."""
+    *values, crc = row
+    return crc in (None, find_checksum(dict(zip(_JOB_COLUMNS, values, strict=True))))
+
+
+def make_damaged_error(path: str, what: str, job_id: str, problem: str) -> DamagedRecord:
+    """The error for a part of a job that cannot be read."""
+    text = f"{path}: {what} of job {job_id} cannot be read: {problem}"
+    return DamagedRecord(text, "it is damaged, or was written by another version of Tutti")
 
 
 def scope_key(owner: str, client_key: str) -> str:
