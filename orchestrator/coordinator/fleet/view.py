@@ -48,6 +48,7 @@ class FleetView:
         self._log = log
         self._states: dict[str, ControllerState] = {}
         self._heard_ns: dict[str, int] = {}
+        self._stated_ns: dict[str, int] = {}
         self._asked: dict[str, tuple[int, ControllerState]] = {}
         on_line = Counter(config.line for config in fleet.controllers.values())
         self.neighbours = {name: on_line[config.line] - 1 for name, config in fleet.controllers.items()}
@@ -106,6 +107,14 @@ class FleetView:
         state = self._states.get(controller)
         anew = state is not None and instance is not None and state.instance != instance
         return "its adapter has restarted" if anew else None
+
+    def has_all_events(self, controller: str, since_ns: int) -> bool:
+        """Whether a state has arrived since `since_ns`, and every event that it counts."""
+        state = self._states.get(controller)
+        if state is None or self._stated_ns[controller] < since_ns:
+            return False
+        instance, last = self._last_event.get(controller, ("", 0))
+        return instance == state.instance and last >= state.event_seq
 
     def find_refusal(self, controller: str) -> Refusal | None:
         """Why the controller's adapter, as it runs now, is not adopted because of its version; None: it may be."""
@@ -174,7 +183,7 @@ class FleetView:
             self.on_unknown(state.controller)
             return
         self._states[state.controller] = state
-        self._heard_ns[state.controller] = self._clock.now_ns()
+        self._heard_ns[state.controller] = self._stated_ns[state.controller] = self._clock.now_ns()
         mark = (state.instance, state.event_seq)
         if mark not in (self._last_event.get(state.controller), self._awaited.get(state.controller)):
             self._awaited[state.controller] = mark
