@@ -17,10 +17,12 @@ from pathlib import Path
 
 from adapters.host.host_process import BAD_INPUT, InvalidInput, host_parser, load_host, open_sink
 from adapters.host.makes import stops_by_line
+from adapters.host.slow_starts import SupervisedStarts
 from adapters.link.last_stop import send_last_stop
 from adapters.link.open import make_link_opener
 from orchestrator.bus.log import LogSink, ProcessLog
 from orchestrator.bus.zenoh.kept_latch import keep_latch
+from orchestrator.bus.zenoh.patience import announce_slow_start
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.clock.owner import TaskOwner
@@ -31,7 +33,6 @@ from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
 
 HUNG_MS = 300
-FIRST_HEARTBEAT_NS = 20 * NS_PER_S
 CHECK_NS = 20 * NS_PER_MS
 
 # If the guardian itself, and so perhaps the whole machine, was suspended for longer, no more than this counts as
@@ -68,11 +69,18 @@ class HostChild:
         os.close(beat_fd)
         os.set_blocking(self.heartbeats, False)
         self.started_ns = raw_ns()
-        self.has_beaten = False
+        self.needed_ns: int | None = None
+        """From its start to its first heartbeat."""
         self._silence = SilenceTimer(self.started_ns)
 
-    def find_failure(self, hung_ns: int) -> str | None:
-        """Return the failure of the child; None while it is healthy."""
+    @property
+    def has_beaten(self) -> bool:
+        """Whether it has started, and may access controllers."""
+        return self.needed_ns is not None
+
+    def find_failure(self, hung_ns: int, first_ns: int) -> str | None:
+        """Return the failure of the child; None while it is healthy. hung_ns, first_ns: the longest silence, and that
+        before the first heartbeat."""
         try:
             beats = os.read(self.heartbeats, 4096)
         except BlockingIOError:
@@ -80,9 +88,11 @@ class HostChild:
         else:
             if not beats:
                 return f"the adapter host ended{self._exit_code_text()}"
-            is_beating = self.has_beaten = True
+            is_beating = True
+            if self.needed_ns is None:
+                self.needed_ns = raw_ns() - self.started_ns
         self._silence.record_check(raw_ns(), heartbeat_seen=is_beating)
-        if self._silence.lasted_ns > (hung_ns if self.has_beaten else FIRST_HEARTBEAT_NS):
+        if self._silence.lasted_ns > (hung_ns if self.has_beaten else first_ns):
             return f"the adapter host has been silent for {self._silence.lasted_ns // NS_PER_MS} ms"
         return None
 
@@ -105,15 +115,21 @@ class HostChild:
 
 
 class HostGuardian:
-    """Keep one adapter host running. `arguments` are the child's."""
+    """Keep one adapter host running. `arguments` are the child's; starts: the limits of its starts."""
 
     def __init__(
-        self, arguments: Sequence[str], controllers: dict[str, Controller], hung_ns: int, log: ProcessLog
+        self,
+        arguments: Sequence[str],
+        controllers: dict[str, Controller],
+        hung_ns: int,
+        log: ProcessLog,
+        starts: SupervisedStarts,
     ) -> None:
         self._arguments = arguments
         self._controllers = controllers
         self._hung_ns = hung_ns
         self._log = log
+        self._starts = starts
         # Created before they are needed: their imports could fail, or take time.
         self._lines = stops_by_line(controllers)
         self._ended = False
@@ -152,15 +168,20 @@ class HostGuardian:
         try:
             while not self._ended:
                 await self._wait_or_wake(CHECK_NS / NS_PER_S)
-                trouble = child.find_failure(self._hung_ns)
+                trouble = child.find_failure(self._hung_ns, self._starts.limit_ns)
                 if trouble is not None:
                     return trouble
+                self._starts.take_look(child.needed_ns, raw_ns() - child.started_ns)
                 self.checks += 1
             return None
         finally:
             loop.remove_reader(child.heartbeats)
 
     async def _take_over(self, child: HostChild, trouble: str) -> None:
+        if not child.has_beaten and child.process.poll() is None:
+            trouble += self._starts.note_killed()
+        else:
+            self._starts.note_ended()
         child.kill()
         self._log.info(trouble, level="error", pid=child.process.pid)
         # Before its first heartbeat the child has not accessed any controller; no motion is caused by it.
@@ -234,7 +255,12 @@ async def _run_guardian(
     chosen: argparse.Namespace, fleet: str, controllers: dict[str, Controller], sink: LogSink
 ) -> None:
     log = ProcessLog("guardian", chosen.host, LiveClock(), sink)
-    guardian = HostGuardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log)
+
+    async def announce() -> None:
+        await announce_slow_start(chosen.connect, fleet, chosen.host)
+
+    starts = SupervisedStarts(chosen.host, log, announce)
+    guardian = HostGuardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log, starts)
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, guardian.request_end)
     # It watches its child whether the router is there or not.

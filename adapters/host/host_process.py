@@ -128,7 +128,7 @@ class _LogForwarder(logging.Handler):
 
 class _HeartbeatWriter:
     """Write heartbeats from the event loop until the pipe is closed; then set `orphaned`. None while the host is not
-    sound: the loop alone drives no controller."""
+    sound, or its firing process has died: the loop alone drives no controller."""
 
     def __init__(self, fd: int, orphaned: asyncio.Event, is_sound: Callable[[], bool]) -> None:
         self._fd = fd
@@ -193,7 +193,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
         try:
             host = AdapterHost(chosen.host, fleet, around)
             if chosen.beat_fd is not None:
-                _HeartbeatWriter(chosen.beat_fd, guardian_loss, lambda: host.is_sound)
+                _HeartbeatWriter(chosen.beat_fd, guardian_loss, lambda: host.is_sound and firer.is_alive)
             await host.start()
             prepare_live_process()
             log.info("the adapter host runs", instance=around.instance, pid=os.getpid())

@@ -9,16 +9,22 @@ from itertools import count
 
 from adapters.host.firing_process import DATAGRAM
 from adapters.toolkit.firing import ORDINARY_DELAY_US, REALTIME_DELAY_US
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority, can_set_realtime_priority
 from orchestrator.link.base import Link, LinkClosed
 from orchestrator.link.timed_write import WriteResult
+
+ANSWER_S = 5.0  # after the latest instant of a write; the process is urgent, and answers at once
+START_S = 300.0  # for its first answer: a computer may be slow to start it
 
 
 class _ProcessWrite:
     """A write that is scheduled in the firing process."""
 
-    def __init__(self, firer: "ProcessTimedWriter", number: int, link: Link, data: bytes) -> None:
+    def __init__(self, firer: "ProcessTimedWriter", number: int, link: Link, data: bytes, latest_ns: int) -> None:
         self._firer = firer
+        self._latest_ns = latest_ns
         self._number = number
         self._link = link
         self._data = data
@@ -34,6 +40,11 @@ class _ProcessWrite:
         return True
 
     async def wait_until_written(self) -> WriteResult:
+        left_s = max(0, self._latest_ns - raw_ns()) / NS_PER_S + self._firer.answer_s
+        await asyncio.wait([self.fired], timeout=left_s)
+        if not self.fired.done():
+            # It must not write later, when it goes on.
+            self._firer.kill()
         return await asyncio.shield(self.fired)
 
     def handle_reply(self, message: dict[str, object]) -> None:
@@ -63,13 +74,17 @@ class ProcessTimedWriter:
         child.close()
         self._control.settimeout(0.0)
         self._writes: dict[int, _ProcessWrite] = {}
+        self.answer_s = START_S
+        """How long the process may take for an answer."""
+        self.is_alive = True
+        """Whether the process can be given orders. Without it no start by the host is possible."""
         self._numbers = count()
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._control, self._read_replies)
 
     def schedule_write(self, link: Link, data: bytes, at_ns: int, latest_ns: int) -> _ProcessWrite:
         number = next(self._numbers)
-        order = self._writes[number] = _ProcessWrite(self, number, link, data)
+        order = self._writes[number] = _ProcessWrite(self, number, link, data, latest_ns)
         message = {"id": number, "data": data.decode("latin-1"), "at_ns": at_ns, "latest_ns": latest_ns}
         socket.send_fds(self._control, [json.dumps(message).encode()], [link.fileno()])
         return order
@@ -85,6 +100,7 @@ class ProcessTimedWriter:
         if not data:
             self._handle_process_end()
             return
+        self.answer_s = ANSWER_S
         message = json.loads(data)
         order = self._writes.get(message["id"])
         if order is not None:
@@ -94,11 +110,16 @@ class ProcessTimedWriter:
 
     def _handle_process_end(self) -> None:
         """Handle the end of the process: none of its pending writes will happen."""
+        self.is_alive = False
         self._loop.remove_reader(self._control)
         orders, self._writes = self._writes, {}
         for order in orders.values():
             if not order.fired.done():
                 order.fired.set_exception(LinkClosed("the firing process has died"))
+
+    def kill(self) -> None:
+        """Kill the process, which hangs: none of its pending writes will happen."""
+        self._process.kill()
 
     def close(self) -> None:
         """End the process."""

@@ -184,6 +184,10 @@ class FleetKeys:
         chunks = (_make_chunk(role, "role"), _make_chunk(id, "id"), _make_chunk(instance, "instance"))
         return "/".join((self.prefix, "live", *chunks))
 
+    def slow_start(self, host: str | None = None) -> str:
+        """Presence of an adapter host that its guardian has started, and that is slow to start."""
+        return self.live("host", host, "slow-start")
+
     # Parsing
 
     def verb_of(self, key: str) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextvars import Context
 from random import Random
 
+from orchestrator.bus.memory.router import MemoryRouter
 from orchestrator.campaign.repairs import Repair
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock
@@ -38,8 +39,13 @@ class BusFaults:
                 self._net.set_loss(host, self._draw.choice((0.3, 0.7, 1.0)))
                 return lambda: self._net.set_loss(host, 0.0)
 
-    def cut_coordinator(self, coordinator: str, hosts: Sequence[str]) -> Repair:
-        """Cut the coordinator off all adapter hosts, in both directions or in one of them; return the repair."""
+    def inject_fleet_fault(self, fault: str, coordinator: str, hosts: Sequence[str]) -> Repair:
+        """Hang the router, or cut the coordinator off all adapter hosts, in both directions or in one of them; return
+        the repair."""
+        if fault == "router-hung":
+            router = MemoryRouter(self._net)
+            router.hang()
+            return router.restart
         if (way := self._draw.choice(("both", "to", "from"))) == "both":
             self._net.partition_net({coordinator}, set(hosts))
             return self._net.heal_partition

@@ -106,6 +106,7 @@ FAULTS: dict[str, FaultKind] = {
         FaultKind("disk-slow", "fleet", must_stop=False),
         FaultKind("disk-bit-flip", "fleet"),
         FaultKind("coordinator-cut", "fleet", jog_may_continue=True, own_seeds=True),
+        FaultKind("router-hung", "fleet", own_seeds=True),
     )
 }
 
@@ -203,9 +204,9 @@ class FaultInjector:
                 )
             case "fleet-restarted":
                 return self._kill_all_processes()
-            case "coordinator-cut":
+            case "coordinator-cut" | "router-hung":
                 hosts = [fleet.find_process(f"host/{host}").name for host in self._whole_fleet.hosts]
-                return self._buses.cut_coordinator(fleet.find_process(leader).name, hosts)
+                return self._buses.inject_fleet_fault(fault, fleet.find_process(leader).name, hosts)
             case "coordinator-killed":
                 fleet.kill(leader)
                 return self._start_coordinator

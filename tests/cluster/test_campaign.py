@@ -98,11 +98,12 @@ TRIGGERED = [
     ("stop", "limit", "coordinator-killed"),
     ("estop", "link-closed", "host-killed"),
     ("power-cycle", "cable-pulled", "none"),
+    ("router-hung", "router-hung", "router-hung"),
 ]
 """Faults while outputs are switched on the way."""
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (2, 3, 4))])
 def test_no_fault_makes_an_output_act_beside_its_step(seed: int) -> None:
     cells = [FaultCell("trigger", fault, TRIGGER_MAKE) for fault in TRIGGERED[seed - 1]]
     story = run_scenario(seed, cells)
@@ -122,6 +123,16 @@ def test_no_fault_makes_an_output_act_beside_its_step(seed: int) -> None:
 def test_what_chains_found_when_they_were_new_is_not_found_again(seed: int, fault: str, make: str) -> None:
     story = run_scenario(seed, [FaultCell("chain", fault, make)])
     assert not story.violations and story.hit, story.summarize()
+
+
+@pytest.mark.parametrize(
+    ("seed", "stages"), [(11, STAGES[4::2]), *(pytest.param(at, STAGES, marks=pytest.mark.nightly) for at in (12, 13))]
+)
+def test_a_router_that_hangs_violates_no_invariant_at_any_stage(seed: int, stages: tuple[Stage, ...]) -> None:
+    cells = [FaultCell(stage, "router-hung", MAKES[(at + seed) % len(MAKES)]) for at, stage in enumerate(stages)]
+    story = run_scenario(seed, cells)
+    assert not story.violations, story.summarize()
+    assert len(story.hit) == len(cells)
 
 
 def test_directed_seeds_reach_each_stage_fault_and_make() -> None:

@@ -1,6 +1,9 @@
 """The firing process writes at its instant, to a real socket, or not at all."""
 
+# pyright: reportPrivateUsage=false
+
 import asyncio
+import signal
 import socket
 from collections.abc import Callable, Coroutine
 from typing import Any
@@ -111,3 +114,18 @@ def test_a_link_closed_meanwhile_is_reported() -> None:
             await order.wait_until_written()
 
     run(test)
+
+
+def test_a_firing_process_that_hangs_is_killed_and_its_writes_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adapters.host.timed_writer.ANSWER_S", 0.2)
+
+    async def main(bench: Bench) -> None:
+        assert bench.firer.is_alive and bench.firer.answer_s == 0.2
+        bench.firer._process.send_signal(signal.SIGSTOP)
+        at_ns = raw_ns() + SOON_NS
+        order = bench.firer.schedule_write(bench.link, b"GO", at_ns, at_ns + SOON_NS)
+        with pytest.raises(LinkClosed, match="the firing process has died"):
+            await order.wait_until_written()
+        assert not bench.firer.is_alive
+
+    run(main)

@@ -39,6 +39,10 @@ class Network:
         self._deaf: set[str] = set()
         self._mute: set[str] = set()
         self._lost: set[str] = set()
+        self.router_hangs = False
+        """Nothing passes between any two processes."""
+        self.router_lost = False
+        """The lease of all sessions has ended, or they are not back yet."""
 
     def set_path(self, computer: str, *, to: NetworkPath, back: NetworkPath | None = None) -> None:
         """Set the path from the router's computer to another, and the one back (None: the same)."""
@@ -68,7 +72,8 @@ class Network:
     def is_cut(self, sender: BusProcess, receiver: BusProcess) -> bool:
         """Whether nothing passes from one process to the other now."""
         is_apart = sender.computer != receiver.computer
-        return is_apart and (sender.computer in self._mute or receiver.computer in self._deaf)
+        is_cut = is_apart and (sender.computer in self._mute or receiver.computer in self._deaf)
+        return is_cut or (self.router_hangs and sender is not receiver)
 
     def is_cut_off(self, computer: str) -> bool:
         """Whether nothing reaches a computer, or nothing leaves it."""
@@ -80,4 +85,5 @@ class Network:
 
     def is_lost(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes count each other as gone."""
-        return one.computer != other.computer and (one.computer in self._lost or other.computer in self._lost)
+        is_away = one.computer != other.computer and (one.computer in self._lost or other.computer in self._lost)
+        return is_away or (self.router_lost and one is not other)

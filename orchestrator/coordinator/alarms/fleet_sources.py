@@ -89,8 +89,11 @@ class FleetAlarms:
             self._report_breaks(controller)
 
     def _report_connection(self, controller: str, faults: list[FaultReport], *, absent: bool) -> None:
-        reason = faults[0].text if faults else "its adapter is silent"
-        remedy = faults[0].remedy if faults else "see `tutti status`; is its adapter host running?"
+        reason, remedy = "its adapter is silent", "see `tutti status`; is its adapter host running?"
+        if faults:
+            reason, remedy = faults[0].text, faults[0].remedy
+        elif (slow_start := self._view.describe_slow_start(controller)) is not None:
+            reason, remedy = slow_start, "wait; its computer is slow, or overloaded"
         text = f"{controller} is offline: {reason}"
         action = remedy or "check power and cable of the controller"
         self._conditions.report(AlarmCause("disconnected", controller, text, action), holds=absent)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.owner import wait_for_first
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
 from orchestrator.model.errors import Refusal
@@ -17,6 +18,7 @@ from orchestrator.model.names import controller_of
 ANSWER_S = 2.0
 TRIES = 2  # within it, to acquire a lease; a renewal is followed by the next one anyhow
 TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
+GIVE_BACK_NS = 10 * NS_PER_S  # for a brief lease to end: its holder waits for an answer of an adapter, twice at most
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
 
@@ -123,9 +125,7 @@ class LeaseRegistry:
         axes cannot be leased separately. Raises `InUse`, `Refusal`; then no new lease has been made."""
         holder = user.holder
         all_axes = await self._complete_controllers(axes)
-        while (other_hold := self.find_conflict(all_axes, holder)) is not None and other_hold.brief:
-            self._given_back.clear()
-            await self._given_back.wait()
+        other_hold = await self._wait_for_release(all_axes, holder)
         if other_hold is not None:
             theirs = next(axis for axis in all_axes if axis in other_hold.axes)
             raise AxesInUse(
@@ -164,6 +164,18 @@ class LeaseRegistry:
             self._states.publish(hold, holder)
         return all_axes
 
+    async def _wait_for_release(self, axes: Iterable[str], holder: str) -> LeaseHold | None:
+        """Wait for the end of another holder's brief lease on `axes`; return the lease that is still in the way."""
+        until_ns = self._fleet.clock.now_ns() + GIVE_BACK_NS
+        while (other_hold := self.find_conflict(axes, holder)) is not None and other_hold.brief:
+            left_ns = until_ns - self._fleet.clock.now_ns()
+            if left_ns <= 0:
+                self._fleet.log.warning(f"waited in vain for the end of the lease of {other_hold.actor}", holder=holder)
+                return other_hold
+            self._given_back.clear()
+            await wait_for_first(self._given_back.wait(), sleep_ns(self._fleet.clock, left_ns))
+        return other_hold
+
     async def release(self, holder: str, reason: str = "") -> None:
         """End the lease of `holder`; the adapters stop what it still moves."""
         hold = self._held.get(holder)
@@ -178,12 +190,14 @@ class LeaseRegistry:
                 await self._send_lease(hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
-        self._held.pop(holder, None)
-        self._told_ns.pop(holder, None)
-        self._given_back.set()
-        self._states.publish(hold, None)
-        for listener in self._listeners:
-            listener(holder)
+        finally:
+            # Also when the request behind it is cancelled: it is not renewed any more, and the adapters end it.
+            self._held.pop(holder, None)
+            self._told_ns.pop(holder, None)
+            self._given_back.set()
+            self._states.publish(hold, None)
+            for listener in self._listeners:
+                listener(holder)
 
     async def _complete_controllers(self, axes: Iterable[str]) -> tuple[str, ...]:
         """Extend `axes` to all axes of the controllers whose axes can only be leased together. Raises `Refusal`."""

@@ -9,8 +9,9 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find_only_server
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
-from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.clock.start_limit import SLOW_NS
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import split_name
@@ -48,6 +49,7 @@ class FleetView:
         self._log = log
         self._states: dict[str, ControllerState] = {}
         self._heard_ns: dict[str, int] = {}
+        self._stated_ns: dict[str, int] = {}
         self._asked: dict[str, tuple[int, ControllerState]] = {}
         on_line = Counter(config.line for config in fleet.controllers.values())
         self.neighbours = {name: on_line[config.line] - 1 for name, config in fleet.controllers.items()}
@@ -67,12 +69,15 @@ class FleetView:
         self.on_unknown: Callable[[str], None] = lambda _: None
         """Called with the name of a controller that publishes states, and that the fleet file does not have."""
         self._declared: list[BusDeclaration] = []
+        self._slow_starts_ns: dict[str, int] = {}
+        """By adapter host that is slow to start: when its start began."""
         self._tasks = TaskOwner()
 
     async def start(self) -> None:
         self._declared = [
             await self._bus.subscribe(self._keys.state(), self._receive_state),
             await self._bus.subscribe(self._keys.event(), self._receive_event),
+            await self._bus.watch(self._keys.slow_start(), self._receive_slow_start),
         ]
         for payload in (await self._bus.request_all(self._keys.state(), b"", QUERY_S)).values():
             self._receive_state(BusSample("", payload))
@@ -107,10 +112,25 @@ class FleetView:
         anew = state is not None and instance is not None and state.instance != instance
         return "its adapter has restarted" if anew else None
 
+    def has_all_events(self, controller: str, since_ns: int) -> bool:
+        """Whether a state has arrived since `since_ns`, and every event that it counts."""
+        state = self._states.get(controller)
+        if state is None or self._stated_ns[controller] < since_ns:
+            return False
+        instance, last = self._last_event.get(controller, ("", 0))
+        return instance == state.instance and last >= state.event_seq
+
     def find_refusal(self, controller: str) -> Refusal | None:
         """Why the controller's adapter, as it runs now, is not adopted because of its version; None: it may be."""
         state, refusal = self._states.get(controller), self.refused.get(controller)
         return refusal[1] if refusal is not None and state is not None and state.instance == refusal[0] else None
+
+    def describe_slow_start(self, controller: str) -> str | None:
+        """That the adapter host of a silent controller is slow to start, and for how long, in steps of ten seconds."""
+        begun_ns = self._slow_starts_ns.get(self.fleet.controllers[controller].host)
+        if begun_ns is None or not self.is_silent(controller):
+            return None
+        return f"its adapter is starting slowly ({(self._clock.now_ns() - begun_ns) // (10 * NS_PER_S) * 10} s)"
 
     async def bind_server(self, controller: str) -> None:
         """Find the process that answers for the controller: from now on only its replies count. Raises `DoubleServer`,
@@ -169,12 +189,19 @@ class FleetView:
         else:
             self._store_state(state)
 
+    def _receive_slow_start(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback
+        host = key.split("/")[-2]
+        if present:
+            self._slow_starts_ns[host] = self._clock.now_ns() - SLOW_NS
+        else:
+            self._slow_starts_ns.pop(host, None)
+
     def _store_state(self, state: ControllerState) -> None:
         if state.controller not in self.fleet.controllers:
             self.on_unknown(state.controller)
             return
         self._states[state.controller] = state
-        self._heard_ns[state.controller] = self._clock.now_ns()
+        self._heard_ns[state.controller] = self._stated_ns[state.controller] = self._clock.now_ns()
         mark = (state.instance, state.event_seq)
         if mark not in (self._last_event.get(state.controller), self._awaited.get(state.controller)):
             self._awaited[state.controller] = mark

@@ -10,7 +10,7 @@ from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.messages import ConfigureRequest, Reply
 
 ANSWER_S = 3.0
-RECONNECT_NS = 10 * NS_PER_S  # for a controller to be connected and adopted with its new configuration
+RECONNECT_S = 10  # for all controllers to be connected and adopted with their new configuration
 POLL_NS = 50 * NS_PER_MS
 FIXED_FIELDS = ("adapter", "host", "link")
 
@@ -92,17 +92,16 @@ class FleetReload:
 
     async def _wait_for_reconnect(self, changed: dict[str, Controller]) -> None:
         """Wait until all changed controllers are back. Raises `Refusal` with the reason for one that is not."""
-        until_ns = self._fleet.clock.now_ns() + RECONNECT_NS
+        until_ns = self._fleet.clock.now_ns() + RECONNECT_S * NS_PER_S
         for name, config in changed.items():
             while True:
                 state = self._fleet.view.last_state(name)
                 if state is not None and state.digest == config.digest and state.mode not in ("offline", "fault"):
                     break
                 if self._fleet.clock.now_ns() > until_ns:
-                    reason = (
-                        state.faults[0].text if state is not None and state.faults else "no state has been received"
-                    )
-                    raise Refusal(
-                        "not-anew", f"{name} has its new configuration, but: {reason}", "see `tutti status`", name
-                    )
+                    reason = "its adapter does not answer"
+                    if state is not None and not self._fleet.view.is_silent(name):
+                        reason = state.faults[0].text if state.faults else f"its adapter is {state.mode}"
+                    text = f"{name} has its new configuration, but is not back within {RECONNECT_S} s: {reason}"
+                    raise Refusal("not-anew", text, "see `tutti status`", name)
                 await sleep_ns(self._fleet.clock, POLL_NS)

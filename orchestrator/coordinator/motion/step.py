@@ -238,6 +238,8 @@ class MotionStep:
             await observer.on_state("running", "")
             observer.on_started(start.state.t0_fleet_ns, motion.duration_s)
             await motion.watch.run()
+            if motion.watch.failure is not None:
+                await self._handle_failure(motion, observer)
             done_report = report = await self._finish(motion)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
@@ -275,19 +277,31 @@ class MotionStep:
         )
         return report.model_copy(update={"refused": RefusalDetails(code=code, text=reason)})
 
+    async def _handle_failure(self, motion: PlannedMotion, observer: StepObserver) -> None:
+        """Stop all members, because one has failed or is missed. The step is done all the same if all have logged
+        their end, as when the bus was away at that moment."""
+        watch, services = motion.watch, self._services
+        reason = "" if watch.failure is None else watch.failure[1]
+        actors, actor, missed_members = motion.agreement.actors, self._request.job.actor, watch.missed_members
+        await services.fleet.stop_members(actors, "decelerate", actor, reason)
+        await motion.start.disarm_line_driver()
+        if missed_members:
+            names = ", ".join(missed_members)
+            await observer.on_state("running", f"waits for the log of {names}, stopped at the planned end: {reason}")
+            is_done = await watch.read_logs()
+            outcome = "is logged" if is_done else "is not logged"
+            services.fleet.log.warning(f"{reason}; the end of {names} {outcome}", job=self._request.job_id)
+
     async def _finish(self, motion: PlannedMotion) -> StepReport:
-        """Stop all members if one has failed, and make the report."""
+        """Make the report."""
         start, watch, agreement, feed = motion.start, motion.watch, motion.agreement, motion.feed
-        failure, request, fleet = watch.failure, self._request, self._services.fleet
+        failure, request = watch.failure, self._request
         if feed is not None:
             agreement.plan = feed.plan
             watch.set_durations(feed.ends_s)
             if failure is None and not watch.paused and not feed.is_complete:
                 return self._rest_on_path(motion, feed)
-        if failure is not None:
-            await fleet.stop_members(agreement.actors, "decelerate", request.job.actor, failure[1])
-            await start.disarm_line_driver()
-        elif watch.paused:
+        if failure is None and watch.paused:
             reason = f"paused by {start.state.paused_by}"
             report = make_step_report(request, agreement, start.state, watch.reports, ("stopped", reason))
             return report.model_copy(update={"refused": RefusalDetails(code=FEED_HOLD, text=reason)})

@@ -17,6 +17,7 @@ from orchestrator.model.state import ControllerEvent
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has reported its start
 STARTED_TURN_NS = 150 * NS_PER_MS  # added for each other controller on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has reported its end
+LOGGED_NS = 40 * NS_PER_S  # for the log of a silent member: a router that hangs is restarted after some 25 s
 POLL_S = 0.05
 
 Failure = tuple[str, str]
@@ -44,6 +45,8 @@ class StepWatch:
         self._permit_watch = permit_watch
         self._waiting_start = set[str]()
         self._waiting_end = set[str]()
+        self._due_ns = 0
+        self._is_missing_members = False
         self._events: asyncio.Queue[ControllerEvent | None] = asyncio.Queue()
         self._removals = [
             services.fleet.view.add_event_listener(self._events.put_nowait),
@@ -74,7 +77,8 @@ class StepWatch:
         longest_s = max(max(proposal.durations_s.values(), default=0.0) for proposal in agreement.proposals.values())
         axes = [fleet.axis(axis) for axis in agreement.plan.profiles]
         settle_s = max((axis.in_position_timeout_s for axis in axes if axis.done == "in_position"), default=0.0)
-        ends_ns = self._state.t0_fleet_ns + round((longest_s + settle_s) * NS_PER_S)
+        self._due_ns = self._state.t0_fleet_ns + round(longest_s * NS_PER_S)
+        settle_ns = round(settle_s * NS_PER_S)
         self.reports = {
             member: make_member_report(agreement, self._state.armed[member], member) for member in agreement.proposals
         }
@@ -83,8 +87,38 @@ class StepWatch:
             if event is not None:
                 self._take_event(event)
             if self.feed is not None:
-                ends_ns = max(ends_ns, self._state.t0_fleet_ns + round((self.feed.chunk.stop_s + settle_s) * NS_PER_S))
-            self.failure = self.failure or self._find_overdue(ends_ns)
+                due_ns = self._state.t0_fleet_ns + round(self.feed.chunk.stop_s * NS_PER_S)
+                self._due_ns = max(self._due_ns, due_ns)
+            self.failure = self.failure or self._find_loss() or self._find_missing(self._due_ns + settle_ns)
+
+    @property
+    def missed_members(self) -> list[str]:
+        """Members that were missed, and may have logged their end all the same, because the planned end has passed."""
+        is_over = self._services.leadership.fleet_now_ns() >= self._due_ns
+        return sorted(self._waiting_end) if self._is_missing_members and is_over else []
+
+    async def read_logs(self) -> bool:
+        """Wait for what the missed members have logged; whether all have ended the step as planned. The wait ends
+        with the log of each, or when one has restarted, which has lost its log, or after `LOGGED_NS`."""
+        clock, missed_failure, self.failure = self._services.fleet.clock, self.failure, None
+        begun_ns = clock.now_ns()
+        while self._waiting_end and self.failure is None and clock.now_ns() < begun_ns + LOGGED_NS:
+            event = await self._next_event()
+            if event is not None:
+                self._take_event(event)
+            elif self._events.empty() and any(self._has_no_end(member, begun_ns) for member in self._waiting_end):
+                break
+        if self._waiting_end or self.failure is not None:
+            self.failure = missed_failure
+        return self.failure is None
+
+    def _has_no_end(self, member: str, since_ns: int) -> bool:
+        """Whether a member has no end of the step in its log, by what has arrived since `since_ns`."""
+        view = self._services.fleet.view
+        if view.is_silent(member):
+            return False
+        is_other = view.describe_absence(member, self._planned.instances.get(member)) is not None
+        return is_other or view.has_all_events(member, since_ns)
 
     def _take_event(self, event: ControllerEvent) -> None:
         member = event.controller
@@ -106,24 +140,33 @@ class StepWatch:
         }
         self.reports[member] = self.reports[member].model_copy(update={"evidence": evidence})
 
-    def _find_overdue(self, ends_ns: int) -> Failure | None:
-        """What has not happened although it should have by now, or no longer holds."""
-        now_ns, view = self._services.leadership.fleet_now_ns(), self._services.fleet.view
-        for member in sorted(self._waiting_end):
-            absence = view.describe_absence(member, self._planned.instances.get(member))
-            if absence is not None:
-                return "failed", f"{member}: {absence}"
+    def _find_loss(self) -> Failure | None:
+        """What no longer holds: a permit, or a path that all members follow."""
         loss = self._permit_watch.describe_loss()
         if loss is not None:
             return "failed", loss
         if self.feed is not None and self.feed.lost is not None:
             return "failed", f"the path is not continued, and not all members can brake along it: {self.feed.lost}"
+        return None
+
+    def _find_missing(self, ends_ns: int) -> Failure | None:
+        """Which member is absent, or has not reported what it should have by now."""
+        reason = self._describe_missing(ends_ns)
+        self._is_missing_members = reason is not None
+        return None if reason is None else ("failed", reason)
+
+    def _describe_missing(self, ends_ns: int) -> str | None:
+        now_ns, view = self._services.leadership.fleet_now_ns(), self._services.fleet.view
+        for member in sorted(self._waiting_end):
+            absence = view.describe_absence(member, self._planned.instances.get(member))
+            if absence is not None:
+                return f"{member}: {absence}"
         # Controllers on one line are polled in turn, or are armed for other jobs.
         neighbours = max(view.neighbours[member] for member in self._agreement.proposals)
         if self._waiting_start and now_ns > self._state.t0_fleet_ns + STARTED_NS + neighbours * STARTED_TURN_NS:
-            return "failed", f"{min(self._waiting_start)}: promised, but has not started"
+            return f"{min(self._waiting_start)}: promised, but has not started"
         if self._waiting_end and now_ns > ends_ns + SETTLE_NS:
-            return "failed", f"{min(self._waiting_end)}: has not reached its end"
+            return f"{min(self._waiting_end)}: has not reached its end"
         return None
 
     async def _next_event(self) -> ControllerEvent | None:

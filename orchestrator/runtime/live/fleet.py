@@ -32,6 +32,7 @@ from orchestrator.runtime.live.bridge import bridge_baud
 from orchestrator.runtime.live.leader_probe import find_leader
 from orchestrator.runtime.live.router_watch import watch_live_router
 from orchestrator.runtime.live.run import FleetRun
+from orchestrator.runtime.live.start_wait import START_LIMIT_S, wait_for_start
 from orchestrator.runtime.services.parts import (
     COORDINATOR,
     GATEWAY,
@@ -57,7 +58,6 @@ from orchestrator.runtime.state.folder import (
 )
 from sim.link.arguments import NEXT
 
-READY_TIMEOUT_S = 30.0  # on a busy machine the interpreter alone takes seconds to start
 END_TIMEOUT_S = 8.0
 ROTATE_S = 10.0
 RESTART_PAUSES_S = (0.2, 0.5, 1.0, 2.0, 5.0)
@@ -495,10 +495,9 @@ class LiveFleet:
         child.starts += 1
         assert child.process.stdout is not None
         try:
-            async with asyncio.timeout(READY_TIMEOUT_S):
-                lines = [await child.process.stdout.readline() for _ in range(child.ready_lines)]
+            lines = await wait_for_start(child.name, _read_lines(child.process.stdout, child.ready_lines), self.say)
         except TimeoutError:
-            raise UpFailed(f"{child.name} is not ready after {READY_TIMEOUT_S:g} s; see {child.log}") from None
+            raise UpFailed(f"{child.name} is not ready after {START_LIMIT_S:g} s; see {child.log}") from None
         if not all(lines):
             exit_text = _describe_exit(await child.process.wait())
             raise UpFailed(f"{child.name} ended ({exit_text}): {child.last_error_line() or f'see {child.log}'}")
@@ -597,6 +596,10 @@ def find_free_port() -> int:
     with closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+async def _read_lines(stream: asyncio.StreamReader, count: int) -> list[bytes]:
+    return [await stream.readline() for _ in range(count)]
 
 
 def _describe_exit(code: int) -> str:

@@ -30,6 +30,7 @@ from orchestrator.model.state import RESTING_MODES, ControllerState
 from orchestrator.runtime.state.folder import ROUTER_LATCH
 
 LOOK_S = 1.0
+SAY_AGAIN_S = 600.0  # what is waited for
 STOP_S = 10.0  # for the fleet to come to rest before an urgent restart
 CLOSED_S = 0.2  # between the end of the old router and the new one
 
@@ -87,6 +88,26 @@ def load_security(place: RouterPlace) -> RouterSecurity:
     return RouterSecurity(settings, name, register.urgent, folder, identity.common_name)
 
 
+@dataclass(slots=True)
+class RestWait:
+    """The wait for a fleet that rests, which ends with its work: what is to be said of it."""
+
+    _begun_s: float | None = None
+    _said_s: float = 0.0
+    _busy: str = ""
+
+    def describe(self, busy: str, now_s: float) -> str:
+        """What is waited for, when that has changed or was said long ago; else "". busy: what is not at rest."""
+        self._begun_s = now_s if self._begun_s is None else self._begun_s
+        is_known = busy == self._busy and now_s - self._said_s < SAY_AGAIN_S
+        if not busy or is_known:
+            return ""
+        self._busy, self._said_s = busy, now_s
+        line = f"the table has changed; it counts when the fleet is at rest ({busy})"
+        minutes = int((now_s - self._begun_s) // 60)
+        return f"{line}; waited for {minutes} min: end that work, or `tutti stop`" if minutes else line
+
+
 class RouterService:
     """Runs a router until it is cancelled. say: takes lines for people."""
 
@@ -95,7 +116,7 @@ class RouterService:
         self._say = say
         self._security = load_security(place)
         self._problem = ""
-        self._waiting = ""
+        self._wait = RestWait()
 
     async def run(self, on_ready: Callable[[], None]) -> None:
         """Route. on_ready: called when it listens. Raises `RouterRefused`."""
@@ -136,7 +157,7 @@ class RouterService:
             await asyncio.sleep(LOOK_S)
             wanted_security = self._load_again()
             if replace(wanted_security, urgent=0) == replace(self._security, urgent=0):
-                self._waiting = ""
+                self._wait = RestWait()
                 continue
             if await self._is_free(urgent=wanted_security.urgent > self._security.urgent):
                 return wanted_security
@@ -170,9 +191,9 @@ class RouterService:
             # Then nothing can be moved through this router either.
             self._say(f"the state of the fleet is not known ({error})")
             return True
-        if busy and busy != self._waiting:
-            self._say(f"the table has changed; it counts when the fleet is at rest ({busy})")
-        self._waiting = busy
+        line = self._wait.describe(busy, asyncio.get_running_loop().time())
+        if line:
+            self._say(line)
         return not busy
 
 

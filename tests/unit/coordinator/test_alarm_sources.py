@@ -32,6 +32,9 @@ class World:
     def now_ns(self) -> int:
         return self.now
 
+    def describe_slow_start(self, _: str) -> str | None:
+        return None
+
     def is_silent(self, controller: str) -> bool:
         return controller in self.silent
 

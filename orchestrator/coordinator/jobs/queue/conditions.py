@@ -121,6 +121,9 @@ class WorldConditions:
 
     def _find_controller_obstacle(self, controller: str, *, moves: bool) -> Obstacle | None:
         state = self._view.last_state(controller)
+        slow_start = self._view.describe_slow_start(controller)
+        if slow_start is not None:
+            return Obstacle("absent", f"{controller}: {slow_start}", "wait; its computer is slow, or overloaded")
         if state is None or self._view.is_silent(controller):
             return Obstacle("absent", f"{controller}: its adapter does not answer", "is its adapter host running?")
         if moves and state.estop is not None:
