@@ -145,6 +145,7 @@ test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page
 
 test-nightly: $(DEV)/.stamp test-thirdparty
 	$(DEV)/bin/python tools/campaign_decisions.py
+	-$(DEV)/bin/python tools/mutants.py
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
 	$(MAKE) test-other-pythons EACH=test-fast

@@ -13,7 +13,7 @@ from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from adapters.controller.slots.participant import StepParticipant
 from adapters.controller.state.store import FileStore
-from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
+from adapters.host.leader_watch import LeaderWatch
 from orchestrator.bus.base import BusSample, Priority
 from orchestrator.bus.estop import put_estop
 from orchestrator.bus.latch import FileLatchStore, LatchKeeper
@@ -39,6 +39,7 @@ from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LONG = job("[{do: move, to: {gantry.x: 390, stage.u: 45}, speed: 0.05}]")
+COORDINATOR_LOST_NS = 500 * NS_PER_MS  # as documented, and not as the code has it
 RAMPS_NS = 300 * NS_PER_MS
 
 

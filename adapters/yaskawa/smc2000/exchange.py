@@ -17,6 +17,9 @@ from orchestrator.model.errors import ControllerFault
 T = TypeVar("T")
 
 _MARK = 0x80
+LONGEST_REPLY = 10_000
+"""Characters: more than a listing of the longest program, the longest reply there is. Without a bound, bytes that
+never end would keep a reading waiting, and the state would stay as it was before them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,31 +53,39 @@ class SerialExchange:
         self.settled = False
         """Whether the controller has the settings of this session."""
 
-    async def run(self, command: str, whole: Callable[[], T | None], opening: str = "", room: int = 0) -> tuple[T, int]:
+    async def run(
+        self, command: str, whole: Callable[[], T | None], opening: str = "", room: int = 0, most: int = LONGEST_REPLY
+    ) -> tuple[T, int]:
         """Write a command and read until `whole` finds its complete reply; return it with the instant of writing.
 
-        room: length of text that may precede the reply.
+        room: length of text that may precede the reply. most: characters of the reply; more of them are none.
         """
         self.reset_buffer()
         data = (opening + command + ("\r" if command[:1] >= " " else "")).encode("latin-1")
         sent_ns = self._link.write(data)
         quiet_ns = sent_ns + (len(data) + room) * self._link.char_ns
-        return await self._read_until(command, whole, quiet_ns), sent_ns
+        return await self._read_until(command, whole, quiet_ns, room + most), sent_ns
 
-    async def _read_until(self, command: str, whole: Callable[[], T | None], quiet_ns: int) -> T:
+    async def _read_until(self, command: str, whole: Callable[[], T | None], quiet_ns: int, most: int) -> T:
         """Read until `whole` returns a result. quiet_ns: silence is allowed until then; after that, and between bytes,
-        silence is a timeout."""
+        silence is a timeout. most: characters of a reply; raises `ControllerFault` for more of them."""
+        byte_count = 0
         while True:
             answer = whole()
             if answer is not None:
                 self._line.answered = True
                 return answer
+            if byte_count > most:
+                raise garbage_fault(
+                    self._link, command, f"a reply of at most {most} characters", f"{byte_count} of them"
+                )
             left_ns = max(quiet_ns, self.at_ns) + self.silence_ns - self._clock.now_ns()
             try:
                 async with asyncio.timeout(max(left_ns, 0) / NS_PER_S):
                     chunk = await self._link.read()
             except TimeoutError:
                 raise self.silence_fault(command) from None
+            byte_count += len(chunk.data)
             self.plain += chunk.data
             self.at_ns = chunk.at_ns
 

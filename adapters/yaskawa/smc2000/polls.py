@@ -20,6 +20,7 @@ from orchestrator.model.errors import ControllerFault
 
 DECODE_NS = NS_PER_MS  # of a poll: two commands, about half a millisecond each (L1000)
 OVERLAPPED_NS = 30 * NS_PER_MS  # shorter wait for a poll that overlaps with another exchange
+VALUE_CHARACTERS = 24  # of a printed value at most 13; the rest is for reports of other programs
 AROUND_LINE = 4  # characters: the line's end, the prompts of address and command
 
 
@@ -114,7 +115,7 @@ class PolledSession(SerialCommandSession):
             sent_ns = self._link.write(f"{prefix}{command}\r".encode("ascii"))
         stops, line.in_step, line.selected = line.stops, False, self._unit
         written_ns = sent_ns + (len(prefix) + len(command) + 1) * self._link.char_ns
-        text = await self._poll_reply(command, written_ns, alone=alone)
+        text = await self._poll_reply(command, written_ns, count * VALUE_CHARACTERS, alone=alone)
         values = [int(value) for value in parse_numbers(text, count, command)]
         if self._unit is not None and values[0] != self._unit:
             raise garbage_fault(self._link, command, f"an answer of unit {self._unit}", f"one of unit {values[0]}")
@@ -129,18 +130,21 @@ class PolledSession(SerialCommandSession):
         begun_ns = self._serial.begun_ns(sent_ns, len(prefix) + len(command) + 1)
         return PrintedStatus(values, begun_ns, self._serial.emitted_ns(len(text) + 2), self._serial.at_ns)
 
-    async def _poll_reply(self, command: str, written_ns: int, *, alone: bool) -> str:
+    async def _poll_reply(self, command: str, written_ns: int, most: int, *, alone: bool) -> str:
         """Return the line that the program prints. When it must have been transmitted, even if it has not arrived yet,
-        the next poll may begin."""
+        the next poll may begin. most: its characters, and those of reports of other programs."""
         char_ns = self._link.char_ns
         quiet_ns = written_ns + self._length * char_ns
         # An address takes effect at its end: it may be sent while the last characters are under way.
         over_ns = quiet_ns + DECODE_NS - len(address_command(self._unit)) * char_ns
         leads = not alone and self._length > 0
+        byte_count = 0
         while True:
             text = self._take_printed_line(command)
             if text is not None:
                 return text
+            if byte_count > most:
+                raise garbage_fault(self._link, command, f"at most {most} characters", f"{byte_count} of them")
             now_ns = self._clock.now_ns()
             if leads and now_ns >= over_ns:
                 leads = False
@@ -155,6 +159,7 @@ class PolledSession(SerialCommandSession):
                     chunk = await self._link.read()
             except TimeoutError:
                 continue
+            byte_count += len(chunk.data)
             self._serial.plain += chunk.data
             self._serial.at_ns = chunk.at_ns
 

@@ -15,6 +15,8 @@ ADDRESS = "XUN"
 # Numbers without leading zeros (LZ, L10237), whole (VF, PF; L4877-4957), program output marked (CW), no echo.
 _SETTINGS = ("EO 0", "CW 1", "LZ 1", "PF 10.0", "VF 10.0")
 _TRIES = 2
+_MOST_BEFORE_MARKER = 500
+"""Characters before a marker: more than any reply but a whole listing, whose rest the next attempt discards."""
 
 
 class ControllerSelection:
@@ -81,5 +83,5 @@ class ControllerSelection:
             reply_match = pattern.search(self._exchange.plain)
             return None if reply_match is None else reply_match[1].decode().strip()
 
-        reply, _ = await self._exchange.run(query, find_whole_reply, opening)
+        reply, _ = await self._exchange.run(query, find_whole_reply, opening, most=_MOST_BEFORE_MARKER)
         return reply

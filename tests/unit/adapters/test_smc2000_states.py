@@ -136,6 +136,27 @@ def test_noise_is_a_fault_and_the_next_poll_succeeds(noise: bytes):
     run(main)
 
 
+def test_bytes_without_end_are_a_fault_within_a_second():
+    """Nothing is silent then: only their number shows that they are no reply, and the state must not stay as it was."""
+
+    async def main(world: World) -> None:
+        await world.ready(5)
+        world.wire.to_near = lambda data: data * 400
+        await world.driver.send_raw("MG 123")  # a flood of six seconds
+        began_ns = world.clock.now_ns()
+        with pytest.raises(ControllerFault, match="at most"):
+            await world.driver.poll()
+        assert world.clock.now_ns() - began_ns < NS_PER_S
+        world.wire.to_near = None
+        await world.driver.close()
+        await world.driver.connect()
+        began_ns = world.clock.now_ns()
+        assert not (await world.driver.poll()).restarted
+        assert world.clock.now_ns() - began_ns < NS_PER_S // 10
+
+    run(main)
+
+
 @pytest.mark.parametrize("seed", share_with_nightly(range(12), 4))
 def test_lost_and_garbled_bytes_never_become_wrong_values(seed: int):
     async def main(world: World) -> None:
