@@ -54,7 +54,7 @@ AXES = WorkBudget(64 * KB)
 """Of a request with axes of one controller."""
 STOP = WorkBudget(64 * KB)
 """Wide, because a stop must not fail by its reason, which is cut."""
-JOB = WorkBudget(16 * MB, 1_500_000, 3_000_000, _SPLIT_JOB)
+JOB = WorkBudget(13 * MB, 800_000, 1_600_000, _SPLIT_JOB)
 """A path of 100,000 pieces has 9 MB; a client sends at most 12 MB."""
 FLEET = WorkBudget(4 * MB, 200_000, 200_000, "a fleet of so many controllers needs to be divided")
 CONTROLLER = WorkBudget(1 * MB, remedy="leave out what the fleet file does not need for this controller")

@@ -7,6 +7,9 @@ result is the expression for all of them, to subscribe, watch or query.
 import re
 from dataclasses import dataclass
 
+from orchestrator.model.errors import NoName
+from orchestrator.model.outside_text import show_text
+
 ROOT = "tutti/v1"
 
 ANY_ESTOP = f"{ROOT}/*/estop"
@@ -22,9 +25,10 @@ _ID = re.compile(r"[a-z0-9_-]+")
 
 
 def check_id(text: str, what: str) -> str:
-    """Return `text`. Raises `ValueError`, which names `what` it should be, if it cannot be one chunk of a key."""
+    """Return `text`. Raises `NoName`, which names `what` it should be, if it cannot be one chunk of a key."""
     if not _ID.fullmatch(text):
-        raise ValueError(f"{what} {text!r}: allowed are a-z, 0-9, '_' and '-', at least one character")
+        shown_text = show_text(text[:80])
+        raise NoName(f"{what} '{shown_text}': allowed are a-z, 0-9, '_' and '-', at least one character")
     return text
 
 

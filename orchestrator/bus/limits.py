@@ -6,7 +6,7 @@ from collections.abc import Callable
 _LOG = logging.getLogger(__name__)
 
 MAX_MESSAGE_BYTES = 64_000_000  # of a message in a client or the router; the report of a job of 10,000 steps fits
-MAX_COORDINATOR_MESSAGE_BYTES = 16_000_000  # a job of 10,000 steps fits several times
+MAX_COORDINATOR_MESSAGE_BYTES = 13_000_000  # a client sends jobs of at most 12 MB
 MAX_HOST_MESSAGE_BYTES = 4_000_000  # the profiles of a step for all controllers of an adapter host fit several times
 
 MAX_KEEPER_MESSAGE_BYTES = 100_000  # in a process that only keeps the e-stop latch

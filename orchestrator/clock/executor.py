@@ -11,9 +11,11 @@ import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from multiprocessing import active_children, get_context
 from typing import Any, Protocol, TypeVar
 
+from orchestrator.clock.collection import CollectionPause
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import reset_priority
 from orchestrator.model.errors import Refusal
@@ -47,13 +49,16 @@ async def run_inline(function: Callable[..., T], *values: Any) -> T:
 
 
 class ThreadExecutor:
-    """Runs calls in a thread of its own."""
+    """Runs calls in a thread of its own. many_objects: its calls make so many that collections would pause everything:
+    there are none meanwhile."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, many_objects: bool = False) -> None:
         self._pool = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._pause = CollectionPause() if many_objects else nullcontext()
 
     async def __call__(self, function: Callable[..., T], *values: Any) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, lambda: function(*values))
+        with self._pause:
+            return await asyncio.get_running_loop().run_in_executor(self._pool, lambda: function(*values))
 
 
 CALL_S = 20  # that a call may take; the longest path of a job takes two

@@ -91,7 +91,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         clock=LiveClock(),
         journal=journal,
         execute=runs,
-        plan=ThreadExecutor("planning"),
+        plan=ThreadExecutor("planning", many_objects=True),
         decode=decode,
         new_id=lambda: uuid.uuid4().hex,
         sink=make_file_sink(options.log),

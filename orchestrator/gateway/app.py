@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
@@ -37,7 +38,8 @@ from orchestrator.gateway.stream.acts import FleetActs
 from orchestrator.gateway.stream.fleet_state import allows_open_stop, list_views
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.gateway.stream.socket import UserSocket
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import NoName, Refusal
+from orchestrator.model.problems import describe_first_error
 
 MAX_SOCKETS = 200
 MAX_KEY = 200
@@ -113,6 +115,11 @@ class Gateway:
         await asyncio.gather(*(socket.disconnect(1012, "the gateway ends") for socket in list(self._sockets)))
         await self.hub.close()
 
+    @property
+    def read_paths(self) -> list[str]:
+        """The paths of GET, as routes have them."""
+        return list(self._reads.readers)
+
     def _make_routes(self) -> list[BaseRoute]:
         routes: list[BaseRoute] = [
             Route("/v1/session", self._handle(self._sessions.show_session), methods=["GET"]),
@@ -159,6 +166,11 @@ class Gateway:
                 return Response(status_code=400)  # which nothing receives any more
             except Refusal as error:
                 return make_refusal_response(error)
+            except NoName as error:
+                return make_refusal_response(Refusal("unknown-name", str(error), "see /v1/names"))
+            except ValidationError as error:  # a value in the path or the query
+                text = describe_first_error(error, "the request")
+                return make_refusal_response(Refusal("bad-request", text, "see /v1/openapi.json"))
             except Exception as error:
                 self._log.warning(f"defect in {request.url.path}: {error!r}", path=request.url.path)
                 refusal = Refusal("defect", "the gateway has a defect here", "see its log, and report it")

@@ -5,6 +5,7 @@ check here, in which no stop and no jog was answered.
 """
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
@@ -23,6 +24,7 @@ from orchestrator.model.problems import read_problems
 
 FILE_TEXT = WorkBudget(4_000_000, 400_000, 400_000, "split the job, or read the file on a computer of the fleet")
 """Of a body with the text of a file."""
+_HALF_PAIR = re.compile(rb"\\u[dD][89a-fA-F]")
 _BODIES = {"check-job": FILE_TEXT, "check-fleet": FILE_TEXT, "estop": STOP, "reset": STOP}
 
 
@@ -45,6 +47,11 @@ def read_fields(body: bytes) -> dict[str, Any]:
     """The fields of a body. Raises `Refusal`."""
     try:
         value: object = json.loads(body) if body else {}
+        if _HALF_PAIR.search(body):
+            json.dumps(value, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        text = f"a text of the body has {error.object[error.start]!a}, which is half of a character"
+        raise Refusal("bad-request", text, "send texts in UTF-8") from None
     except (ValueError, RecursionError):
         raise Refusal("bad-request", "the body is no JSON", "send a JSON object") from None
     if not isinstance(value, dict):

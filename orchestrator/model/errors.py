@@ -31,6 +31,10 @@ class Refusal(TuttiError):
         return Refusal, (self.code, self.text, self.remedy, self.controller)
 
 
+class NoName(TuttiError, ValueError):
+    """A text that cannot be the name of a part of a fleet, and so the name of none."""
+
+
 class ControllerFault(TuttiError):
     """A controller that does not do what its manual says: silence, garbage, or an error that it reports.
 

@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
+from urllib.parse import unquote
 
 from argon2 import PasswordHasher
 from cluster.worlds import run_fleet
@@ -269,7 +270,7 @@ def _make_scope(kind: str, path: str, headers: Headers) -> dict[str, Any]:
         "server": ("127.0.0.1", PORT),
         "client": ("127.0.0.1", 50_000),
         "root_path": "",
-        "path": plain,
+        "path": unquote(plain),
         "raw_path": plain.encode(),
         "query_string": query.encode(),
         "headers": [(name.lower().encode(), value.encode()) for name, value in headers.items()],

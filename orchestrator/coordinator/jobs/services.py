@@ -10,6 +10,7 @@ from orchestrator.bus.decoding import MAX_AT_ONCE, read_request, read_request_pa
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import Clock
+from orchestrator.clock.collection import CollectionPause, exempt_objects
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.alarms.register import AlarmRegister
 from orchestrator.coordinator.fleet.access import FleetAccess
@@ -94,12 +95,14 @@ class JobServices:
 async def join_parts(parts: Sequence[bytes]) -> Any:
     """Make a value of its parts again, with a turn for all other work between two of them."""
     work = join_value(parts)
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value
-        await asyncio.sleep(0)
+    with CollectionPause():
+        while True:
+            try:
+                next(work)
+            except StopIteration as end:
+                exempt_objects()
+                return end.value
+            await asyncio.sleep(0)
 
 
 def _read_job_parts(body: str) -> list[bytes]:

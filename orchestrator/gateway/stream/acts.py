@@ -2,8 +2,8 @@
 
 import asyncio
 import contextlib
+import sys
 from collections.abc import Awaitable, Callable, Mapping
-from math import isfinite
 from typing import Any, cast
 
 from pydantic import ValidationError
@@ -225,9 +225,9 @@ _SILENT = Refusal("silent", "the page has sent nothing for a second, so its axes
 def _read_velocity(frame: Frame) -> float | None:
     """The velocity of a frame, unit/s; None: it is no number, or 0."""
     velocity = frame.get("velocity")
-    if isinstance(velocity, bool) or not isinstance(velocity, int | float) or not velocity or not isfinite(velocity):
+    if isinstance(velocity, bool) or not isinstance(velocity, int | float) or not velocity:
         return None
-    return float(velocity)
+    return float(velocity) if abs(velocity) <= sys.float_info.max else None
 
 
 def _read_axes(frame: Frame) -> list[str]:

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, Protocol, cast
 
+from pydantic import ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from orchestrator.clock.base import NS_PER_S, Clock
@@ -18,10 +19,13 @@ from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.hub import StreamHub, encode
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import NoName, Refusal
+from orchestrator.model.outside_text import show_text
+from orchestrator.model.problems import first_error_text
 
 MAX_FRAME_CHARS = 64_000
 MAX_FRAMES_PER_S = 200
+MAX_ID = 2**53
 MAX_WAITING = 200  # answers that wait for a slow reader; then it is disconnected
 SEND_S = 15.0  # a reader that takes nothing for so long is disconnected
 SIGN_NS = NS_PER_S  # without a frame for so long, the user is no longer there
@@ -125,7 +129,9 @@ class UserSocket:
                 return
             frame = _read_frame(text)
             if frame is None:
-                await self.disconnect(CLOSED_BY_POLICY, 'a frame is a JSON object with "do", of at most 64 kB')
+                await self.disconnect(
+                    CLOSED_BY_POLICY, 'a frame is a JSON object with "do" and an integer "id", of at most 64 kB'
+                )
                 return
             self._framed_ns = self._clock.now_ns()
             self._handle_frame(frame, acts)
@@ -152,7 +158,10 @@ class UserSocket:
             answer = {"ok": await self._carry_out(verb, frame, acts)}
         except Refusal as error:
             answer = {"refused": describe_refusal(error)}
-        if isinstance(frame.get("id"), int):
+        except (NoName, ValidationError) as error:
+            text = first_error_text(error) if isinstance(error, ValidationError) else str(error)
+            answer = {"refused": describe_refusal(Refusal("bad-request", text, "see the frames of the socket"))}
+        if "id" in frame:
             self.send({"answer": frame["id"], **answer})
 
     async def _carry_out(self, verb: str, frame: Frame, acts: SocketActs) -> dict[str, Any]:
@@ -172,6 +181,21 @@ def _read_frame(text: str) -> Frame | None:
         value: object = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(value, dict) or not isinstance(cast(Frame, value).get("do"), str):
+    if not isinstance(value, dict):
         return None
-    return cast(Frame, value)
+    verb, number = (cast(Frame, value).get(name, 0) for name in ("do", "id"))
+    if not isinstance(verb, str) or type(number) is not int or abs(number) > MAX_ID:
+        return None
+    return cast(Frame, _show_texts(value) if "\\u" in text else value)
+
+
+def _show_texts(value: Any) -> Any:
+    """A decoded value whose texts can be sent on: a half of a pair of UTF-16, and other hidden characters, become
+    visible escapes."""
+    if isinstance(value, str):
+        return show_text(value)
+    if isinstance(value, list):
+        return [_show_texts(item) for item in cast(list[Any], value)]
+    if isinstance(value, dict):
+        return {show_text(key): _show_texts(entry) for key, entry in cast(dict[str, Any], value).items()}
+    return value

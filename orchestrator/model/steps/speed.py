@@ -1,11 +1,12 @@
 """The speed of a move as people write it: a fraction of the limits, a speed with its unit, or one for each axis."""
 
 from collections.abc import Mapping
+from math import inf
 from typing import Annotated, Any, Literal, cast
 
 from pydantic import BeforeValidator, WithJsonSchema
 
-from orchestrator.model.numbers import split_number
+from orchestrator.model.numbers import MAX_NUMBER, split_number
 from orchestrator.model.units import check_rate
 
 MANUAL: Literal["manual"] = "manual"
@@ -17,7 +18,7 @@ def read_speed(value: object, owner: str) -> float | str:
     """One speed: a fraction above 0 to 1, or text with a unit of speed. Raises `ValueError`."""
     fraction: float | None = None
     if isinstance(value, int | float) and not isinstance(value, bool):
-        fraction = float(value)
+        fraction = float(value) if abs(value) <= MAX_NUMBER else inf
     elif isinstance(value, str):
         number, unit = split_number(value) or ("", "")
         if unit and unit != "%":
