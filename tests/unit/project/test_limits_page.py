@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from adapters.controller.publishing.tracing import MAX_TRACE_PART_BYTES
-from orchestrator.bus import answers, limits, log, logfile
+from orchestrator.bus import answers, budgets, limits, log, logfile
+from orchestrator.clock import executor
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.command_log import MAX_SUBJECT
 from orchestrator.coordinator.jobs.intake.approval import MAX_SHOWN
@@ -43,6 +44,8 @@ PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "limits.md").read_tex
 ROWS = {
     "message on the bus": [limits.MAX_MESSAGE_BYTES],
     "message in a coordinator": [limits.MAX_COORDINATOR_MESSAGE_BYTES, limits.MAX_HOST_MESSAGE_BYTES],
+    "fields, values": [budgets.USUAL.max_fields],
+    "large requests": [executor.MAX_CALLS, executor.CALL_S],
     "messages that wait": [
         limits.MAX_STATES_QUEUED,
         limits.MAX_CALLS_QUEUED,
