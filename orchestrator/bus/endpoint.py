@@ -3,6 +3,7 @@
 import re
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.text.addresses import check_host
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"  # of the router that `tutti up` starts
 MAX_ENDPOINTS = 8
@@ -33,9 +34,18 @@ def split_endpoints(text: str) -> list[str]:
         match = _parse(endpoint)
         if not _LOCAL.fullmatch(endpoint) and (match is None or not 0 < int(match[2]) < 65_536):
             raise BadEndpoint(f"{endpoint!r} is not an endpoint; {_FORM}")
+        if match is not None:
+            _check_host(endpoint, match[1])
     if len(endpoints) > MAX_ENDPOINTS:
         raise BadEndpoint(f"{len(endpoints)} endpoints; at most {MAX_ENDPOINTS} routers are tried")
     return endpoints
+
+
+def _check_host(endpoint: str, host: str) -> None:
+    try:
+        check_host(host)
+    except ValueError as error:
+        raise BadEndpoint(f"{endpoint}: {error}") from None
 
 
 def is_private(endpoint: str) -> bool:

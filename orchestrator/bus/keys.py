@@ -8,7 +8,7 @@ import re
 from dataclasses import dataclass
 
 from orchestrator.model.errors import NoName
-from orchestrator.model.outside_text import show_text
+from orchestrator.model.text.outside_text import show_text
 
 ROOT = "tutti/v1"
 

@@ -1,6 +1,5 @@
 """Answers to GET: what the fleet, its journal and its recordings have."""
 
-import csv
 import io
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.templates.file_schema import make_job_file_schema
+from orchestrator.monitor.export.csv_table import CsvTable
 from orchestrator.runtime.trace_frames import FrameList
 
 MAX_RECORDINGS = 1000
@@ -201,11 +201,11 @@ class FleetReads:
             raise Refusal("not-ended", f"job {job_id} has not ended", "export it after its end")
         result = await tutti.load_result(report)
         text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(["step", "axis", "unit", "fleet_ns", "after_t0_s", "planned", "actual"])
+        table = CsvTable(text, line_end="\n")
+        table.write_row(["step", "axis", "unit", "fleet_ns", "after_t0_s", "planned", "actual"])
         for recording in result.recordings:
             for name, axis in recording.axes.items():
-                rows.writerows(list_samples(recording, name, axis))
+                table.write_rows(list_samples(recording, name, axis))
         headers = {"Content-Disposition": f'attachment; filename="{report.job_id}.csv"'}
         return Response(text.getvalue(), media_type="text/csv", headers=headers)
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema
 
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.outside_text import show_json
-from orchestrator.model.text_fields import SHOW_TEXT
+from orchestrator.model.text.outside_text import show_json
+from orchestrator.model.text.text_fields import SHOW_TEXT
 
 ID_PATTERN = r"^[a-z0-9_-]+$"
 

@@ -2,16 +2,32 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from orchestrator.model.base import Model
+from orchestrator.model.text.addresses import check_host
+
+
+def _check_device(text: str) -> str:
+    if "://" in text:
+        kind = text.partition(":")[0]
+        words = f"{kind}:// is an address of a network, and `device` a port of this computer"
+        raise ValueError(f"{words}; write `link: {{kind: tcp, host: …, port: …}}` with the raw port of the server")
+    return text
+
+
+Host = Annotated[
+    str,
+    Field(min_length=1, max_length=253, description="Address of the controller, e.g. 192.168.1.20."),
+    AfterValidator(check_host),
+]
 
 
 class TcpLink(Model):
     """A controller behind a TCP port."""
 
     kind: Literal["tcp"] = "tcp"
-    host: str = Field(min_length=1, max_length=253, description="Address of the controller, e.g. 192.168.1.20.")
+    host: Host
     port: int = Field(ge=1, le=65535)
 
     @property
@@ -24,7 +40,7 @@ class UdpLink(Model):
     """A controller behind a UDP port."""
 
     kind: Literal["udp"]
-    host: str = Field(min_length=1, max_length=253, description="Address of the controller, e.g. 192.168.1.20.")
+    host: Host
     port: int = Field(ge=1, le=65535)
 
     @property
@@ -40,7 +56,9 @@ class SerialLink(Model):
     """A controller on a serial port. A fleet file may leave out the line settings: they are then those of the make."""
 
     kind: Literal["serial"]
-    device: str = Field(description="The port, preferably by a stable name, e.g. /dev/serial/by-id/….")
+    device: Annotated[str, AfterValidator(_check_device)] = Field(
+        description="The port, preferably by a stable name, e.g. /dev/serial/by-id/…."
+    )
     baud: int = Field(default=38400, gt=0, le=10_000_000, description="Default: that of the make.")
     data_bits: Literal[7, 8] = 8
     parity: Literal["none", "even", "odd"] = "none"

@@ -9,7 +9,7 @@ from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass, TimeInterval
-from orchestrator.model.text_fields import SHOW_TEXT
+from orchestrator.model.text.text_fields import SHOW_TEXT
 from orchestrator.model.units import Unit
 
 JobState = Literal[

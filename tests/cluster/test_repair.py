@@ -67,6 +67,21 @@ def test_a_file_cut_at_any_byte_keeps_every_closed_chunk_and_gets_an_index(whole
         assert repair_recording(copy).reason == ""
 
 
+def test_a_flipped_bit_of_the_summary_is_found_and_mended(whole: Path, tmp_path: Path) -> None:
+    data, draw = whole.read_bytes(), Random(4)
+    summary_at = int.from_bytes(data[-8 - 20 : -8 - 12], "little")
+    copy = tmp_path / "flipped.mcap"
+    places = [len(data) - 8 - back for back in (1, 4, 5, 12, 20, 28, 29)]
+    for at in [*places, *(draw.randrange(summary_at, len(data) - 8) for _ in range(40))]:
+        flipped = bytearray(data)
+        flipped[at] ^= 1 << draw.randrange(8)
+        copy.write_bytes(flipped)
+        assert repair_recording(copy).reason != "", at
+        with copy.open("rb") as file:
+            assert make_reader(file, validate_crcs=True).get_summary() is not None
+        assert read_messages(copy) == read_messages(whole)
+
+
 def test_a_damaged_chunk_ends_the_repaired_file_and_the_original_is_kept(whole: Path, tmp_path: Path) -> None:
     data, chunks = bytearray(whole.read_bytes()), list_chunks(whole)
     place = (chunks[1][0] + chunks[2][0]) // 2

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from orchestrator.model.outside_text import has_hidden, show_text
+from orchestrator.model.text.outside_text import has_hidden, show_text
 
 
 class SafeConsole(Console):

@@ -1,6 +1,5 @@
 """`tutti job points`: what was recorded at the points of scans; the progress of sending points; their plot."""
 
-import csv
 import json
 from collections.abc import AsyncIterator, Generator
 from contextlib import contextmanager
@@ -11,10 +10,12 @@ import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_result, with_fleet
+from orchestrator.cli.base.csv_options import csv_style_options
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
 from orchestrator.cli.base.steps import StepType
 from orchestrator.model.steps.numbers import name_step
+from orchestrator.monitor.export.csv_table import CsvStyle, CsvTable
 
 if TYPE_CHECKING:
     from orchestrator.client.points import OnPoints, PointProgress
@@ -26,10 +27,19 @@ if TYPE_CHECKING:
 @click.option("--step", type=StepType(), default=None, help="Only the scan at this step, from 1.")
 @click.option("--csv", "out", type=click.Path(path_type=Path), default=None, help="Write all points to this file.")
 @click.option("--limit", default=50, show_default=True, type=click.IntRange(1), help="Number of points in the table.")
+@csv_style_options
 @fleet_options
 @json_option
 def points(
-    job: str, step: int | None, out: Path | None, limit: int, connect: str, fleet: str | None, *, as_json: bool
+    job: str,
+    step: int | None,
+    out: Path | None,
+    limit: int,
+    connect: str,
+    fleet: str | None,
+    *,
+    csv_style: CsvStyle,
+    as_json: bool,
 ) -> None:
     """Show what was recorded at the points of the scans of JOB: targets, measured positions, verdicts.
 
@@ -42,7 +52,7 @@ def points(
         entry = await tutti.find_job(job)
         records = tutti.iterate_points(entry.id, step)
         if out is not None:
-            number = await _write_csv(records, out)
+            number = await _write_csv(records, out, csv_style)
             print_result({"points": number, "file": str(out)}, f"{number} points: {out}", as_json=as_json)
         elif as_json:
             await _print_json(records)
@@ -79,23 +89,23 @@ async def _print_table(records: "AsyncIterator[PointRecord]", entry: "QueueEntry
         console.print("more with --limit; all with --csv FILE or --json", highlight=False)
 
 
-async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path) -> int:
+async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: CsvStyle) -> int:
     """Write a row a point; return how many."""
     number, axes = 0, list[str]()
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file)
+            table = CsvTable(file, style)
             async for record in records:
                 if not number:
                     axes = list(record.target)
                     names = [*(f"{axis} target" for axis in axes), *(f"{axis} measured" for axis in axes)]
                     skews = ["start_skew_least_ns", "start_skew_most_ns"]
-                    writer.writerow(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
+                    table.write_row(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
                 if list(record.target) != axes:
                     text = f"the scan at {name_step(record.step)} has other axes than the one before"
                     exit_with_error(text, BAD_INPUT, "choose one scan: --step")
                 skew = record.start_skew
-                writer.writerow(
+                table.write_row(
                     [
                         record.step,
                         record.point,

@@ -112,7 +112,11 @@ def install(
     )
     written_paths: list[Path] = []
     for part in dict.fromkeys(parts):
-        written_paths.append(_write_file(to / make_unit_name(part, service_place), make_unit(part, service_place)))
+        try:
+            unit = make_unit(part, service_place)
+        except ValueError as error:
+            exit_with_error(str(error), BAD_INPUT, "a unit cannot name it", code="bad-name")
+        written_paths.append(_write_file(to / make_unit_name(part, service_place), unit))
     names = " ".join(path.name for path in written_paths)
     lines = [f"wrote {path}" for path in written_paths]
     if to == UNITS:

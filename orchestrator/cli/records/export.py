@@ -7,8 +7,10 @@ import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, json_option, print_json
+from orchestrator.cli.base.csv_options import csv_style_options
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.records.folder import find_recording, folder_option, recorded_fleet_option, require_extra
+from orchestrator.monitor.export.csv_table import CsvStyle
 
 if TYPE_CHECKING:
     from orchestrator.monitor.export.files import TableFormat
@@ -25,6 +27,7 @@ _FORMATS = ("parquet", "csv", "hdf5")
 @click.option(
     "--period", default=None, metavar="DURATION", help="Of the common grid, e.g. 10ms. Default: that of the readings."
 )
+@csv_style_options
 @folder_option
 @recorded_fleet_option
 @json_option
@@ -36,6 +39,7 @@ def export(
     folder: Path | None,
     fleet: str | None,
     *,
+    csv_style: CsvStyle,
     as_json: bool,
 ) -> None:
     """Write a recording as tables. RECORDING: a job (its id, the beginning of it, its name, `last`), or a file.
@@ -70,7 +74,7 @@ def export(
     try:
         with Recording(summary.path) as opened_recording:
             tables, notes = _make_tables(opened_recording, summary, period_ns)
-        files = write_tables(tables, output, format_name)
+        files = write_tables(tables, output, format_name, csv_style)
     except (RecordingUnreadable, ExportTooLarge) as error:
         exit_with_error(str(error), FAILED)
     except OSError as error:

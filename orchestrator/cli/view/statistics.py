@@ -1,6 +1,5 @@
 """`tutti stats`: what axes, controllers and jobs have done."""
 
-import csv
 import sys
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
@@ -8,7 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
+from orchestrator.cli.base.csv_options import csv_style_options
 from orchestrator.cli.base.instants import InstantType
+from orchestrator.monitor.export.csv_table import CsvStyle, CsvTable
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -25,10 +26,18 @@ WEEK = timedelta(days=7)
 )
 @click.option("--by-day", is_flag=True, help="Also each day by itself.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a line for each figure of each day.")
+@csv_style_options
 @fleet_options
 @json_option
 def stats(
-    since: datetime | None, connect: str, fleet: str | None, *, by_day: bool, as_csv: bool, as_json: bool
+    since: datetime | None,
+    connect: str,
+    fleet: str | None,
+    *,
+    by_day: bool,
+    as_csv: bool,
+    csv_style: CsvStyle,
+    as_json: bool,
 ) -> None:
     """Show statistics: moves, distance and reversals of axes, availability of controllers, start skews of pairs of
     controllers, jobs and failures by cause.
@@ -46,9 +55,9 @@ def stats(
         if as_json:
             print_json(statistics.to_plain())
         elif as_csv:
-            writer = csv.writer(sys.stdout, lineterminator="\n")
-            writer.writerow(("day", "kind", "subject", "figure", "value", "unit"))
-            writer.writerows(line for day in statistics.days for line in list_figures(day))
+            table = CsvTable(sys.stdout, csv_style, "\n")
+            table.write_row(("day", "kind", "subject", "figure", "value", "unit"))
+            table.write_rows(line for day in statistics.days for line in list_figures(day))
         else:
             for figures in [*statistics.days, statistics.total]:
                 title = f"since {statistics.since}" if figures.day is None else figures.day

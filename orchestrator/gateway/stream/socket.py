@@ -20,8 +20,8 @@ from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.hub import StreamHub, encode
 from orchestrator.model.errors import NoName, Refusal
-from orchestrator.model.outside_text import show_text
 from orchestrator.model.problems import first_error_text
+from orchestrator.model.text.outside_text import show_text
 
 MAX_FRAME_CHARS = 64_000
 MAX_FRAMES_PER_S = 200

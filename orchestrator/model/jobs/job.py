@@ -10,7 +10,7 @@ from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.base import Step, require_in_files
 from orchestrator.model.steps.repeat import JobStep
 from orchestrator.model.steps.tree import iterate_steps
-from orchestrator.model.text_fields import PLAIN_TEXT, SHOW_TEXT
+from orchestrator.model.text.text_fields import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.triggers import check_job_outputs
 
 UNKNOWN_ACTOR = "unknown"

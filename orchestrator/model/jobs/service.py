@@ -21,7 +21,7 @@ from orchestrator.model.report import (
     StepReport,
 )
 from orchestrator.model.steps.points import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
-from orchestrator.model.text_fields import PLAIN_TEXT, SHOW_TEXT
+from orchestrator.model.text.text_fields import PLAIN_TEXT, SHOW_TEXT
 from orchestrator.model.units import Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one

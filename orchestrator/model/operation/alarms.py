@@ -9,7 +9,7 @@ from pydantic import Field
 from orchestrator.model.alarm_rules import AlarmPriority
 from orchestrator.model.base import Id, Int53, Label, Model, Sentence
 from orchestrator.model.messages import Reply, Request
-from orchestrator.model.text_fields import SHOW_TEXT
+from orchestrator.model.text.text_fields import SHOW_TEXT
 
 AlarmState = Literal["unacknowledged", "acknowledged", "returned", "normal"]
 MAX_SHELVED_S = 24 * 3600.0

@@ -7,7 +7,7 @@ from pydantic import Field
 from orchestrator.model.base import Model
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.queue import Utc
-from orchestrator.model.text_fields import SHOW_TEXT
+from orchestrator.model.text.text_fields import SHOW_TEXT
 
 MAX_LISTED = 1000  # commands in one reply
 

@@ -8,7 +8,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.fleet import MAX_DESCRIPTION
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import POSITION_NAME
-from orchestrator.model.text_fields import SHOW_TEXT
+from orchestrator.model.text.text_fields import SHOW_TEXT
 from orchestrator.model.units import Quantity
 
 PositionName = Annotated[str, Field(pattern=rf"^{POSITION_NAME}$")]

@@ -14,7 +14,7 @@ from orchestrator.model.script import ScriptModel
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
-from orchestrator.model.text_fields import PLAIN_TEXT
+from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity
 
 Axes = Annotated[list[str], Field(min_length=1, description="Axes `controller.axis`, groups, or controllers.")]

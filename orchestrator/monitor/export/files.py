@@ -4,12 +4,13 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportMissingTypeStubs=false
 # pyright: reportUnknownArgumentType=false
 
-import csv
 import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from orchestrator.monitor.export.csv_table import USUAL_STYLE, CsvStyle, CsvTable
 from orchestrator.monitor.export.table import Column, DataTable
 
 TableFormat = Literal["parquet", "csv", "hdf5"]
@@ -17,15 +18,17 @@ SUFFIXES: Mapping[TableFormat, str] = {"parquet": ".parquet", "csv": ".csv", "hd
 SCHEMA = "tutti.table/1"
 
 
-def write_tables(tables: Sequence[DataTable], path: Path, table_format: TableFormat) -> list[Path]:
+def write_tables(
+    tables: Sequence[DataTable], path: Path, table_format: TableFormat, style: CsvStyle = USUAL_STYLE
+) -> list[Path]:
     """Write tables, and return the files: for HDF5 one at `path`; else one a table, the first one at `path`, and the
-    others with their names before the suffix. Metadata of CSV files stand in one JSON file beside them.
+    others with their names before the suffix. Metadata of CSV files stand in one JSON file beside them. style: of CSV.
 
     Raises `OSError`; files that exist are replaced.
     """
     if table_format == "hdf5":
         return [_write_hdf5(tables, path)]
-    write = _write_parquet if table_format == "parquet" else _write_csv
+    write = _write_parquet if table_format == "parquet" else partial(_write_csv, style)
     suffix = SUFFIXES[table_format]
     files = [path, *(path.with_name(f"{path.stem}.{table.name}{suffix}") for table in tables[1:])]
     for table, file in zip(tables, files, strict=True):
@@ -69,19 +72,12 @@ def _write_parquet(table: DataTable, path: Path) -> None:
     pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path, compression="zstd")
 
 
-def _write_csv(table: DataTable, path: Path) -> None:
+def _write_csv(style: CsvStyle, table: DataTable, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(table.columns)
+        csv_table = CsvTable(file, style)
+        csv_table.write_row(table.columns)
         columns = [list(values) for values in table.columns.values()]
-        writer.writerows([_csv_text(value) for value in row] for row in zip(*columns, strict=True))
-
-
-def _csv_text(value: Any) -> Any:
-    """No value is an empty cell."""
-    if value is None or value != value:  # NaN is not equal to itself
-        return ""
-    return str(value).lower() if isinstance(value, bool) else value
+        csv_table.write_rows(zip(*columns, strict=True))
 
 
 def _write_hdf5(tables: Sequence[DataTable], path: Path) -> Path:

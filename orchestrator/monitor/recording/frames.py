@@ -79,15 +79,34 @@ def read_frames(file: BinaryIO, size: int) -> Iterator[FrameGroup | Damage]:
         at = ends_at
 
 
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
+
+
 def read_index(file: BinaryIO, size: int) -> Summary | None:
     """The index at the end of a file; None if there is none, or it is damaged."""
-    if not is_complete(file, size):
+    if not is_complete(file, size) or not _is_summary_whole(file, size):
         return None
     file.seek(0)
     try:
         return make_reader(file, validate_crcs=True).get_summary()
     except _DAMAGE:
         return None
+
+
+def _is_summary_whole(file: BinaryIO, size: int) -> bool:
+    """Whether the summary is as it was written, by its checksum in the footer (MCAP specification, Footer): over all
+    bytes from the start of the summary to the checksum; 0: not computed."""
+    footer_at = size - len(MCAP0_MAGIC) - _FOOTER.size
+    if footer_at < len(MCAP0_MAGIC):
+        return False
+    file.seek(footer_at)
+    opcode, length, summary_at, _, crc = _FOOTER.unpack(file.read(_FOOTER.size))
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - 9 or summary_at > footer_at:
+        return False
+    if not summary_at or not crc:
+        return True
+    file.seek(summary_at)
+    return zlib.crc32(file.read(footer_at + _FOOTER.size - 4 - summary_at)) == crc
 
 
 def is_complete(file: BinaryIO, size: int) -> bool:

@@ -5,7 +5,7 @@ processes are its own to end, in order (`KillMode=mixed`); the time for that is 
 fleet.
 """
 
-import shlex
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
@@ -22,6 +22,7 @@ from orchestrator.runtime.services.parts import (
     list_recorder_options,
 )
 
+_PLAIN_WORD = re.compile(r"[\w@%+,./:=$-]+")
 STOP_MARGIN_S = 15  # beyond the longest ramp: for processes to end in order
 
 # What no part needs. `security` of systemd-analyze is the list to compare with.
@@ -79,7 +80,7 @@ def make_unit_name(part: str, place: ServicePlace) -> str:
 
 def make_unit(part: str, place: ServicePlace) -> str:
     """The unit of a part. Raises `ValueError` for a part that is none of `PARTS`."""
-    command = shlex.join(_make_command(part, place))
+    command = " ".join(quote_word(word).replace("$", "$$") for word in _make_command(part, place))
     targets = (
         "network-online.target"
         if part == "router"
@@ -87,7 +88,7 @@ def make_unit(part: str, place: ServicePlace) -> str:
     )
     environment = ["XDG_STATE_HOME=%S", "TUTTI_LOG=journal"]
     if place.identity is not None:
-        environment.append(f"TUTTI_IDENTITY={place.identity}")
+        environment.append(quote_word(f"TUTTI_IDENTITY={place.identity}"))
     lines = [
         "[Unit]",
         f"Description=Tutti {part}{' ' + place.host if part == 'host' else ''} of fleet {place.fleet.fleet}",
@@ -120,6 +121,19 @@ def make_unit(part: str, place: ServicePlace) -> str:
         "WantedBy=multi-user.target",
     ]
     return "\n".join(lines) + "\n"
+
+
+def quote_word(word: str) -> str:
+    """A word of a command line or a setting as systemd reads it back (`systemd.service(5)`, COMMAND LINES;
+    `systemd.unit(5)`, SPECIFIERS): quoted in its own way, which is not that of a shell.
+
+    Raises `ValueError` for a word with a line break."""
+    if "\n" in word or "\r" in word:
+        raise ValueError(f"{word!r} has a line break, which no unit can have; rename it")
+    text = word.replace("%", "%%")
+    if _PLAIN_WORD.fullmatch(text):
+        return text
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def find_stop_s(fleet: Fleet) -> int:

@@ -7,8 +7,8 @@ import pytest
 from orchestrator.bus.latch import EstopMessage
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import StopRequest
-from orchestrator.model.outside_text import has_hidden, show_json, show_text
 from orchestrator.model.script import WrongValue
+from orchestrator.model.text.outside_text import has_hidden, show_json, show_text
 from tutti import Dwell, Move
 
 HOSTILE = "x\x1b[2J\r\n\u202eevil\u200b\x9b\x7f\t\ufeff end"

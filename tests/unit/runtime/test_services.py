@@ -1,6 +1,7 @@
 """Units of systemd, messages to the service manager, and fields in the journal."""
 
 import asyncio
+import re
 import shutil
 import socket
 import subprocess
@@ -130,3 +131,46 @@ def test_fields_of_a_log_line_are_fields_of_the_journal(tmp_path: Path) -> None:
     sender.send_line('{"text": "lost"}')  # a journal that is not there is no error
     sender.send_line("not JSON")
     sender.close()
+
+
+HARD_PATHS = ["/x/lab 2", '/x/a"b', "/x/50%h", "/x/$HOME", "/x/it's", "/x/back\\slash", "/x/€;&|"]
+
+
+def read_words(text: str) -> list[str]:
+    """The words of a command line as `systemd.service(5)` says: quotes, escapes of C, then `%%` and `$$`."""
+    words: list[str] = []
+    for match in re.finditer(r'"((?:[^"\\]|\\.)*)"|(\S+)', text):
+        word = re.sub(r"\\(.)", r"\1", match[1]) if match[1] is not None else match[2]
+        words.append(word.replace("%%", "%").replace("$$", "$"))
+    return words
+
+
+@pytest.mark.parametrize("folder", HARD_PATHS)
+def test_paths_are_quoted_by_the_rules_of_systemd(folder: str) -> None:
+    hard = replace(place(), file=Path(folder) / "f.yaml", identity=Path(folder), keys=Path(folder) / "k", web_host="::")
+    for part, wanted in (
+        ("router", f"{folder}/k"),
+        ("coordinator", f"{folder}/f.yaml"),
+        ("gateway", f"{folder}/key.pem"),
+    ):
+        (line,) = [line for line in make_unit(part, hard).splitlines() if line.startswith("ExecStart=")]
+        assert wanted in read_words(line.removeprefix("ExecStart=")), line
+    (line,) = [line for line in make_unit("router", hard).splitlines() if "TUTTI_IDENTITY" in line]
+    setting = line.removeprefix("Environment=").replace("$", "$$")  # which means nothing there
+    assert read_words(setting) == [f"TUTTI_IDENTITY={folder}"]
+
+
+def test_a_path_with_a_line_break_is_refused() -> None:
+    with pytest.raises(ValueError, match="has a line break"):
+        make_unit("coordinator", replace(place(), file=Path("/x/a\nExecStart=/bin/sh")))
+
+
+@pytest.mark.skipif(NO_SYSTEMD, reason="systemd-analyze is not installed")
+def test_systemd_takes_units_with_hard_paths(tmp_path: Path) -> None:
+    paths: list[Path] = []
+    for number, folder in enumerate(HARD_PATHS):
+        unit = tmp_path / f"tutti-demo-{number}.service"
+        unit.write_text(make_unit("coordinator", replace(place(), file=Path(folder) / "f.yaml", identity=Path(folder))))
+        paths.append(unit)
+    verified = subprocess.run(["systemd-analyze", "verify", "--man=no", *paths], capture_output=True, text=True)
+    assert verified.returncode == 0 and "tutti-demo" not in verified.stderr, verified.stderr

@@ -7,10 +7,10 @@ from zlib import crc32
 
 from orchestrator.coordinator.journal.records import UNREADABLE_TIME, DamagedRecord, JobRecord
 from orchestrator.model.base import ID_PATTERN
-from orchestrator.model.outside_text import show_text
 from orchestrator.model.queue import parse_utc
 from orchestrator.model.report import JobState
 from orchestrator.model.script import WrongValue
+from orchestrator.model.text.outside_text import show_text
 
 COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"

@@ -4,7 +4,7 @@ from typing import Any
 
 from pydantic import AfterValidator, BeforeValidator
 
-from orchestrator.model.outside_text import explain_hidden, show_text
+from orchestrator.model.text.outside_text import explain_hidden, show_text
 
 MAX_SHOWN = 20_000
 """Characters of a free text: its escapes are not looked for in a longer one, which no field takes."""

@@ -1,0 +1,1 @@
+"""Texts as people and other programs write them."""
