@@ -253,6 +253,14 @@ class Axis(Model):
         """Convert a position (in the axis's unit) to the nearest count."""
         return round(position * self.counts_per_unit)
 
+    def to_target_counts(self, position: Fraction) -> int:
+        """The count for a target, a motor position in the axis's unit: the nearest one; of a target inside the soft
+        limits the nearest one inside, where a limit is no whole number of counts."""
+        counts, limits, exact = self.to_counts(position), self.soft_limits_counts, self._exact_soft_limits
+        if limits is None or exact is None or not exact[0] <= position * self.counts_per_unit <= exact[1]:
+            return counts
+        return min(max(counts, limits[0]), limits[1])
+
     def to_unit(self, counts: float) -> float:
         """Convert counts to the axis's unit."""
         return counts / self._float_scale
@@ -278,14 +286,21 @@ class Axis(Model):
     @cached_property
     def soft_limits_counts(self) -> tuple[int, int] | None:
         """The soft limits as (low, high) counts of the controller, rounded inwards; None without limits."""
+        if self._exact_soft_limits is None:
+            return None
+        low, high = self._exact_soft_limits
+        return -((-low.numerator) // low.denominator), high.numerator // high.denominator
+
+    @cached_property
+    def _exact_soft_limits(self) -> tuple[Fraction, Fraction] | None:
+        """The soft limits as (low, high) counts, not rounded."""
         if self.soft_limits is None:
             return None
         ends = [
             parse_quantity(end, self.unit) * self.counts_per_unit
             for end in (self.soft_limits.min, self.soft_limits.max)
         ]
-        low, high = min(ends), max(ends)
-        return -((-low.numerator) // low.denominator), high.numerator // high.denominator
+        return min(ends), max(ends)
 
 
 class DigitalInput(Model):
@@ -558,7 +573,11 @@ class Fleet(Model):
             return str(error)
         limits = config.soft_limits_counts
         # On an axis that wraps, a position exists once in each turn.
-        if limits is None or config.turn_length is not None or limits[0] <= config.to_counts(position) <= limits[1]:
+        if (
+            limits is None
+            or config.turn_length is not None
+            or limits[0] <= config.to_target_counts(position) <= limits[1]
+        ):
             return None
         low, high = sorted(config.to_unit(limit) for limit in limits)
         return f"{value} is beyond the soft limits of {axis}, {low:g} to {high:g} {config.unit}; change one of them"

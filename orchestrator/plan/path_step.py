@@ -98,7 +98,7 @@ def plan_path_step(
     axes: list[FittedAxis] = []
     exact: dict[str, tuple[Fraction, int]] = {}
     for start, end in zip(starts, ends, strict=True):
-        exact[start.name] = Fraction(end), start.axis.to_counts(Fraction(end))
+        exact[start.name] = Fraction(end), start.axis.to_target_counts(Fraction(end))
         limits, scale = start.axis.limits, float(start.axis.counts_per_unit)
         axes.append(
             FittedAxis(

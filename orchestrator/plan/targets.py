@@ -20,10 +20,12 @@ def choose_turn(axis: Axis, here: Fraction, target: Fraction, offset: Fraction) 
     else:
         turned_target = target + turn * (floor((here + offset) / turn) - floor((target + offset) / turn))
     limits = axis.soft_limits_counts
-    if limits is None or limits[0] <= axis.to_counts(turned_target) <= limits[1]:
+    if limits is None or limits[0] <= axis.to_target_counts(turned_target) <= limits[1]:
         return turned_target
     turns_inside = [
-        way for way in (turned_target - turn, turned_target + turn) if limits[0] <= axis.to_counts(way) <= limits[1]
+        way
+        for way in (turned_target - turn, turned_target + turn)
+        if limits[0] <= axis.to_target_counts(way) <= limits[1]
     ]
     return min(turns_inside, key=lambda way: abs(way - here), default=turned_target)
 
@@ -32,7 +34,7 @@ def explain_beyond_limits(name: str, axis: Axis, target: Fraction, offset: Fract
     """Why the motor position `target` is outside the soft limits; None if it is inside. In user positions, as the
     target was given."""
     limits = axis.soft_limits_counts
-    if limits is None or limits[0] <= axis.to_counts(target) <= limits[1]:
+    if limits is None or limits[0] <= axis.to_target_counts(target) <= limits[1]:
         return None
     low, high = sorted(axis.to_unit(limit) + float(offset) for limit in limits)
     return (
@@ -43,7 +45,7 @@ def explain_beyond_limits(name: str, axis: Axis, target: Fraction, offset: Fract
 
 def explain_beyond_range(name: str, axis: Axis, target: Fraction) -> str | None:
     """Why the motor position `target` cannot be counted in 32 bits; None if it can."""
-    counts = axis.to_counts(target)
+    counts = axis.to_target_counts(target)
     if -MAX_COUNTS <= counts < MAX_COUNTS:
         return None
     return f"axis {name}: the target is {counts} counts; positions are within ±{MAX_COUNTS} counts"

@@ -58,7 +58,7 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
                 if name in step.by
                 else choose_turn(axis, position_here, amount - state.offset, state.offset)
             )
-        counts = axis.to_counts(target)
+        counts = axis.to_target_counts(target)
         beyond_limits = explain_beyond_limits(name, axis, target, state.offset)
         if beyond_limits is not None:
             remedy = "change the target, or the soft limits in the fleet file"

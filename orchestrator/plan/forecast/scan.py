@@ -86,6 +86,6 @@ def _plan_kind(state: ForecastState, at: ForecastContext, step: Scan, axes: Mapp
     for name, axis in axes.items():
         for ends, moves in ((kind.nearest, ways.nearest), (kind.farthest, ways.farthest)):
             if name in ends:
-                start, target = (axis.to_counts(end) for end in ends[name])
+                start, target = (axis.to_target_counts(end) for end in ends[name])
                 moves.append(make_axis_move(name, axis, start, target, state.order_of(name, axis)))
     return plan_ways(state, at, step, ways)

@@ -24,7 +24,7 @@ def take_target(
     state.axes[name] = forecast_after
     order = state.order_of(name, axis)
     if distance_known:
-        start, target = axis.to_counts(state_before.motor), axis.to_counts(forecast_after.motor)
+        start, target = (axis.to_target_counts(end.motor) for end in (state_before, forecast_after))
         ways.add_known(make_axis_move(name, axis, start, target, order))
         if state_before.known and forecast_after.known:
             ways.exact[name] = (forecast_after.motor, target)
@@ -111,5 +111,5 @@ def _longest_move(name: str, axis: Axis, after: AxisForecast, order: Order) -> A
     limits = axis.soft_limits_counts
     if limits is None or not after.known:
         return None
-    target = axis.to_counts(after.motor)
+    target = axis.to_target_counts(after.motor)
     return make_axis_move(name, axis, max(limits, key=lambda end: abs(end - target)), target, order)

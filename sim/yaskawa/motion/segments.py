@@ -23,6 +23,11 @@ class PathSegment:
     sweep: float = 0.0
     scale: tuple[float, float] = (1.0, 1.0)
 
+    @property
+    def is_arc(self) -> bool:
+        """Whether it is an arc; else a straight line."""
+        return self.radius != 0.0
+
     def point_at(self, along: float) -> Point:
         """Return the coordinates at `along` counts from the start."""
         share = min(max(along / self.length, 0.0), 1.0)

@@ -67,9 +67,10 @@ class CoordinateSystem:
         return self.segments[-1].end if self.segments else (0.0,) * len(self.axes)
 
     def add_segment(self, segment: PathSegment, now: int) -> None:
-        """Queue a segment; refused with 30, 31, 32."""
+        """Queue a segment; refused with 30 (an arc shorter than a sample at its speed; lines may be, as in L13219 to
+        13270), 31, 32."""
         speed = segment.entry_speed if segment.entry_speed is not None else self.speed
-        if segment.length <= 0.0 or segment.length < speed * SPEED_UNIT:
+        if segment.length <= 0.0 or (segment.is_arc and segment.length < speed * SPEED_UNIT):
             raise CommandError(30)
         if self._bounds[-1] + segment.length > LONGEST:
             raise CommandError(31)

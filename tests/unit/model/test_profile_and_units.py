@@ -2,12 +2,14 @@
 
 import random
 from fractions import Fraction
+from typing import Literal
 
 import pytest
 
 from orchestrator.model.fleet import Axis, AxisLimits, SoftLimits
 from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, UnitError, parse_quantity
+from orchestrator.plan.targets import explain_beyond_limits
 
 
 def test_quantities_are_exact() -> None:
@@ -31,6 +33,27 @@ def test_soft_limits_round_inwards_whatever_the_sign() -> None:
         soft_limits=SoftLimits(min=0, max=1),
     )
     assert axis.soft_limits_counts == (-3, 0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_target_that_is_a_soft_limit_is_inside(sign: Literal[1, -1]) -> None:
+    """78.74 counts a millimetre: -0.1 mm is 7.874 counts."""
+    axis = Axis(
+        motors=["X"],
+        unit=Unit.MM,
+        scale=Fraction("78.74"),
+        sign=sign,
+        limits=AxisLimits(velocity=1, acceleration=1),
+        soft_limits=SoftLimits(min=-0.1, max=0.1),
+    )
+    assert axis.soft_limits_counts == (-7, 7)
+    for end in ("-0.1", "0.1", "0.095"):
+        target = Fraction(end)
+        assert abs(axis.to_target_counts(target)) == 7
+        assert explain_beyond_limits("gantry.x", axis, target, Fraction(0)) is None
+    assert abs(axis.to_target_counts(Fraction("0.1001"))) == 8
+    assert explain_beyond_limits("gantry.x", axis, Fraction("0.1001"), Fraction(0)) is not None
+    assert abs(axis.to_target_counts(Fraction("0.05"))) == 4
 
 
 def test_profile_reaches_its_extremes() -> None:
