@@ -24,7 +24,7 @@ from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.link.timed_write import WriteResult
-from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
+from orchestrator.model.errors import SETTING_CHANGED, ControllerFault, Refusal, TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
@@ -108,7 +108,7 @@ class SettingDifference:
         """The fault that keeps the controller from moving until the setting is as expected."""
         remedy = "`tutti reset` writes it again; find out which client changed it" if self.repairable else self.remedy
         text = f"{self.item} is {self.found}, expected {self.expected}: another client has changed it"
-        return FaultReport(code="setting-changed", text=text, remedy=remedy, axis=self.axis)
+        return FaultReport(code=SETTING_CHANGED, text=text, remedy=remedy, axis=self.axis)
 
     def to_refusal(self) -> Refusal:
         """The refusal of a step that relies on the setting."""

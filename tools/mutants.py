@@ -36,6 +36,7 @@ STEPS = (
     "tests/cluster/test_late_starts.py",
     "tests/cluster/test_faults.py",
 )
+STARTS = ("tests/cluster/test_start_times.py", "tests/cluster/test_lines.py")
 STOPS = (
     "tests/unit/adapters/test_mode.py",
     "tests/cluster/test_jog_faults.py",
@@ -45,9 +46,9 @@ STOPS = (
 LINES = ("tests/contract/test_ascii.py", "tests/contract/test_galil.py", "tests/unit/adapters/test_line_move.py")
 
 AREAS: dict[str, tuple[str, ...]] = {
-    "orchestrator/coordinator/motion/start.py": STEPS,
+    "orchestrator/coordinator/motion/start.py": (*STEPS, *STARTS),
     "orchestrator/coordinator/motion/watch.py": STEPS,
-    "orchestrator/coordinator/fleet/leases.py": (*STEPS, "tests/cluster/test_by_hand.py"),
+    "orchestrator/coordinator/fleet/leases.py": (*STEPS, *STARTS, "tests/cluster/test_by_hand.py"),
     "adapters/controller/slots/participant.py": STEPS,
     "adapters/controller/slots/step_checks.py": STEPS,
     "adapters/controller/slots/withdrawal.py": STEPS,

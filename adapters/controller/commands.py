@@ -8,6 +8,8 @@ from pydantic import ValidationError
 
 from adapters.abilities import LearningDriver, set_output
 from adapters.controller.components import Components
+from adapters.controller.manual.offsets import AxisOffsets
+from adapters.controller.monitoring.settings_checks import SettingsChecks
 from adapters.controller.slots.triggers import LatchControl
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
@@ -26,6 +28,7 @@ from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
     BeginSampling,
+    CheckSettingsRequest,
     ChunkReply,
     CommitRequest,
     CommittedReply,
@@ -58,13 +61,13 @@ from orchestrator.model.messages import (
     SamplesTaken,
     SamplingBegun,
     SetPositionRequest,
+    SettingsChecked,
     StopRequest,
     TakeSamples,
     TakeTriggers,
     TriggersTaken,
 )
 from orchestrator.model.problems import describe_first_error
-from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.model.version import PartVersion, require_version
 
 NEAR_START_NS = 300 * NS_PER_MS
@@ -81,6 +84,8 @@ class ControllerCommands:
         self._stops = stops
         self._answers = AnswerCache()
         latches = LatchControl(context, self._require_idle)
+        checks = SettingsChecks(components.surveillance, components.polling, components.publisher, self._require_idle)
+        offsets = AxisOffsets(components.status, components.remembered, components.publisher, self._require_idle)
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
             "adopt": (AdoptRequest, AdoptedReply, self._handle_adopt),
@@ -94,9 +99,10 @@ class ControllerCommands:
             "disarm": (DisarmRequest, DisarmedReply, components.withdrawal.disarm_step),
             "stop": (StopRequest, Reply, self._handle_stop),
             "enable": (EnableRequest, Reply, self._handle_enable),
+            "check-settings": (CheckSettingsRequest, SettingsChecked, checks.check_settings),
             "home": (HomeRequest, HomeReply, self._handle_home),
             "jog": (JogRequest, Reply, self._handle_jog),
-            "set-position": (SetPositionRequest, Reply, self._handle_set_position),
+            "set-position": (SetPositionRequest, Reply, offsets.set_position),
             "output": (OutputRequest, Reply, self._handle_output),
             "begin-sampling": (BeginSampling, SamplingBegun, components.samples.begin),
             "take-samples": (TakeSamples, SamplesTaken, components.samples.take),
@@ -232,21 +238,6 @@ class ControllerCommands:
             self._require_no_step()
         with self._ordering():
             await self._components.jogging.apply_request(request)
-        return Reply()
-
-    async def _handle_set_position(self, request: SetPositionRequest) -> Reply:
-        self._require_idle(request)
-        (name,) = request.axes
-        axis, offsets = self._config.axes[name], dict(self._components.remembered.values.offsets)
-        offsets.pop(name, None)
-        if request.position is not None:
-            motor = self._status.require_online().axes[name].commanded_counts / axis.counts_per_unit
-            try:
-                offsets[name] = parse_quantity(request.position, axis.unit) - motor
-            except UnitError as error:
-                raise Refusal("bad-unit", f"{name}: {error}") from None
-        await self._components.remembered.store_values(offsets=offsets)
-        self._publisher.publish_state()
         return Reply()
 
     async def _handle_output(self, request: OutputRequest) -> Reply:

@@ -34,7 +34,11 @@ class NamedCommands:
         return any(self.commands.count(command) > MOST_REPEATS for command in self.commands)
 
     async def run_named(self, waiting: Sequence[QueueEntry]) -> str:
-        """Run the first command that the jobs name; return it, empty if none is named."""
+        """Run the first command that the jobs name, after all that jobs name which wait at a step; return the last
+        one, empty if none is named. Raises `Refusal`."""
+        words = await self._run_resumption()
+        if words:
+            return words
         for entry in waiting:
             match = _COMMAND.search(entry.reason)
             is_held = entry.held_by not in ("", RESTART)
@@ -46,6 +50,17 @@ class NamedCommands:
                 return words
         return ""
 
+    async def _run_resumption(self) -> str:
+        """Run all commands that jobs name which wait at a step; return the last, empty if none is named. Raises
+        `Refusal`."""
+        words = ""
+        paused_jobs = (await self._client.list_jobs(state="paused")).jobs
+        for words in (command for entry in paused_jobs for command in _COMMAND.findall(entry.reason)):
+            self.commands.append(words)
+            with suppress(Refusal):
+                await self._run(words.split())
+        return words
+
     async def _run(self, words: list[str]) -> None:
         client = self._client
         match words:
@@ -53,6 +68,8 @@ class NamedCommands:
                 await client.reset()
             case ["queue", "start"]:
                 await client.start_queue()
+            case ["job", "resume", job_id]:
+                await client.resume_job(job_id)
             case ["job", "release", *jobs]:
                 await client.release_jobs(*jobs)
             case ["axis", "enable" | "home" as verb, *axes] if axes:

@@ -5,6 +5,9 @@ An error carries what a user needs: what is wrong, with which value, and what to
 
 from typing import Any
 
+SETTING_CHANGED = "setting-changed"
+"""Code of a controller whose settings another client has changed: what would move waits until they are as before."""
+
 
 class TuttiError(Exception):
     """The root of all errors that Tutti raises on purpose."""

@@ -454,6 +454,16 @@ class LeasedRequest(AxesRequest):
     holder: Label
 
 
+class CheckSettingsRequest(LeasedRequest):
+    """Compare all settings that motion relies on, of a controller at rest: another client may have changed one."""
+
+
+class SettingsChecked(Reply):
+    """state: the controller's state after the comparison, if one differs, which its faults name; None if none does."""
+
+    state: ControllerState | None = None
+
+
 class EnableRequest(LeasedRequest):
     on: bool
 

@@ -92,6 +92,31 @@ def test_the_driver_of_a_trigger_line_moves_with_the_members_that_wait_for_it() 
     run_fleet(main, wired_fleet())
 
 
+def test_a_member_without_a_wire_starts_when_the_trigger_line_starts_the_others() -> None:
+    """Its own T0 is later than that of the line by the way of the edge, here 4 ms."""
+    plain = wired_fleet(delay_us=(4000, 4010)).to_plain()
+    plain["controllers"]["apart"] = plain["controllers"]["portal"] | {
+        "link": {"kind": "tcp", "host": "192.168.1.22", "port": 23},
+        "inputs": {},
+    }
+    del plain["controllers"]["portal"]
+    plain |= {"home_order": [], "wiring": [plain["wiring"][0] | {"to": ["stage.start"]}]}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job("[{do: enable, axes: [gantry, stage, apart]}, {do: home}]"))
+        before = count(fleet)
+        asked = job("[{do: move, to: {stage.u: 5, apart.x: 60}, start: line}]")
+        step, skew_ns = judged_rightly(fleet, await outcome(fleet, asked), before)
+        assert {name: member.start_class for name, member in step.members.items()} == {
+            "gantry": "clock",
+            "stage": "line",
+            "apart": "clock",
+        }
+        assert skew_ns < 2 * NS_PER_MS
+
+    run_fleet(main, Fleet.model_validate(plain))
+
+
 def test_the_better_start_method_is_chosen_without_a_request() -> None:
     """A slow wire would spread the starts more than the members' own means."""
 

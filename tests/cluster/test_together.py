@@ -135,7 +135,7 @@ def test_a_step_sends_one_request_per_host_and_stage(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(MemberRequests, "_request_reply", alone)
     monkeypatch.setattr(MemberRequests, "_request_batch", with_others)
-    stages = ["lease", "propose", "arm", "commit", "go", "lease"]
+    stages = ["lease", "check-settings", "propose", "arm", "commit", "go", "lease"]
 
     def run_on(hosts: dict[str, str], expected: list[tuple[str, ...]]) -> None:
         whole = demo_fleet().to_plain()

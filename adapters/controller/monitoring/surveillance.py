@@ -133,6 +133,13 @@ class Surveillance:
                     "unreferenced", f"{', '.join(lost_axes)}: {difference.item} has changed; home again"
                 )
 
+    async def require_settings(self) -> None:
+        """Compare all settings. Raises `Refusal` when one that motion relies on is not as expected."""
+        differences = await find_differences(self._driver, everything=True)
+        if differences:
+            self.note_differences(differences)
+            raise differences[0].to_refusal()
+
     async def recheck_settings(self) -> None:
         """Compare all settings after a reset, and forget the differences that are gone."""
         self._status.differences.clear()

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-from adapters.abilities import find_differences
 from adapters.contract import LoadPlace, MoveSlot
 from adapters.controller.publishing.clock import clock_mapping
 from adapters.controller.slots.fleet_durations import find_last_instants, state_move
@@ -44,7 +43,7 @@ class StepLoader:
         try:
             async with self._steps.loading_lock:
                 if not checked:
-                    await self.require_settings()
+                    await self._surveillance.require_settings()
                 stages = await slot.load(move.lowered, move.armed_step.t0_host_ns, move.mapping, place)
         except (Refusal, ControllerFault):
             await unload()
@@ -68,10 +67,3 @@ class StepLoader:
             took_ns=self._context.clock.now_ns() - move.began_ns,
             stages_ns=dict(stages),
         )
-
-    async def require_settings(self) -> None:
-        """Raise `Refusal` when a setting that the move relies on is not as expected."""
-        differences = await find_differences(self._context.driver, everything=True)
-        if differences:
-            self._surveillance.note_differences(differences)
-            raise differences[0].to_refusal()

@@ -39,6 +39,7 @@ class StepParticipant:
         self._steps = parts.steps
         self._withdrawal = parts.withdrawal
         self._settling = parts.settling
+        self._surveillance = parts.surveillance
         self._tasks = parts.tasks
         self._lowering = StepLowering(context, parts.steps, checks)
         self._loader = StepLoader(context, parts)
@@ -80,7 +81,7 @@ class StepParticipant:
         if move.lowered.gap_ns is None or must_settle:
             is_checked = self._context.driver.capabilities.checks_while_moving
             if is_checked:
-                await self._loader.require_settings()
+                await self._surveillance.require_settings()
             self._steps.following.hold_back(move, checked=is_checked)
             self._tasks.spawn(self._withdrawal.unload_at_t0(move.armed_step))
             if self._steps.present is None:

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from adapters.contract import ControllerIdentity, ControllerReading, SettingDifference
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import FaultReport
 
@@ -88,4 +88,5 @@ class ControllerStatus:
     def require_no_fault(self) -> None:
         """Raise `Refusal` while the controller reports a fault."""
         if self.faults:
-            raise Refusal("fault", self.faults[0].text, self.faults[0].remedy)
+            first = self.faults[0]
+            raise Refusal(first.code if first.code == SETTING_CHANGED else "fault", first.text, first.remedy)

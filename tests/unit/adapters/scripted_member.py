@@ -1,7 +1,7 @@
 """A controller's part in steps, over a driver that is scripted by the test."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping
 from types import SimpleNamespace
 from typing import Any, Literal, cast
 
@@ -230,8 +230,11 @@ class Desk:
     def doubt_positions(self, _: object) -> None:
         return
 
-    def note_differences(self, differences: Sequence[SettingDifference]) -> None:
-        self.noted.extend(differences)
+    async def require_settings(self) -> None:
+        differences = await self.driver.check_settings(everything=True)
+        if differences:
+            self.noted.extend(differences)
+            raise differences[0].to_refusal()
 
     def spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
         self._tasks.append(asyncio.ensure_future(self._survive(coroutine)))

@@ -13,6 +13,7 @@ from unit.adapters.restarts import sees_the_restart
 from adapters.contract import DriverSetup
 from adapters.shrc203 import MAKE
 from adapters.shrc203.driver import ShrcDriver
+from adapters.shrc203.wire.status import DISCONNECTED, SCALE_ERROR, is_position_lost
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -377,3 +378,21 @@ def test_a_lost_answer_or_completion_does_not_lose_the_move(lose: bytes) -> None
         assert outcome.ended["x"].earliest_ns <= motion.end_ns <= outcome.ended["x"].latest_ns
 
     run(case)
+
+
+@pytest.mark.parametrize(
+    ("word", "excited", "closed_loop", "lost"),
+    [
+        (0, True, False, False),
+        (0, False, False, True),
+        (0, False, True, False),
+        (SCALE_ERROR, True, True, True),
+        (SCALE_ERROR, True, False, False),
+        (DISCONNECTED, True, False, True),
+        (DISCONNECTED, True, True, True),
+    ],
+)
+def test_a_position_is_lost_without_torque_in_open_loop_and_without_scale_in_closed_loop(
+    word: int, excited: bool, closed_loop: bool, lost: bool
+) -> None:
+    assert is_position_lost(word, excited=excited, closed_loop=closed_loop) is lost

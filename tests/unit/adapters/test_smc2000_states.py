@@ -269,3 +269,19 @@ def test_refused_commands_report_the_reason():
 def test_the_fleet_file_is_checked_offline(change: dict[str, Any], words: str):
     with pytest.raises(ValueError, match=words):
         MAKE.check_config(Controller.model_validate(FLEET | change))
+
+
+def test_a_stepper_that_is_off_has_lost_its_position():
+    async def main(world: World) -> None:
+        link = await world.wire.open_link()
+        await typed(world.clock, link, "MTX=2\r")
+        await link.close()
+        await world.ready()
+        assert not any(axis.position_lost for axis in (await world.driver.poll()).axes.values())
+        await world.driver.set_enabled(["x", "y"], on=False)
+        axes = (await world.driver.poll()).axes
+        assert axes["x"].position_lost and not axes["y"].position_lost
+        await world.driver.set_enabled(["x"], on=True)
+        assert not (await world.driver.poll()).axes["x"].position_lost
+
+    run(main, fleet=FLEET | {"options": {"motor_type": {"x": 2}}})

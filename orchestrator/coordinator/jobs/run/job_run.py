@@ -10,7 +10,7 @@ from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.motors import JobMotors
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
 from orchestrator.coordinator.jobs.run.point_readings import PointReadings
-from orchestrator.coordinator.jobs.run.preparation import JobPreparation, PlanDeviates
+from orchestrator.coordinator.jobs.run.preparation import JobPreparation, PlanDeviates, SettingsDiffer
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.rest import RestMonitor
 from orchestrator.coordinator.jobs.run.run_state import RunState
@@ -191,7 +191,7 @@ class JobRun:
             state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
         except JobInterrupted as given_up:
             state, reason, actor = given_up.state, given_up.reason, given_up.actor
-        except (AxesInUse, PlanDeviates) as error:
+        except (AxesInUse, PlanDeviates, SettingsDiffer) as error:
             deviates = isinstance(error, PlanDeviates)
             return JobOutcome("queued", error.text, actor, self._report, begun=False, deviates=deviates)
         except Refusal as error:
@@ -209,15 +209,17 @@ class JobRun:
         return JobOutcome(state, reason, actor, self._make_report())
 
     async def _prepare(self) -> None:
-        """Do all that comes before the first step. Raises `Refusal`, `AxesInUse`, `PlanDeviates`, `JournalError`."""
+        """Do all that comes before the first step. Raises `Refusal`, `AxesInUse`, `PlanDeviates`, `SettingsDiffer`,
+        `JournalError`."""
         preparation = self._preparation
         try:
             prepare = preparation.prepare_approved if self.row.proposed else preparation.prepare
             since_ns = await prepare(self.needs)
         finally:
             self._report = self._report.model_copy(update={"positions_used": preparation.positions_used})
-        await preparation.publish_beginning()
         await self._rest.wait_for_rest(since_ns)
+        await preparation.compare_settings()
+        await preparation.publish_beginning()
         if await self._motors.enable_by_policy(self._context):
             self._rest.seen_ns = None
 

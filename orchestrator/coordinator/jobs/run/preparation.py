@@ -1,8 +1,13 @@
 """What a job does before its first step: it is checked once more, gets its axes, and is published."""
 
-from orchestrator.bus.base import Priority
+from collections.abc import Iterable
+from contextlib import suppress
+
+from orchestrator.bus.base import BusError, Priority
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.lease_states import LeaseUser
 from orchestrator.coordinator.fleet.leases import AxesInUse
+from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.job_plan import PlannedJob, list_written, make_plan
 from orchestrator.coordinator.jobs.needs import find_axes
@@ -12,9 +17,12 @@ from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.messages import CheckSettingsRequest, SettingsChecked
 from orchestrator.model.operation.approval import join_changes, list_changes
 from orchestrator.model.operation.recording import JobBegun
+from orchestrator.model.steps.tree import iterate_steps
 
 
 class PlanDeviates(Refusal):
@@ -22,6 +30,10 @@ class PlanDeviates(Refusal):
 
     def __init__(self, changes: str) -> None:
         super().__init__("plan-changed", f"held again: {changes}", "look at the plan again: `tutti job approve`")
+
+
+class SettingsDiffer(Refusal):
+    """A controller of a job has faults, which the comparison of its settings has shown; nothing of it has moved."""
 
 
 class JobPreparation:
@@ -81,6 +93,39 @@ class JobPreparation:
         planned_job = PlannedJob(self._job, row.repeat, row.from_step, steps, self.positions_used)
         plan = await make_plan(services.view, planned_job, since_ns)
         return "" if plan.hash == approval.plan.hash else join_changes(list_changes(approval.plan, plan))
+
+    async def compare_settings(self) -> None:
+        """Have the controllers that the job moves, which are at rest, compare all settings: another client may have
+        changed one while nothing of this fleet moved. Raises `SettingsDiffer`; its leases have ended then.
+
+        A controller that does not answer, or cannot compare now, is refused by planning."""
+        services, row = self._services, self._row
+        steps = self._steps.list_steps(row.from_step)
+        if not any(step.moves or step.enables for step in iterate_steps(steps)):
+            return
+        requests = {
+            controller: CheckSettingsRequest(
+                **services.fleet.requests.request_fields(row.actor), axes=axes, holder=row.id
+            )
+            for controller, axes in group_by_controller(find_axes(services.view.fleet, steps)).items()
+        }
+        asked_ns, timeout_s = services.clock.now_ns(), await self._find_timeout_s(requests)
+        replies = await services.fleet.requests.request_all("check-settings", requests, SettingsChecked, timeout_s)
+        changed_states = [state for reply in replies.values() if (state := reply.state) is not None and state.faults]
+        for state in changed_states:
+            services.view.note_answer(state, asked_ns)
+        if changed_states:
+            await services.leases.release(row.id)
+            first = changed_states[0].faults[0]
+            raise SettingsDiffer(first.code, f"{changed_states[0].controller}: {first.text}", first.remedy)
+
+    async def _find_timeout_s(self, members: Iterable[str]) -> float:
+        """How long the comparison may take: it is a part of arming."""
+        arm_ns = 0
+        for member in members:
+            with suppress(BusError):
+                arm_ns = max(arm_ns, (await self._services.view.query_info(member)).costs.arm_ns)
+        return ANSWER_S + 2 * arm_ns / NS_PER_S
 
     async def publish_beginning(self) -> None:
         """Publish the job itself, for what records it."""

@@ -16,18 +16,20 @@ PROGRESS_NS = NS_PER_S // 5
 
 class JobPause:
     """Whether a job is to pause. paused_by: the originator of the pause, or of a requested one. braked: by a feed hold,
-    inside a motion step. given_up: why the job begins no further step."""
+    inside a motion step. cause: what a refused step waits for; empty: a user has paused the job. given_up: why the job
+    begins no further step."""
 
     def __init__(self) -> None:
         self.paused_by: str | None = None
+        self.cause = ""
         self.resumed_by = ""
         self.braked = False
         self.resumed = asyncio.Event()
         self.given_up: JobInterrupted | None = None
 
-    def request_pause(self, actor: str) -> None:
-        """Pause after the present step."""
-        self.paused_by = actor
+    def request_pause(self, actor: str, cause: str = "") -> None:
+        """Pause after the present step, or before it for a cause."""
+        self.paused_by, self.cause = actor, cause
         self.resumed.clear()
 
     def give_up(self, interrupt: JobInterrupted) -> None:

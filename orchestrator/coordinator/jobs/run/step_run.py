@@ -7,13 +7,13 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.jobs.check import predict_s
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.rest import RestMonitor
-from orchestrator.coordinator.jobs.run.run_state import RunState
+from orchestrator.coordinator.jobs.run.run_state import JobPause, RunState
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.coordinator.steps.context import StepContext
 from orchestrator.coordinator.steps.kinds import run_step
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import FeedHold, JobState, StepReport
 from orchestrator.model.steps.base import Step
@@ -50,7 +50,7 @@ class StepRun:
             await self._chain.drop("the job is paused", self._context.actor)
         while pause.paused_by is not None:
             self._rest.seen_ns = None
-            await state.change_state("paused", f"paused by {pause.paused_by} {state.describe_place()}", pause.paused_by)
+            await state.change_state("paused", _describe_pause(pause, state.describe_place()), pause.paused_by)
             await pause.resumed.wait()
             if self._pause.given_up is not None:
                 break
@@ -67,7 +67,11 @@ class StepRun:
         try:
             while True:
                 report = await self._run_once(index, step)
-                if report.refused is None or report.refused.code != FEED_HOLD:
+                refused_code = None if report.refused is None else report.refused.code
+                if refused_code == SETTING_CHANGED and report.state == "failed":
+                    await self._wait_for_settings(report.reason)
+                    continue
+                if refused_code != FEED_HOLD:
                     return report.model_copy(update={"feed_holds": holds})
                 await self._chain.drop("the job is paused", self._context.actor)
                 if report.state == "stopped":
@@ -78,6 +82,15 @@ class StepRun:
                 await self._rest.wait_for_rest()
         finally:
             self._state.motion_step = None
+
+    async def _wait_for_settings(self, cause: str) -> None:
+        """Wait at a step that was refused because another client has changed a setting: nothing of it has moved, and a
+        person resumes the job once the setting is as before. Raises `JobInterrupted`."""
+        job_id = self._context.holder
+        await self._chain.drop("a setting was changed", self._context.actor)
+        self._pause.request_pause("coordinator", f"{cause}; then `tutti job resume {job_id}`")
+        await self.wait_while_paused()
+        await self._rest.wait_for_rest()
 
     async def _run_once(self, index: int, step: Step) -> StepReport:
         services = self._services
@@ -123,3 +136,7 @@ class StepRun:
         step = self._state.motion_step
         if step is not None and step.motion is not None:
             self._chain.look_ahead(step.motion)
+
+
+def _describe_pause(pause: JobPause, place: str) -> str:
+    return f"waits {place} for: {pause.cause}" if pause.cause else f"paused by {pause.paused_by} {place}"
