@@ -147,7 +147,8 @@ def insert_peaks(ladder: Ladder, squares: Array) -> tuple[Array, Array, Index]:
         rise = (top - squares[:-1]) / (2 * acceleration)
         fall = (top - squares[1:]) / (2 * acceleration)
         level = h - rise - fall
-        small = 1e-9 * h
+        # Of the cell, or of the way in which its top is reached: at 3 µm/s that is 3 nm, in a cell of 20 mm.
+        small = 1e-9 * np.minimum(h, top / (2 * acceleration))
         corners = np.flatnonzero(
             (rise > -small)
             & (fall > -small)

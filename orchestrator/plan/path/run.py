@@ -18,6 +18,7 @@ from orchestrator.plan.path.track import Frame, Track
 
 MOST_STRETCH = 1.01
 ATTEMPTS = 5
+LONGEST_S = 50_000.0  # beyond, instants lose the digits in which limits are checked
 LAST_STRETCH = 1.1  # a slower motion is of more use than a refusal
 NEAR = 4.0  # segments of middle length about a node that is too fast
 NEGLECTED = 1.002
@@ -105,6 +106,9 @@ def _hold_limits(track: Track, motion: PathMotion, limits: PathLimits) -> Run:
 
     Raises `PathRefusal`.
     """
+    if motion.duration_s > LONGEST_S:
+        text = f"the path takes {motion.duration_s:.4g} s; at most {LONGEST_S:.0f} s can be planned"
+        raise PathRefusal("plan", text, "raise its speed, or split it into several paths")
     slower = np.ones(0)
     use = measure_use(track, motion, limits)
     for attempt in range(ATTEMPTS):
