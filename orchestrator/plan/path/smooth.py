@@ -80,11 +80,11 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> P
     the smoothing time of each)."""
     half = smoothing_s / 2
     knots = np.sort(np.concatenate([coarse.t - half, coarse.t + half]))
-    firsts = np.flatnonzero(np.concatenate([[True], np.diff(knots) > max(1e-9, MERGED * smoothing_s.min())]))
+    first_knots = np.flatnonzero(np.concatenate([[True], np.diff(knots) > max(1e-9, MERGED * smoothing_s.min())]))
     # A segment has the acceleration behind the last of the knots that are merged into its first: a long one would
     # multiply the difference.
-    settled = knots[np.append(firsts[1:] - 1, len(knots) - 1)][:-1]
-    knots = knots[firsts]
+    settled_knots = knots[np.append(first_knots[1:] - 1, len(knots) - 1)][:-1]
+    knots = knots[first_knots]
     # Inside a segment nothing changes, so its middle tells its smoothing time and accelerations.
     middle = (knots[:-1] + knots[1:]) / 2
     cell = coarse.find_cells(middle)
@@ -100,7 +100,7 @@ def smooth_motion(coarse: CoarseMotion, smoothing_s: Array, section: Index) -> P
     number -= section[0]
     window = coarse.t[first][number], coarse.t[np.append(first[1:], len(section)) - 1][number]
     begin, dt = knots[:-1], np.diff(knots)
-    late, soon_window = _Window(coarse, *window, settled + half), _Window(coarse, *window, settled - half)
+    late, soon_window = _Window(coarse, *window, settled_knots + half), _Window(coarse, *window, settled_knots - half)
     window_ahead, window_behind = _Window(coarse, *window, middle + half), _Window(coarse, *window, middle - half)
     j = np.where(sharp, 0.0, (window_ahead.accelerations - window_behind.accelerations) / width)
     v = np.where(sharp, late.speeds, np.maximum(late.positions - soon_window.positions, 0.0) / width)

@@ -20,8 +20,8 @@ def sweep_squares(caps: Array, acceleration: Array, h: Array) -> Array:
     backward = rise_ahead + np.minimum.accumulate((forward - rise_ahead)[::-1])[::-1]
     # Sums over a long path lose the last digits: they must not lift a speed above its cap, nor move a rest, nor lower
     # a speed whose square is smaller than they are.
-    lost = 4 * np.finfo(np.float64).eps * rise[-1]
-    return np.where(backward > caps - lost, caps, np.maximum(backward, 0.0))
+    rounding = 4 * np.finfo(np.float64).eps * rise[-1]
+    return np.where(backward > caps - rounding, caps, np.maximum(backward, 0.0))
 
 
 def find_range_minima(values: Array, low: Index, high: Index) -> Array:
