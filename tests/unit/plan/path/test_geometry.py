@@ -210,7 +210,7 @@ def test_degenerate_pieces_are_refused_by_name() -> None:
     refuse("doubled-point", "start and `to`", 2, lambda b: b.add_arc_through(end, point(2, 1), point(1, 0)))
     refuse(
         "no-circle",
-        "its start is 1 .* its end 2",
+        "end of the arc is 2 from .* its start 1",
         2,
         lambda b: b.add_arc(end, Circle((0, 1), (0, 0), True), point(0, 2)),
     )
