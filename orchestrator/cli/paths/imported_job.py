@@ -36,7 +36,7 @@ def make_checked_job(name: str, imported: "ImportedSteps", tolerance: str, fleet
     job = _add_origins(job, imported)
     check_pieces(job, fleet)
     if fleet is not None:
-        _check_forecast(job, fleet, imported.file)
+        _check_forecast(job, fleet)
     text = write_job(name, steps)
     try:
         read_document(text, name)
@@ -119,10 +119,10 @@ def _find_unit(path: "FollowPath", fleet: "Fleet | None") -> Any:
     return Unit.MM
 
 
-def _check_forecast(job: "Job", fleet: "Fleet", name: str) -> None:
+def _check_forecast(job: "Job", fleet: "Fleet") -> None:
     from orchestrator.model.jobs.files import FileError, FileProblem
     from orchestrator.plan.forecast.job import forecast_job
 
     forecast = forecast_job(fleet, job.steps, 1, lambda _: None)
     if forecast.problems:
-        raise FileError(FileProblem(name, 1, "", problem.text) for problem in forecast.problems)
+        raise FileError(FileProblem("--fleet", 0, "", problem.text) for problem in forecast.problems)

@@ -59,7 +59,10 @@ def read_control(text: str) -> ControlLine | None:
     label = match[1] or re.sub(r"\s", "", match[2]).lower()
     kind = (match[3] or "").lower()
     if kind not in KINDS:
-        raise LineError(column, f"o{label[:40]} {kind[:20]}: an O word is followed by one of: {', '.join(KINDS)}")
+        raise LineError(
+            column,
+            f"o{label[:40]} {kind[:20]}: an O word is followed by one of: {', '.join(KINDS)}; alone it is of fanuc",
+        )
     return ControlLine(label.lstrip("0") or "0" if match[1] else label, kind, text, match.end(), column)
 
 

@@ -31,6 +31,8 @@ class CycleRunner:
         """The holes of a line. Raises `LineError`."""
         machine, modes = self.machine, self.machine.modes
         name, plane = modes.motion, PLANES[modes.plane]
+        if modes.feed_mode == "G93":
+            raise LineError(0, f"{name} has no time of its own: it needs G94 or G95, not G93")
         if any(letter not in machine.at for letter in (*plane[:2], plane.across)):
             raise LineError(0, f"{name} needs {plane.first}, {plane.second} and {plane.across} as axes")
         if (self.cycle, self.plane) != (name, modes.plane):

@@ -95,6 +95,15 @@ class CodeLine:
             raise LineError(0, f"{meaning} needs {example}")
         return word
 
+    def take_number(self, letter: str, meaning: str) -> int | None:
+        """Take a word that counts, such as the number of a tool; None: it is not there. Raises `LineError`."""
+        word = self.take(letter, meaning)
+        if word is None:
+            return None
+        if word.value != int(word.value) or word.value < 0:
+            raise LineError(word.column, f"{letter} is a number of a tool, from 0, not {word.value:g}")
+        return int(word.value)
+
     def finish(self) -> None:
         """Raises `LineError` for a word that has no meaning."""
         if len(self._meanings) < len(self._values):

@@ -64,8 +64,8 @@ class OffsetRunner:
             self._machine.offsets.choose_tool(take_words(line, self._machine, "G43.1"))
         else:
             self._notes.require_entry(self._settings, "tools", "G43", word)
-            number_word = line.take("H", "the tool of G43")
-            number = self._machine.modes.tool if number_word is None else int(number_word.value)
+            number = line.take_number("H", "the tool of G43")
+            number = self._machine.modes.tool if number is None else number
             if self._tools is None:
                 return
             if number not in self._tools:

@@ -117,12 +117,13 @@ class LineRunner:
             modes.feed = feed.value * (1.0 if modes.feed_mode == "G93" else scale)
 
     def _change_tool(self, line: CodeLine) -> None:
-        tool = line.take("T", "the tool")
+        tool = line.take_number("T", "the tool")
         if tool is not None:
-            self.notes.require_entry(self._settings, "tools", "T", tool)
-            if not self._positions.has_tool(int(tool.value)):
-                raise LineError(tool.column, f"the tool table has no tool {tool.value:g}")
-            self._modes.selected_tool = int(tool.value)
+            word = line.letters["T"]
+            self.notes.require_entry(self._settings, "tools", "T", word)
+            if not self._positions.has_tool(tool):
+                raise LineError(word.column, f"the tool table has no tool {tool}")
+            self._modes.selected_tool = tool
         if "tool" in line.codes:
             self.notes.require_entry(self._settings, "tools", "M6", line.codes["tool"][1])
             self._modes.tool = self._modes.selected_tool
