@@ -17,7 +17,7 @@ from benches.paths.random_paths import (
     stop_everywhere,
     uneven_limits,
 )
-from orchestrator.model.paths.files.gcode import GcodeReader
+from orchestrator.model.paths.files.gcode.reader import GcodeReader
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit
 from orchestrator.plan.path.axes import PathAxis

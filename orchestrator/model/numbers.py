@@ -85,7 +85,7 @@ def accept_units(sizes: Mapping[str, Fraction]) -> BeforeValidator:
 
 
 _NUMBER_OR_TEXT = WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]})
-_SECONDS = {
+SECONDS = {
     "s": Fraction(1),
     "ms": Fraction(1, 1000),
     "us": Fraction(1, 10**6),
@@ -101,7 +101,7 @@ UnitNumber = Annotated[Positive, _NUMBER_OR_TEXT]
 Part = Annotated[float, accept_units({"%": Fraction(1, 100)}), Field(gt=0, le=1), _NUMBER_OR_TEXT]
 """A fraction, above 0 to 1; in a file also `"50%"`."""
 
-Seconds = Annotated[float, accept_units(_SECONDS), _NUMBER_OR_TEXT]
+Seconds = Annotated[float, accept_units(SECONDS), _NUMBER_OR_TEXT]
 """Seconds; in a file also text with a unit, `"500 ms"`."""
 
 Hertz = Annotated[float, accept_units({"Hz": Fraction(1), "kHz": Fraction(1000)}), _NUMBER_OR_TEXT]

@@ -60,6 +60,11 @@ class UnitError(TuttiError, ValueError):
     """A value that is not a number, or whose unit does not fit. The message lists what is allowed."""
 
 
+def find_dimension(unit: Unit) -> str:
+    """What a unit measures: `length`, `angle` or `counts`."""
+    return _SIZE[unit][0]
+
+
 def convert_units(value: Fraction, of: Unit, to: Unit, owner: str = "the axis") -> Fraction:
     """Convert `value` from unit `of` to unit `to`. owner: what has that unit, for the message.
 

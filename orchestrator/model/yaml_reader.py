@@ -89,10 +89,10 @@ class YamlNode:
         return iter(cast("list[tuple[str | int, YamlNode]]", list(enumerate(self.children or ()))))
 
 
-def decode_text(data: bytes) -> str:
-    """Decode the bytes of a file. Raises `YamlError` for any encoding but UTF-8."""
-    if len(data) > MAX_BYTES:
-        raise _single(1, f"has {len(data)} bytes; the maximum is {MAX_BYTES}")
+def decode_text(data: bytes, most: int = MAX_BYTES) -> str:
+    """Decode the bytes of a file, at most `most`. Raises `YamlError` for any encoding but UTF-8."""
+    if len(data) > most:
+        raise _single(1, f"has {len(data)} bytes; the maximum is {most}")
     for mark, name in _BOMS.items():
         if data.startswith(mark):
             raise _single(1, f"is {name} text; save it as UTF-8")

@@ -160,3 +160,83 @@ def test_a_long_program_is_one_path(tmp_path: Path) -> None:
     step = FollowPath(file=str(tmp_path / "part.ngc"), axes=axes, tolerance="1 mm", start=[60, 0, 0])
     (read,) = read_path_steps(Job(name="a", steps=[step])).steps
     assert isinstance(read, FollowPath) and len(read.pieces) == 2998
+
+
+# Programs from CAM
+
+
+def write_fleet(folder: Path) -> Path:
+    fleet = folder / "a.fleet.yaml"
+    fleet.write_text(json.dumps(two_gantries().to_plain(), default=str))
+    return fleet
+
+
+def invoke(*words: object) -> tuple[int, str]:
+    shown = CliRunner().invoke(main, [str(word) for word in words])
+    return shown.exit_code, shown.output
+
+
+CAM = "%\nT1 M6\nS5000 M3\nG90 G40 G80 G54\nG0 X10\nG1 X20 F600\nX30\nM30\n%\n"
+AXES = ("--axis", "X=gantry.x", "--axis", "Y=gantry.y")
+
+
+def test_a_program_from_cam_needs_what_stands_for_its_machine(tmp_path: Path) -> None:
+    code, text = invoke("job", "check", write_job(tmp_path, CAM))
+    assert code == 2 and "part.ngc:2: column 1: T needs `gcode: {tools: none}`" in text
+    code, text = invoke("job", "check", write_job(tmp_path, CAM, ", gcode: {spindle: none, tools: none}"))
+    assert code == 0 and "part.ngc: skipped, changes no path and no tool: G40, G80, M30" in " ".join(text.split())
+    step = "{do: path, axes: [gantry.x], tolerance: 1, start: [0], pieces: [{piece: line, to: [1]}], gcode: {}}"
+    with pytest.raises(FileError, match="has `gcode`, which needs `file`"):
+        job(f"[{step}]")
+
+
+def test_what_the_planner_refuses_is_named_by_file_line_and_column(tmp_path: Path) -> None:
+    code, text = invoke("job", "check", write_job(tmp_path, "G0 X1\n  G0 X1000\n"), "--fleet", write_fleet(tmp_path))
+    assert code == 2 and "part.ngc:2: column 3: piece 2" in " ".join(text.split()), text
+
+
+def test_an_imported_job_is_one_that_the_check_takes(tmp_path: Path) -> None:
+    (tmp_path / "part.ngc").write_text(CAM)
+    target, more = tmp_path / "b.job.yaml", ("--gcode", "spindle=none", "--gcode", "tools=none")
+    code, text = invoke("path", "import", tmp_path / "part.ngc", *AXES, *more, "--to", target)
+    assert code == 0, text
+    lines = target.read_text().splitlines()
+    assert [line.strip()[:16] for line in lines if '"piece"' in line] == ['{"piece": "line"'] * 3
+    assert invoke("job", "check", target, "--fleet", write_fleet(tmp_path))[0] == 0
+    code, text = invoke(
+        "path", "import", tmp_path / "part.ngc", *AXES, *more, "--from-line", 7, "--to", target, "--force"
+    )
+    assert code == 0 and "from line 7: work offset G54, tool 1, feed 600 mm/min" in " ".join(text.split())
+    steps = load_job(target).steps
+    assert [step.do for step in steps] == ["move", "path"]
+
+
+@pytest.mark.parametrize(
+    ("program", "more", "words"),
+    [
+        ("G1 F60 X1", ("--gcode", "spindle"), "write ENTRY=VALUE"),
+        ("G1 F60 X1", ("--gcode", "spindle=on"), "--gcode: spindle"),
+        ("G1 F60 X1", ("--gcode", "offsets={G54: [1]}"), "G54 has 1 values for 2 axes"),
+        ("G1 F60 X1000", ("--fleet", "a.fleet.yaml"), "--fleet: part.ngc:1: column 1: piece 1"),
+        ("G91 G1 F60\n" + "X0.1\n" * 10_001, (), "10001 pieces are more than a job file holds; keep the program"),
+    ],
+)
+def test_what_an_import_refuses_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, more: tuple[str, ...], words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_fleet(tmp_path)
+    (tmp_path / "part.ngc").write_text(program)
+    code, text = invoke("path", "import", "part.ngc", *AXES, *more, "--to", "b.job.yaml")
+    assert code == 2 and words in " ".join(text.split()), text
+    assert not (tmp_path / "b.job.yaml").exists()
+
+
+def test_tables_with_units_of_time_and_equal_points(tmp_path: Path) -> None:
+    (_, timed) = load_job(write_job(tmp_path, "t,gantry.x,gantry.y\n0 ms,0,0\n1500 ms,1,1\n", "", "a.csv")).steps
+    assert isinstance(timed, FollowPath) and timed.to_plain()["pieces"][0]["t"] == [0.0, 1.5]
+    (_, path) = load_job(write_job(tmp_path, "gantry.x,gantry.y\n0,0\n1,1\n1.0,1 \n2,2\n", "", "a.csv")).steps
+    assert isinstance(path, FollowPath) and len(path.pieces) == 2
+    for table, words in (("0 mm,0,0", "'0 mm' is no time"), ("1,0,0\n0.5,1,1", "times grow")):
+        with pytest.raises(FileError, match=words):
+            load_job(write_job(tmp_path, f"t,gantry.x,gantry.y\n{table}\n2,2,2\n", "", "a.csv"))

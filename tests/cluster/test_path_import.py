@@ -4,8 +4,8 @@ import pytest
 from cluster.worlds import PREPARE, outcome, run_fleet
 
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.paths.files.gcode import GcodeReader
-from orchestrator.model.paths.files.imported import make_job
+from orchestrator.model.paths.files.base.imported import make_job
+from orchestrator.model.paths.files.gcode.reader import GcodeReader
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PROGRAM = """G21 G90 G64 P0.05 F3000

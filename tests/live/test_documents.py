@@ -26,6 +26,7 @@ PAGES = (
     "how-to/write-a-job.md",
     "how-to/scan-points.md",
     "how-to/move-along-a-path.md",
+    "how-to/run-a-program-from-cam.md",
     "how-to/use-templates.md",
     "how-to/name-positions.md",
     "how-to/work-with-the-queue.md",

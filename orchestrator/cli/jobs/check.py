@@ -59,6 +59,7 @@ async def _check_file(
     from orchestrator.client.points import PointSummaries
     from orchestrator.model.forecast import JobForecast
     from orchestrator.model.jobs.files import FileError, read_file
+    from orchestrator.model.steps.tree import find_paths
     from orchestrator.model.templates.template import Template
     from orchestrator.plan.forecast.job import forecast_job
     from orchestrator.runtime.checked import load_checked_fleet
@@ -66,6 +67,8 @@ async def _check_file(
     template = Template(read_file(file))
     filled_settings = template.fill_settings(settings)
     job, forecast, notes = filled_settings.job, JobForecast(), [str(problem) for problem in template.list_unused()]
+    origins = [(path.origin.file, path.origin.notes) for path in find_paths(job.steps) if path.origin is not None]
+    notes += [f"{name}: {text}" for name, texts in origins for text in texts]
     if fleet_file is None:
         notes += list_misfits(template, settings)
     else:

@@ -10,6 +10,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
+from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
@@ -121,6 +122,11 @@ class Step(ScriptModel):
         """The step that stands in its place. replacements: by the `id` of the step that they replace, also inside
         repeats."""
         return replacements.get(id(self), self)
+
+    def with_origin(self, origin: PathOrigin) -> "Step":
+        """The step with the places of its pieces in a file; what is no path has none."""
+        del origin
+        return self
 
     # Axes, outputs, inputs
 

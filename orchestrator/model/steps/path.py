@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from orchestrator.model.frame import MAX_COORDINATES
+from orchestrator.model.paths.gcode_settings import GcodeSettings
+from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.paths.pieces import MAX_PIECES, PathSpec, Piece
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.base import Align, OwnSkew, Step, StepSampling
@@ -38,7 +40,7 @@ class FollowPath(Step, PathSpec):
     rests: ClassVar[bool] = True
     plans_long: ClassVar[bool] = True
     follows_path: ClassVar[bool] = True
-    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "start", "pieces", "names"})
+    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "start", "pieces", "names", "gcode"})
 
     do: Literal["path"] = "path"
     file: str | None = Field(
@@ -47,6 +49,10 @@ class FollowPath(Step, PathSpec):
         max_length=4096,
         description="Instead of `pieces`: a file beside the job file with G-code, a table of points, or a joint "
         "trajectory. `axes` may map the names in it to axes: `{X: gantry.x}`. It is read where the job is submitted.",
+    )
+    gcode: GcodeSettings | None = Field(
+        default=None,
+        description="With a `file` of G-code: its dialect, and what stands for the machine it was made for.",
     )
     names: list[str] = Field(
         default=[], max_length=MAX_SCAN_AXES, description="With `file`: the names of `axes` there, in their order."
@@ -68,6 +74,8 @@ class FollowPath(Step, PathSpec):
     align: Align = 0
     max_start_skew: OwnSkew = None
     triggers: Triggers = Field(default=[], description="Outputs that are switched on the way.")
+    # Where the pieces stand in a file of another program. It is not sent.
+    _origin: PathOrigin | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _check_triggers(self) -> "FollowPath":
@@ -101,6 +109,8 @@ class FollowPath(Step, PathSpec):
         if self.file is None:
             if not self.start or not self.pieces:
                 raise ValueError("needs `start` and `pieces`, or `file`")
+            if self.gcode is not None:
+                raise ValueError("has `gcode`, which needs `file`; remove one of them")
             if self.names:
                 raise ValueError("names in a file need `file`; write `axes` as a list")
         elif self.pieces:
@@ -108,6 +118,17 @@ class FollowPath(Step, PathSpec):
         elif self.names and len(self.names) != len(self.axes):
             raise ValueError(f"has {len(self.names)} names for {len(self.axes)} axes; give one for each")
         return self
+
+    @property
+    def origin(self) -> PathOrigin | None:
+        """Where its pieces stand in the file that it was made of; None: it was made of none, or was sent."""
+        return self._origin
+
+    def with_origin(self, origin: PathOrigin) -> Self:
+        """The path with the places of its pieces in a file."""
+        path = self.model_copy()
+        path._origin = origin  # noqa: SLF001
+        return path
 
     @property
     def named_axes(self) -> list[str]:

@@ -11,6 +11,7 @@ from orchestrator.plan.forecast.motion import check_record, check_triggers
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import ForecastMotion
+from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path_step import PathStart, find_start, plan_path_step
 from orchestrator.plan.shape import PlanError
 
@@ -30,6 +31,8 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         code, text, remedy = ("plan", str(error), "")
         if isinstance(error, Refusal):
             code, text, remedy = error.code, error.text, error.remedy
+        if isinstance(error, PathRefusal) and error.piece and step.origin is not None:
+            text = f"{step.origin.describe(error.piece)}: {text}"
         state.add_problem(at, (), Refusal(code, text, remedy))
         state.lose_positions(at, axes)
         return Span()

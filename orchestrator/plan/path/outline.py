@@ -8,15 +8,12 @@ from math import pi
 
 import numpy as np
 
+from orchestrator.model.paths.circles import EXACT, SHORTEST, Precision, fit_arc
 from orchestrator.plan.path.arc_length import COARSE_ERROR, Array, Index, measure_curves, split_curves
 from orchestrator.plan.path.curves import ARC, LINE, POLY, Arcs, Lines, Polys, Shapes
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.splines import fit_spline
 
-# Shorter than this part of the largest coordinate, a direction is lost in the rounding of positions.
-SHORTEST = 1e-12
-# Ends of an arc whose distances from the centre differ by more of the radius do not belong to one circle (as LinuxCNC).
-RADIUS_ERROR = 1e-3
 STRAIGHT = 1e-9  # sine of the angle between two chords of an arc that has no circle
 CUSP = 1e-5  # of the mean |x'(u)|: below, a curve stops and turns on the spot
 SPLITS = 12  # halvings of a curve whose length does not converge; beyond, it has a cusp
@@ -60,12 +57,13 @@ class PieceEnd:
 @dataclass(frozen=True, slots=True)
 class Circle:
     """An arc's or a helix's plane (two coordinates), its centre there, and its sense: ccw turns the first towards the
-    second. turns: full ones in addition."""
+    second. turns: full ones in addition. precision: of its ends."""
 
     plane: tuple[int, int]
     centre: tuple[float, float]
     ccw: bool
     turns: int = 0
+    precision: Precision = EXACT
 
 
 @dataclass(slots=True)
@@ -122,26 +120,11 @@ class OutlineBuilder:
         at the start is a full turn."""
         i, j = circle.plane
         plane = [i, j]
-        centre = np.array(circle.centre)
         begin, finish = self.position[plane], to[plane]
-        radii = float(np.linalg.norm(begin - centre)), float(np.linalg.norm(finish - centre))
-        self._check_length(end, "arc", min(radii))
-        if abs(radii[0] - radii[1]) > RADIUS_ERROR * max(radii):
-            text = (
-                f"piece {end.piece + 1} (arc): its start is {radii[0]:.9g} from the centre, and its end {radii[1]:.9g}"
-            )
-            raise PathRefusal(
-                "no-circle", text, "correct `centre` or `to`: both distances are the radius", end.piece + 1
-            )
-        chord = finish - begin
-        full = bool(np.linalg.norm(chord) <= SHORTEST * self._scale(to))
-        if not full:  # centre onto the bisector of the chord: the arc ends exactly at its end
-            unit = chord / np.linalg.norm(chord)
-            centre = centre - unit * float((centre - (begin + finish) / 2) @ unit)
-        radial, radial_end = begin - centre, finish - centre
+        centre, angle = self._fit_circle(end, circle, begin, finish)
+        radial = begin - centre
         sense = 1.0 if circle.ccw else -1.0
         across = sense * np.array([-radial[1], radial[0]])
-        angle = 2 * pi if full else float(np.arctan2(radial_end @ across, radial_end @ radial)) % (2 * pi)
         angle += 2 * pi * circle.turns
         first, second, middle = np.zeros_like(to), np.zeros_like(to), self.position.copy()
         first[plane], second[plane], middle[plane] = radial, across, centre
@@ -149,6 +132,22 @@ class OutlineBuilder:
         rise[plane] = 0.0
         self._append_arc(end, (middle, first, second), angle, rise)
         self.position = to
+
+    def _fit_circle(self, end: PieceEnd, circle: Circle, begin: Array, finish: Array) -> tuple[Array, float]:
+        """The centre and the angle of an arc. Raises `PathRefusal`."""
+        radii = (float(np.linalg.norm(point - np.array(circle.centre))) for point in (begin, finish))
+        self._check_length(end, "arc", min(radii))
+        points = [(float(point[0]), float(point[1])) for point in (begin, finish)]
+        remedy = "correct `centre` or `to`: both distances are the radius"
+        try:
+            arc = fit_arc(points[0], points[1], circle.centre, ccw=circle.ccw, precision=circle.precision)
+            is_open = arc.is_full and float(np.linalg.norm(finish - begin)) > SHORTEST * self._scale(finish)
+        except ValueError as error:
+            raise PathRefusal("no-circle", f"piece {end.piece + 1} (arc): {error}", remedy, end.piece + 1) from None
+        if is_open:
+            text = f"piece {end.piece + 1} (arc): it is a full circle that does not end at its start"
+            raise PathRefusal("no-circle", text, "write its start as `to`", end.piece + 1)
+        return np.array(arc.centre), arc.angle
 
     def _append_arc(self, end: PieceEnd, circle: tuple[Array, Array, Array], angle: float, rise: Array) -> None:
         """Append a helix that goes `rise` in all."""

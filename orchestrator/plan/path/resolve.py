@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
 from orchestrator.model.frame import FrameSpec
+from orchestrator.model.paths.circles import ROUNDING_MM, Precision
 from orchestrator.model.paths.pieces import (
     ArcPiece,
     HelixPiece,
@@ -16,7 +18,15 @@ from orchestrator.model.paths.pieces import (
     TablePiece,
     Within,
 )
-from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_rate
+from orchestrator.model.units import (
+    Quantity,
+    Unit,
+    UnitError,
+    convert_units,
+    find_dimension,
+    parse_quantity,
+    parse_rate,
+)
 from orchestrator.plan.path.arc_length import Array
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.errors import PathRefusal
@@ -166,7 +176,11 @@ class _Collector:
             text = f"{place}: leaves its plane {' and '.join(across.names)}"
             raise PathRefusal("no-plane", text, "write `piece: helix`, or choose its `plane`", end.piece + 1)
         turns = piece.turns if isinstance(piece, HelixPiece) else 0
-        circle = Circle(plane, (float(centre[0]), float(centre[1])), piece.direction == "ccw", turns)
+        unit = across.units[0]
+        is_length = find_dimension(unit) == "length"
+        rounding = float(convert_units(Fraction(ROUNDING_MM), Unit.MM, unit)) if is_length else 0.0
+        precision = Precision(rounding, unit)
+        circle = Circle(plane, (float(centre[0]), float(centre[1])), piece.direction == "ccw", turns, precision)
         self._builder.add_arc(end, circle, to)
 
     def _add_table(self, number: int, piece: TablePiece) -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from orchestrator.model.jobs.files import FileError, read_document
 from orchestrator.model.paths.files.columns import ColumnReader
-from orchestrator.model.paths.files.gcode import GcodeReader
-from orchestrator.model.paths.files.reading import read_path_file
+from orchestrator.model.paths.files.gcode.reader import GcodeReader
+from orchestrator.model.paths.files.reading import GcodeStart, read_path_file
 from orchestrator.model.paths.files.trajectory import TrajectoryReader
 
 XY = {"X": "gantry.x", "Y": "gantry.y"}
@@ -85,12 +85,12 @@ def test_a_full_circle_and_a_helix_are_helices() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "column", "words"),
     [
-        ("G1 F60 X1\nM3 S1000\n", 2, "column 1", "M3 is not supported"),
-        ("G1 F60 X1\nG43.1 Z1\n", 2, "column 1", "G43.1 is not supported"),
-        ("G1 F60 X1\n  G28\n", 2, "column 3", "G28 is not supported"),
+        ("G1 F60 X1\nM3 S1000\n", 2, "column 1", "M3 needs `gcode: {spindle: none}`"),
+        ("G1 F60 X1\nG43.1 Z1\n", 2, "column 7", "no axis is named for Z"),
+        ("G1 F60 X1\n  G28\n", 2, "column 3", "where G28 goes is not known"),
         ("F60 G1 X1 Z3\n", 1, "column 11", "no axis is named for Z"),
         ("F60 G1 X1 X2\n", 1, "column 11", "X stands twice"),
-        ("F60 G1 X1 #5\n", 1, "column 11", "is no word"),
+        ("F60 G1 X1 #5\n", 1, "column 12", "the line ends where = is expected"),
         ("F60 G1 X1 [3+4]\n", 1, "column 11", "is no word"),
         ("F60 G1 X--1\n", 1, "column 8", "is no word"),
         ("G1 X1\n", 1, "", "no feed is chosen"),
@@ -114,7 +114,7 @@ def test_a_mistake_is_named_with_line_and_column(text: str, line: int, column: s
 
 
 def test_all_mistakes_are_named_at_once() -> None:
-    assert [line for line, _, _ in find_mistakes("G1 F60 X1\nM3\nG1 X2\nT1\nG99\n")] == [2, 4, 5]
+    assert [line for line, _, _ in find_mistakes("G1 F60 X1\nM3\nG1 X2\nT1\nG41\n")] == [2, 4, 5]
 
 
 def test_ten_thousand_lines_take_less_than_a_second() -> None:
@@ -209,11 +209,15 @@ def test_a_mistake_in_a_trajectory_is_named(text: str, line: int, words: str) ->
 
 def test_a_file_is_read_by_its_kind(tmp_path: Path) -> None:
     (tmp_path / "a.NGC").write_text("F60 G1 X1\n")
-    assert read_path_file(tmp_path / "a.NGC", XY, {"Y": 3.0})[0]["start"] == ["0 mm", "3 mm"]
+    assert read_path_file(tmp_path / "a.NGC", XY, GcodeStart({"Y": 3.0})).steps[0]["start"] == ["0 mm", "3 mm"]
     (tmp_path / "a.csv").write_text("gantry.x\n0\n1\n")
-    assert len(read_path_file(tmp_path / "a.csv", {}, {})) == 1
+    assert len(read_path_file(tmp_path / "a.csv", {}, GcodeStart()).steps) == 1
     (tmp_path / "bad.csv").write_bytes(b"a\n\xff\n")
-    for name, words in (("a.dxf", "no known kind"), ("none.csv", "cannot be read"), ("bad.csv", "no text in UTF-8")):
+    for name, words in (
+        ("a.dxf", "no known kind"),
+        ("none.csv", "cannot be read"),
+        ("bad.csv", "is not UTF-8 text; save the file as UTF-8"),
+    ):
         with pytest.raises(FileError) as refused:
-            read_path_file(tmp_path / name, {}, {})
+            read_path_file(tmp_path / name, {}, GcodeStart())
         assert words in refused.value.problems[0].text

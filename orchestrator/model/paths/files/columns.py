@@ -2,12 +2,15 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from math import isfinite
+from fractions import Fraction
 from typing import Any
 
-from orchestrator.model.paths.files.imported import ImportProblems, format_number
+from orchestrator.model.numbers import SECONDS, split_number
+from orchestrator.model.paths.files.base.imported import ImportedSteps, format_number
+from orchestrator.model.paths.files.base.problems import ImportProblems
+from orchestrator.model.paths.origin import Place
 from orchestrator.model.paths.pieces import MAX_ROWS
+from orchestrator.model.units import check_quantity
 
 TIME = "t"
 
@@ -15,30 +18,35 @@ TIME = "t"
 class ColumnReader:
     """Reads one table. axes: by name of a column, the axis of the fleet; a column that is not named is an axis itself.
 
-    Numbers are in the unit of their axis, or have their own: `12.5 mm`.
+    Numbers are in the unit of their axis, or have their own: `12.5 mm`; times in s, or in theirs: `500 ms`.
     """
 
     def __init__(self, name: str, axes: Mapping[str, str]) -> None:
         self._given = axes
         self._problems = ImportProblems(name)
+        self._has_times = False
 
     def read_steps(self, lines: Sequence[str]) -> list[dict[str, Any]]:
         """The step of a job. Raises `FileError` with every mistake."""
+        return self.read_all(lines).steps
+
+    def read_all(self, lines: Sequence[str]) -> ImportedSteps:
+        """The same, with the lines of its points. Raises `FileError` with every mistake."""
         rows = csv.reader(lines, skipinitialspace=True)
         header = next(rows, list[str]())
         names = [title.strip() for title in header]
-        has_times = bool(names) and names[0] == TIME
-        columns = names[has_times:]
+        self._has_times = bool(names) and names[0] == TIME
+        columns = names[self._has_times :]
         self._check_header(names, columns)
         points: list[list[str]] = []
-        times: list[float] = []
+        places: list[Place] = []
         for row in rows:
             if not row or all(not cell.strip() for cell in row):
                 continue
             point = self._read_row(rows.line_num, row, len(names))
             if point is not None:
-                times += [float(point[0])] if has_times else []
-                points.append(point[has_times:])
+                points.append(point)
+                places.append(Place(rows.line_num))
         if not self._problems.found and len(points) < 2:
             self._problems.add(
                 max(1, rows.line_num), 0, f"a path needs at least 2 points, this table has {len(points)}"
@@ -47,7 +55,10 @@ class ColumnReader:
             self._problems.add(1, 0, f"the table has {len(points)} points; the maximum is {MAX_ROWS}")
         self._problems.raise_any()
         axes = [self._given.get(column, column) for column in columns]
-        return [{"do": "path", "axes": axes, "start": points[0], "pieces": _make_pieces(points, times)}]
+        pieces, places = self._make_pieces(points, places)
+        self._problems.raise_any()
+        step = {"do": "path", "axes": axes, "start": points[0][self._has_times :], "pieces": pieces}
+        return ImportedSteps(self._problems.file, [step], [places])
 
     def _check_header(self, names: Sequence[str], columns: Sequence[str]) -> None:
         if not columns:
@@ -68,22 +79,53 @@ class ColumnReader:
             self._problems.add(line, 0, f"has {len(row)} values, and the first line {width} names")
             return None
         values = [cell.strip() for cell in row]
-        wrong = [number for number, value in enumerate(values, 1) if not _is_quantity(value)]
-        for number in wrong:
-            self._problems.add(line, number, f"{values[number - 1][:40]!r} is no number, nor a number with a unit")
-        return None if wrong else values
+        first = 1 + self._has_times
+        texts = {number: _explain_cell(value) for number, value in enumerate(values[first - 1 :], first)}
+        if self._has_times:
+            texts[1] = "" if _read_seconds(values[0]) is not None else f"is no time; units: {', '.join(SECONDS)}"
+        for number in sorted(number for number, text in texts.items() if text):
+            self._problems.add(line, number, f"{values[number - 1][:40]!r} {texts[number]}")
+        return None if any(texts.values()) else values
+
+    def _make_pieces(
+        self, points: Sequence[list[str]], places: list[Place]
+    ) -> tuple[list[dict[str, Any]], list[Place]]:
+        if not self._has_times:
+            numbers = [number for number in range(1, len(points)) if not _is_same(points[number - 1], points[number])]
+            if not numbers:
+                self._problems.add(1, 0, "all points of the table are the same: it moves nothing")
+            return [{"piece": "line", "to": points[number]} for number in numbers], [places[k] for k in numbers]
+        times = [_read_seconds(point[0]) or Fraction(0) for point in points]
+        instants = [float(format_number(float(at - times[0]))) for at in times]
+        for k in range(1, len(instants)):
+            if not instants[k] > instants[k - 1]:
+                self._problems.add(places[k].line, 1, f"{points[k][0]!r} is not after {points[k - 1][0]!r}: times grow")
+        return [{"piece": "table", "t": instants, "positions": [point[1:] for point in points]}], places[:1]
 
 
-def _is_quantity(text: str) -> bool:
-    number = text.partition(" ")[0]
+def _explain_cell(text: str) -> str:
+    """What is wrong with a cell; empty: it is a number, perhaps with a unit."""
     try:
-        return isfinite(float(number))
+        check_quantity(text)
     except ValueError:
-        return False
+        return "is no number, nor a number with a unit"
+    return ""
 
 
-def _make_pieces(points: Sequence[list[str]], times: Sequence[float]) -> list[dict[str, Any]]:
-    if times:
-        begin = times[0]
-        return [{"piece": "table", "t": [float(format_number(at - begin)) for at in times], "positions": list(points)}]
-    return [{"piece": "line", "to": point} for point_before, point in pairwise(points) if point != point_before]
+def _read_seconds(text: str) -> Fraction | None:
+    """A time, s; None: it is none."""
+    parts = split_number(text)
+    size = None if parts is None else SECONDS.get(parts[1] or "s")
+    return None if parts is None or size is None else Fraction(parts[0]) * size
+
+
+def _is_same(point: Sequence[str], other: Sequence[str]) -> bool:
+    """Whether two points are the same, however their numbers are written."""
+    return point == other or all(map(_is_equal, point, other))
+
+
+def _is_equal(value: str, other: str) -> bool:
+    first, second = split_number(value), split_number(other)
+    if first is None or second is None:
+        return value == other
+    return Fraction(first[0]) == Fraction(second[0]) and first[1] == second[1]

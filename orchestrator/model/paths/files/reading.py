@@ -1,36 +1,54 @@
 """Files of paths by their kind: `.ngc`, `.csv`, `.yaml`."""
 
+import re
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from orchestrator.model.jobs.files import FileError, FileProblem, read_file
+from orchestrator.model.paths.files.base.imported import ImportedSteps
 from orchestrator.model.paths.files.columns import ColumnReader
-from orchestrator.model.paths.files.gcode import GcodeReader
+from orchestrator.model.paths.files.gcode.reader import GcodeReader
 from orchestrator.model.paths.files.trajectory import TrajectoryReader
+from orchestrator.model.paths.gcode_settings import GcodeSettings
+from orchestrator.model.yaml_reader import YamlError, decode_text
 
 GCODE = (".ngc", ".gcode", ".nc", ".tap")
 TABLES = (".csv",)
 TRAJECTORIES = (".yaml", ".yml", ".json")
 MAX_FILE_BYTES = 64_000_000
+_LINE_END = re.compile(r"\r\n?|\n")
 
 
-def read_path_file(path: Path, axes: Mapping[str, str], start: Mapping[str, float]) -> list[dict[str, Any]]:
-    """The steps that a file of another program stands for. axes: by its own names, the axes of the fleet. start: where
-    the axes of G-code stand, mm, by letter.
+@dataclass(frozen=True, slots=True)
+class GcodeStart:
+    """How a program in G-code begins. places: where the axes stand, mm, by letter; settings: what stands for its
+    machine; from_line: the line with which its steps begin; folder: of the tool table."""
+
+    places: Mapping[str, float] = field(default_factory=dict[str, float])
+    settings: GcodeSettings | None = None
+    from_line: int = 1
+    folder: Path | None = None
+
+
+def read_path_file(path: Path, axes: Mapping[str, str], begin: GcodeStart) -> ImportedSteps:
+    """The steps that a file of another program stands for. axes: by its own names, the axes of the fleet. begin: of
+    G-code.
 
     Raises `FileError` with every mistake; then nothing is imported.
     """
     kind, name = path.suffix.lower(), str(path)
+    if kind not in GCODE and (begin.settings is not None or begin.from_line > 1):
+        raise FileError([FileProblem(name, 1, "", "is no G-code: `gcode:` and --from-line have no meaning")])
     if kind in TRAJECTORIES:
-        return TrajectoryReader(read_file(path), axes).read_steps()
+        return ImportedSteps(name, TrajectoryReader(read_file(path), axes).read_steps(), [[]])
     if kind not in GCODE + TABLES:
         known_kinds = ", ".join(GCODE + TABLES + TRAJECTORIES)
         raise FileError([FileProblem(name, 1, "", f"is of no known kind; its name must end in one of: {known_kinds}")])
     lines = _read_lines(path)
     if kind in TABLES:
-        return ColumnReader(name, axes).read_steps(lines)
-    return GcodeReader(name, axes, start).read_steps(lines)
+        return ColumnReader(name, axes).read_all(lines)
+    return GcodeReader(name, axes, begin.places, begin.settings, begin.folder).read_all(lines, begin.from_line)
 
 
 def _read_lines(path: Path) -> list[str]:
@@ -38,13 +56,16 @@ def _read_lines(path: Path) -> list[str]:
     try:
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)
-        text = data.decode("utf-8-sig")
     except OSError as error:
         raise FileError([FileProblem(name, 1, "", f"cannot be read: {error.strerror}")]) from None
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise FileError([FileProblem(name, line, "", "is no text in UTF-8")]) from None
     if len(data) > MAX_FILE_BYTES:
         text = f"has more than {MAX_FILE_BYTES // 1_000_000} MB; split the program"
         raise FileError([FileProblem(name, 1, "", text)])
-    return text.splitlines()
+    try:
+        text = decode_text(data, MAX_FILE_BYTES)
+    except YamlError as error:
+        raise FileError(FileProblem(name, problem.line, "", problem.text) for problem in error.problems) from None
+    if (at := text.find("\0")) >= 0:
+        line = text.count("\n", 0, at) + 1
+        raise FileError([FileProblem(name, line, "", "has a character of number 0; save the file as UTF-8 text")])
+    return _LINE_END.split(text.removesuffix("\n").removesuffix("\r"))

@@ -10,10 +10,11 @@ from typing import Any
 
 from orchestrator.model.jobs.files import FileError, FileProblem, validate_value
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.paths.files.reading import GCODE, read_path_file
+from orchestrator.model.paths.files.reading import GCODE, GcodeStart, read_path_file
+from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.path import FollowPath
-from orchestrator.model.steps.repeat import MAX_REPEATED, JobStep, Repeat
+from orchestrator.model.steps.repeat import MAX_REPEATED, Repeat
 from orchestrator.model.steps.tree import find_paths
 from orchestrator.model.units import Unit, UnitError, parse_quantity, parse_rate
 
@@ -41,16 +42,19 @@ def read_path_steps(job: Job, folder: Path | None = None) -> Job:
 def _read_file(step: FollowPath, file: str, folder: Path | None) -> Step:
     """The steps that a file makes: one, or a repeat of one pass."""
     path = Path(file) if folder is None else folder / file
-    plain = read_path_file(path, dict(zip(step.names or step.axes, step.axes, strict=True)), _find_places(step, path))
-    steps: list[JobStep] = []
-    for number, plain_step in enumerate(plain):
+    begin = GcodeStart(_find_places(step, path), step.gcode, folder=path.parent)
+    contents = read_path_file(path, dict(zip(step.names or step.axes, step.axes, strict=True)), begin)
+    steps: list[Step] = []
+    notes = contents.notes
+    for number, (plain_step, places) in enumerate(zip(contents.steps, contents.places, strict=True)):
         fields = {**_add_fields(step, plain_step), "name": step.name} if plain_step["do"] == "path" else plain_step
         job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": [fields]}, Job)
         if job is None:
             field = ".".join(map(str, problems[0].place[2:]))
             text = f"its path {number + 1} is not valid: {field} {problems[0].text}"
             raise FileError([FileProblem(str(path), 1, "", text)])
-        steps += job.steps
+        steps += [step.with_origin(PathOrigin(str(path), places, notes)) for step in job.steps]
+        notes = notes if plain_step["do"] != "path" else []
     if len(steps) > MAX_REPEATED:
         text = f"stops {len(steps)} times; at most {MAX_REPEATED} times are possible"
         raise FileError([FileProblem(str(path), 1, "", f"{text}: split the program")])

@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Any, cast
 
 from orchestrator.model.jobs.files import LoadedFile
-from orchestrator.model.paths.files.imported import ImportProblems
+from orchestrator.model.paths.files.base.problems import ImportProblems
 
 
 class TrajectoryReader:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benches.paths.random_paths import KINDS, random_outline
+from orchestrator.model.paths.circles import IN_MM
 from orchestrator.plan.path.arc_length import find_lengths, find_parameters
 from orchestrator.plan.path.corners import fit_corners, make_track
 from orchestrator.plan.path.curves import evaluate_polys
@@ -210,7 +211,7 @@ def test_degenerate_pieces_are_refused_by_name() -> None:
     refuse("doubled-point", "start and `to`", 2, lambda b: b.add_arc_through(end, point(2, 1), point(1, 0)))
     refuse(
         "no-circle",
-        "its start is 1 .* its end 2",
+        "end of the arc is 2 from .* its start 1",
         2,
         lambda b: b.add_arc(end, Circle((0, 1), (0, 0), True), point(0, 2)),
     )
@@ -231,3 +232,16 @@ def test_a_spline_that_goes_back_on_itself_is_a_cusp() -> None:
 def test_inside_a_spline_joints_are_smooth() -> None:
     outline = random_outline(np.random.default_rng(0), 3, 1, ("spline",))
     assert (outline.tolerance[:-1] == SMOOTH).all() and KINDS
+
+
+@pytest.mark.parametrize(
+    ("end", "words"),
+    [((10.001, 0.0), "full circle that does not end at its start"), ((10.0, -0.001), "from its start")],
+)
+def test_a_circle_whose_end_is_off_by_rounding_does_not_become_a_point(end: tuple[float, float], words: str) -> None:
+    builder = OutlineBuilder(point(10, 0))
+    circle = Circle((0, 1), (5, 0), False, precision=IN_MM)
+    with pytest.raises(PathRefusal, match=words):
+        builder.add_arc(PieceEnd(0), circle, point(*end))
+    builder.add_arc(PieceEnd(0), circle, point(9.99, 0.2))
+    assert builder.build().length[0] == pytest.approx(2 * np.pi * 5, rel=0.02)

@@ -1,0 +1,1 @@
+"""What readers of files make: steps, places and mistakes."""

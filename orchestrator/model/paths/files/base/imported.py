@@ -1,0 +1,34 @@
+"""What an importer makes: the steps of a job, with the places of what they were made of."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from orchestrator.model.paths.origin import Place
+
+DIGITS = 10  # of a number: more than any controller counts
+
+
+def format_number(value: float) -> str:
+    """A number as it stands in a job file."""
+    text = f"{value:.{DIGITS}g}"
+    return "0" if text == "-0" else text
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedSteps:
+    """The steps of a job that a file stands for. places: of the pieces of each path in the file; none for other steps.
+
+    notes: what was left out, and why that changes nothing; modes: with which a part of a program begins, in words.
+    """
+
+    file: str
+    steps: list[dict[str, Any]]
+    places: list[list[Place]]
+    notes: list[str] = field(default_factory=list[str])
+    modes: list[str] = field(default_factory=list[str])
+
+
+def make_job(name: str, steps: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """A job file of steps, in plain values."""
+    return {"schema": "tutti.job/1", "name": name, "steps": list(steps)}

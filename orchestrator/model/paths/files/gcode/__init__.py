@@ -1,0 +1,1 @@
+"""Programs in G-code: words, expressions and O words, codes and modes, offsets, motions, cycles."""

@@ -1,0 +1,40 @@
+"""What a program has that changes no path, in words."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from orchestrator.model.paths.files.gcode.errors import LineError
+from orchestrator.model.paths.files.gcode.words import Word
+from orchestrator.model.paths.gcode_settings import GcodeSettings
+
+
+@dataclass(slots=True)
+class SkipNotes:
+    """What was skipped: by itself, and by an entry of `gcode:`."""
+
+    skipped: Counter[str] = field(default_factory=Counter[str])
+    mapped: Counter[str] = field(default_factory=Counter[str])
+
+    def skip(self, name: str) -> None:
+        """Note what changes no path and no tool."""
+        self.skipped[name] += 1
+
+    def skip_by_entry(self, name: str) -> None:
+        """Note what an entry of `gcode:` lets skip."""
+        self.mapped[name] += 1
+
+    def require_entry(self, settings: GcodeSettings, entry: str, name: str, word: Word) -> None:
+        """Note what an entry of `gcode:` lets skip. Raises `LineError` without the entry."""
+        if getattr(settings, entry) is None:
+            reason = "has none, or a person sees to it" if entry != "tools" else "has one tool, or a person sees to it"
+            raise LineError(word.column, f"{name} needs `gcode: {{{entry}: none}}`, if the machine {reason}")
+        self.skip_by_entry(name)
+
+    def describe(self) -> list[str]:
+        """At most two lines."""
+        texts = (("skipped, changes no path and no tool", self.skipped), ("skipped by `gcode:`", self.mapped))
+        return [
+            f"{text}: " + ", ".join(f"{name} ({count})" if count > 1 else name for name, count in counts.items())
+            for text, counts in texts
+            if counts
+        ]
