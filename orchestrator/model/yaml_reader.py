@@ -93,15 +93,24 @@ def decode_text(data: bytes, most: int = MAX_BYTES) -> str:
     """Decode the bytes of a file, at most `most`. Raises `YamlError` for any encoding but UTF-8."""
     if len(data) > most:
         raise _single(1, f"has {len(data)} bytes; the maximum is {most}")
-    for mark, name in _BOMS.items():
-        if data.startswith(mark):
-            raise _single(1, f"is {name} text; save it as UTF-8")
+    if mark := explain_mark(data):
+        raise _single(1, mark)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        text = f"byte 0x{data[error.start]:02x} is not UTF-8 text; save the file as UTF-8 (in Windows-1252, 0xb5 is µ)"
-        raise _single(line, text) from None
+        raise _single(line, explain_byte(data[error.start])) from None
+
+
+def explain_mark(data: bytes) -> str:
+    """What is wrong with a text that begins with the mark of another encoding; empty: nothing."""
+    name = next((name for mark, name in _BOMS.items() if data.startswith(mark)), "")
+    return name and f"is {name} text; save it as UTF-8"
+
+
+def explain_byte(byte: int) -> str:
+    """What is wrong with a byte that is no UTF-8."""
+    return f"byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8 (in Windows-1252, 0xb5 is µ)"
 
 
 def read_yaml(text: str) -> YamlNode:

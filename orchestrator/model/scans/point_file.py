@@ -15,7 +15,9 @@ from orchestrator.model.jobs.files import MAX_PROBLEMS, FileError, FileProblem
 from orchestrator.model.numbers import MAX_TEXT
 from orchestrator.model.scans.point_summary import ROWS_AT_ONCE, Rows
 from orchestrator.model.steps.points import MAX_POINTS, MAX_SCAN_AXES, PointAxis
+from orchestrator.model.text.separators import find_separator, read_cell
 from orchestrator.model.units import MAX_QUANTITY, Unit, UnitError, parse_quantity
+from orchestrator.model.yaml_reader import explain_byte, explain_mark
 
 
 class _RowReader(Protocol):
@@ -37,6 +39,7 @@ class PointFile:
         self._units = units
         self._problems: list[FileProblem] = []
         self._odd = False
+        self._separator = ","
         self.axes: list[PointAxis] = []
         """The columns, once the first block was read."""
 
@@ -44,23 +47,41 @@ class PointFile:
         """The points, `ROWS_AT_ONCE` at a time. Raises `FileError` with the wrong lines, at most
         `MAX_PROBLEMS`, when it has read the file."""
         try:
+            with self._path.open("rb") as raw_file:
+                mark = explain_mark(raw_file.read(4))
+            if mark:
+                raise self._make_error(1, mark)
             with self._path.open(encoding="utf-8-sig", newline="") as file:
-                reader: _RowReader = csv.reader(self._watch_lines(file))
+                self._separator = find_separator(file.readline())
+                file.seek(0)
+                reader: _RowReader = csv.reader(self._watch_lines(file), delimiter=self._separator)
                 self._read_header(next(reader, list[str]()))
                 yield from self._read_rows(reader)
         except OSError as error:
             raise self._make_error(0, f"cannot be read: {error.strerror}") from None
-        except (UnicodeDecodeError, csv.Error, ValueError) as error:
+        except UnicodeDecodeError as error:
+            raise self._make_error(*self._find_encoding_error(error)) from None
+        except (csv.Error, ValueError) as error:
             if isinstance(error, FileError):
                 raise
-            raise self._make_error(0, f"is no CSV file in UTF-8: {error}") from None
+            raise self._make_error(0, f"is no CSV file: {error}") from None
         if self._problems:
             raise FileError(self._problems)
+
+    def _find_encoding_error(self, error: UnicodeDecodeError) -> tuple[int, str]:
+        """The line and the words for a byte that is no UTF-8; the decoder knows its place in a block only."""
+        with self._path.open("rb") as file:
+            for number, line in enumerate(file, 1):
+                try:
+                    line.decode()
+                except UnicodeDecodeError as line_error:
+                    return number, explain_byte(line[line_error.start])
+        return 0, explain_byte(error.object[error.start])
 
     def _watch_lines(self, lines: Iterable[str]) -> Iterator[str]:
         for line in lines:
             # Python reads `1_000` and digits of other scripts as numbers; a job file does not.
-            self._odd = "_" in line or not line.isascii()
+            self._odd = self._separator != "," or "_" in line or not line.isascii()
             yield line
 
     def _read_header(self, header: Sequence[str]) -> None:
@@ -127,7 +148,7 @@ class PointFile:
         values: list[float] = []
         for column, (text, axis) in enumerate(zip(row, self.axes, strict=True)):
             try:
-                values.append(float(parse_quantity(text, axis.unit)))
+                values.append(float(parse_quantity(read_cell(text, self._separator), axis.unit)))
             except (UnitError, OverflowError) as error:
                 explanation = (
                     str(error) if text.strip() else f"is empty; write a number, or one with a unit: 12.5 {axis.unit}"

@@ -221,3 +221,34 @@ def test_a_file_is_read_by_its_kind(tmp_path: Path) -> None:
         with pytest.raises(FileError) as refused:
             read_path_file(tmp_path / name, {}, GcodeStart())
         assert words in refused.value.problems[0].text
+
+
+def test_a_trajectory_that_begins_later_waits() -> None:
+    text = "joint_names: [a]\npoints:\n  - {positions: [0], time_from_start: 1.25, velocities: [0]}\n"
+    wait, step = read_trajectory(f"{text}  - {{positions: [2], time_from_start: 3}}\n", a="arm.a")
+    assert wait == {"do": "dwell", "duration": "1.25 s"}
+    assert step["pieces"][0]["t"] == [0.0, 1.75]
+
+
+@pytest.mark.parametrize("name", ["velocities", "accelerations", "effort"])
+def test_what_a_path_does_not_follow_is_refused(name: str) -> None:
+    text = f"joint_names: [a]\npoints:\n  - {{positions: [0], time_from_start: 0}}\n  - {{positions: [2], {name}: [0.5], time_from_start: 1}}\n"
+    with pytest.raises(FileError, match=f"{name}: are not followed") as refused:
+        read_trajectory(text)
+    assert refused.value.problems[0].line == 4
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_table_of_another_country(separator: str) -> None:
+    lines = [
+        separator.join(row) for row in (["t", "arm.a", "arm.b"], ["0", "0,5", "-1,25 mm"], ["500 ms", "1", "1e-3"])
+    ]
+    (step,) = ColumnReader("p.csv", {}).read_steps(lines)
+    assert step["start"] == ["0.5", "-1.25 mm"]
+    assert step["pieces"][0]["positions"] == [["0.5", "-1.25 mm"], ["1", "1e-3"]]
+
+
+@pytest.mark.parametrize("cell", ["1_0", "1,000,000", "1.000,5", "nan", "inf", "١"])
+def test_a_number_that_programs_read_differently_is_refused(cell: str) -> None:
+    with pytest.raises(FileError, match="is no number"):
+        ColumnReader("p.csv", {}).read_steps(["arm.a;arm.b", "0;0", f"{cell};1"])

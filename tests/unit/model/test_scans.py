@@ -199,6 +199,13 @@ def test_a_file_is_read_in_blocks_in_the_units_of_the_axes(tmp_path: Path) -> No
     assert blocks[0][3].tolist() == [0.3, 0.003, 0.05]
 
 
+def test_a_file_of_another_country_has_commas_as_decimal_signs(tmp_path: Path) -> None:
+    path = tmp_path / "p.csv"
+    path.write_text("gantry.x;stage.u\n0,5;-1,25 um\n2;1e-3\n", encoding="utf-8")
+    (block,) = PointFile(path, UNITS).read_blocks()
+    assert block.tolist() == [[0.5, -0.00125], [2.0, 0.001]]
+
+
 @pytest.mark.parametrize(
     ("lines", "wrong_line"), [(50_000, 31_204), pytest.param(1_000_000, 731_204, marks=pytest.mark.nightly)]
 )
@@ -229,8 +236,10 @@ def test_many_wrong_lines_end_the_reading(tmp_path: Path) -> None:
         (b"", ":1: the first line must name the axes"),
         (b"gantry.x\n", "has no points"),
         (b"gantry.x,gantry.x\n1,2\n", ":1: gantry.x is named twice"),
-        (b"gantry.x;stage.u\n1;2\n", ":1: the fleet has no axis gantry.x;stage.u; its axes are: gantry.x, stage.u"),
-        (b"gantry.x\n\xff\n", "is no CSV file in UTF-8"),
+        (b"gantry.x:stage.u\n1:2\n", ":1: the fleet has no axis gantry.x:stage.u; its axes are: gantry.x, stage.u"),
+        (b"gantry.x;stage.u\n1,5,0;2\n", ":2: column 1 (gantry.x): '1,5,0' is not a quantity"),
+        (b"gantry.x\n1\n5 \xb5m\n", ":3: byte 0xb5 is not UTF-8 text; save the file as UTF-8"),
+        ("gantry.x\n1\n".encode("utf-16"), ":1: is UTF-16 text; save it as UTF-8"),
         (b"gantry.x\n1,5\n", ":2: has 2 values for 1 axes"),
         (b'gantry.x\n"1,5"\n', ":2: column 1 (gantry.x): '1,5' is not a quantity; write the number with a point: 1.5"),
         (b"gantry.x\n1e16\n", ":2: column 1 (gantry.x): found '1e16'; the number must be within"),

@@ -10,6 +10,7 @@ from orchestrator.model.paths.files.base.imported import ImportedSteps, format_n
 from orchestrator.model.paths.files.base.problems import ImportProblems
 from orchestrator.model.paths.origin import Place
 from orchestrator.model.paths.pieces import MAX_ROWS
+from orchestrator.model.text.separators import find_separator, read_cell
 from orchestrator.model.units import check_quantity
 
 TIME = "t"
@@ -32,7 +33,8 @@ class ColumnReader:
 
     def read_all(self, lines: Sequence[str]) -> ImportedSteps:
         """The same, with the lines of its points. Raises `FileError` with every mistake."""
-        rows = csv.reader(lines, skipinitialspace=True)
+        separator = find_separator(lines[0] if lines else "")
+        rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
         header = next(rows, list[str]())
         names = [title.strip() for title in header]
         self._has_times = bool(names) and names[0] == TIME
@@ -43,7 +45,7 @@ class ColumnReader:
         for row in rows:
             if not row or all(not cell.strip() for cell in row):
                 continue
-            point = self._read_row(rows.line_num, row, len(names))
+            point = self._read_row(rows.line_num, [read_cell(cell, separator) for cell in row], len(names))
             if point is not None:
                 points.append(point)
                 places.append(Place(rows.line_num))

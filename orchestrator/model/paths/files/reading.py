@@ -41,7 +41,8 @@ def read_path_file(path: Path, axes: Mapping[str, str], begin: GcodeStart) -> Im
     if kind not in GCODE and (begin.settings is not None or begin.from_line > 1):
         raise FileError([FileProblem(name, 1, "", "is no G-code: `gcode:` and --from-line have no meaning")])
     if kind in TRAJECTORIES:
-        return ImportedSteps(name, TrajectoryReader(read_file(path), axes).read_steps(), [[]])
+        steps = TrajectoryReader(read_file(path), axes).read_steps()
+        return ImportedSteps(name, steps, [[] for _ in steps])
     if kind not in GCODE + TABLES:
         known_kinds = ", ".join(GCODE + TABLES + TRAJECTORIES)
         raise FileError([FileProblem(name, 1, "", f"is of no known kind; its name must end in one of: {known_kinds}")])

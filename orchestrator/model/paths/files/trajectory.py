@@ -5,13 +5,17 @@ from math import isfinite
 from typing import Any, cast
 
 from orchestrator.model.jobs.files import LoadedFile
+from orchestrator.model.paths.files.base.imported import format_number
 from orchestrator.model.paths.files.base.problems import ImportProblems
+
+_DERIVATIVES = ("velocities", "accelerations", "effort")
 
 
 class TrajectoryReader:
     """Reads one trajectory. axes: by name of a joint, the axis of the fleet; a joint without one is an axis itself.
 
-    Positions are in the units of their axes; ROS means radians and metres.
+    Positions are in the units of their axes; ROS means radians and metres. A first point that is later than 0 is waited
+    for.
     """
 
     def __init__(self, file: LoadedFile, axes: Mapping[str, str]) -> None:
@@ -20,7 +24,7 @@ class TrajectoryReader:
         self._problems = ImportProblems(file.name)
 
     def read_steps(self) -> list[dict[str, Any]]:
-        """The step of a job. Raises `FileError` with every mistake."""
+        """The steps of a job. Raises `FileError` with every mistake."""
         plain = _read_object(self._file.root.value)
         names, points = plain.get("joint_names"), plain.get("points")
         joints = [str(name) for name in cast(list[object], names)] if isinstance(names, list) else []
@@ -37,7 +41,8 @@ class TrajectoryReader:
         axes = [self._given.get(joint, joint) for joint in joints]
         begin = times[0]
         table = {"piece": "table", "t": [at - begin for at in times], "positions": positions}
-        return [{"do": "path", "axes": axes, "start": positions[0], "pieces": [table]}]
+        path = {"do": "path", "axes": axes, "start": positions[0], "pieces": [table]}
+        return [{"do": "dwell", "duration": f"{format_number(begin)} s"}, path] if begin > 0 else [path]
 
     def _read_point(self, number: int, row: object, width: int, found: tuple[list[float], list[list[float]]]) -> None:
         point = _read_object(row)
@@ -49,8 +54,19 @@ class TrajectoryReader:
         if at_s is None:
             self._refuse(("points", number, "time_from_start"), "must be seconds, or {sec: …, nanosec: …}")
             return
+        self._refuse_derivatives(number, point)
         found[0].append(at_s)
         found[1].append(values)
+
+    def _refuse_derivatives(self, number: int, point: Mapping[str, object]) -> None:
+        """A path goes through its points at their times, as fast as that asks: other speeds than 0 there, and what else
+        ROS may state, would be left undone."""
+        for name in _DERIVATIVES:
+            values = point.get(name)
+            if not values or (name != "effort" and not any(_read_numbers(values) or [1.0])):
+                continue
+            text = "are not followed: a path has the speeds that its points and times ask for; remove them"
+            self._refuse(("points", number, name), text)
 
     def _refuse(self, place: Sequence[str | int], text: str) -> None:
         self._problems.found.append(self._file.problem(place, text))
