@@ -12,6 +12,7 @@ from adapters.ascii.description import DescriptionError, load_description, packa
 from adapters.ascii.patterns import BadPattern, LinePattern
 from adapters.contract import ConfigError, ExamplePlace
 from adapters.host.makes import find_make
+from adapters.toolkit.lines.driver import LineDriver
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.queue import EventQueue
 from orchestrator.conformance.examples import make_case
@@ -277,3 +278,24 @@ def test_settings_that_one_query_shows_are_read_by_one() -> None:
 def test_the_example_names_the_packaged_descriptions() -> None:
     example = find_make("ascii").fleet_example(ExamplePlace(0, 0))
     assert all(name in example for name in packaged_names())
+
+
+def test_a_position_lost_by_an_alarm_is_known_again_axis_by_axis() -> None:
+    """Only a search of all axes at once made them known again: homed one after the other, none ever was."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        driver = world.driver
+        assert isinstance(driver, LineDriver)
+        driver._reader.lost_axes.update(("u", "v"))  # as after an alarm
+
+        async def list_lost() -> list[str]:
+            return [name for name, axis in (await driver.poll()).axes.items() if axis.position_lost]
+
+        assert await list_lost() == ["u", "v"]
+        assert not await driver.home_axes(["u"], lambda _: None)
+        assert await list_lost() == ["v"]
+        assert not await driver.home_axes(["v"], lambda _: None)
+        assert await list_lost() == []
+
+    run_case(stage_case(), main)

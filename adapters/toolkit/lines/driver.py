@@ -224,8 +224,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
                 failures[name] = Refusal("homing-failed", text, "check its switch")
             else:
                 found(name)
-        if not failures and set(axes) == set(self._config.axes):
-            self._reader.position_lost = False
+                self._reader.lost_axes.discard(name)
         return failures
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:

@@ -22,7 +22,8 @@ class LineReader:
         self._has_alarm = False
         """An alarm came while it was connected; one that it has from the beginning is its lock after power-up, where
         enabling its axes unlocks it."""
-        self.position_lost = False
+        self.lost_axes: set[str] = set()
+        """The axes whose position is not known since an alarm; each until it is homed."""
         self.last: ControllerReading | None = None
 
     def repeat_moving(self, at_ns: int) -> ControllerReading | None:
@@ -47,7 +48,7 @@ class LineReader:
                 velocity_counts_s=self._estimate_velocity(name, counts, at_ns) if is_moving else 0.0,
                 moving=is_moving,
                 enabled=name in enabled and not is_locked,
-                position_lost=self.position_lost,
+                position_lost=name in self.lost_axes,
                 limit=status.limit,
             )
         faults: list[FaultReport] = []
@@ -60,7 +61,8 @@ class LineReader:
         """Note an alarm: it may have stopped the motors dead."""
         is_alarm = state.status.state == "alarm"
         if is_alarm and (self.was_sound or not self._dialect.traits.switches_motors):
-            self._has_alarm = self.position_lost = True
+            self._has_alarm = True
+            self.lost_axes.update(self._config.axes)
         self.was_sound = not is_alarm
         self._has_alarm = self._has_alarm and is_alarm
 
