@@ -50,7 +50,7 @@ def test_a_measured_fleet_starts_sooner_and_a_late_member_is_armed_again() -> No
     run_fleet(main)
 
 
-@pytest.mark.parametrize(("busy_ms", "again"), [(150, False), (250, True)])
+@pytest.mark.parametrize(("busy_ms", "again"), [(150, False), (280, True)])
 def test_a_member_that_was_too_busy_to_promise_in_time_is_armed_again(busy_ms: int, again: bool) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
