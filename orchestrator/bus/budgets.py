@@ -2,8 +2,8 @@
 
 A decoder collects every mistake before it reports one, and a process that decodes does nothing else: 3.5 MB of unknown
 fields silenced a coordinator for half a second, and the axes stop without it. So each request is bounded by what it can
-need (`docs/decisions/0043-budget-before-decoding.md`). The table of the verbs of users is beside their models in
-`service_verbs.py`; this one has the figures alone, so that the path of an e-stop loads no models.
+need (`docs/decisions/0043-budget-before-decoding.md`). The figures stand alone, without the models of the verbs, so
+that the path of an e-stop loads none.
 """
 
 from functools import lru_cache

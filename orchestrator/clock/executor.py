@@ -16,7 +16,7 @@ from multiprocessing import active_children, get_context
 from typing import Any, Protocol, TypeVar
 
 from orchestrator.clock.collection import CollectionPause
-from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.parent import prepare_worker
 from orchestrator.clock.realtime import reset_priority
 from orchestrator.model.errors import Refusal
 
@@ -124,8 +124,7 @@ def _run_in_time(function: Callable[..., T], values: tuple[Any, ...]) -> T:
 
 
 def _prepare_process(parent_pid: int) -> None:
-    """It ends with its parent, silently on Ctrl-C, and takes neither its priority nor all memory."""
-    die_with_parent(parent_pid)
+    """It takes neither the priority of its parent nor all memory."""
+    prepare_worker(parent_pid)
     reset_priority()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     resource.setrlimit(resource.RLIMIT_AS, (MAX_PROCESS_BYTES, MAX_PROCESS_BYTES))

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.collection import exempt_objects
 from orchestrator.clock.utc import format_rfc3339
 
 
@@ -37,7 +38,7 @@ def prepare_live_process() -> None:
     are examined.
     """
     gc.collect()
-    gc.freeze()
+    exempt_objects()
     sys.setswitchinterval(THREAD_SWITCH_S)
 
 

@@ -18,3 +18,9 @@ def die_with_parent(parent_pid: int) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != parent_pid:
         raise SystemExit(1)
+
+
+def prepare_worker(parent_pid: int) -> None:
+    """Prepare a process of a pool: it ends with its parent, and silently on Ctrl-C."""
+    die_with_parent(parent_pid)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

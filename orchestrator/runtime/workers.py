@@ -1,13 +1,12 @@
 """Work spread over processes, for seeds and environments that are independent of each other."""
 
 import os
-import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import TypeVar
 
-from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.parent import prepare_worker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -22,14 +21,8 @@ def map_in_processes(work: Callable[[Item], Result], items: Iterable[Item], proc
         yield from map(work, items)
         return
     # Start a new interpreter for each worker: it must not inherit open files or threads of the parent.
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=_prepare_worker, initargs=(os.getpid(),))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=prepare_worker, initargs=(os.getpid(),))
     try:
         yield from pool.map(work, items)
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _prepare_worker(parent_pid: int) -> None:
-    """Prepare a worker: it ends with its parent, and silently on Ctrl-C."""
-    die_with_parent(parent_pid)
-    signal.signal(signal.SIGINT, signal.SIG_DFL)

@@ -2,7 +2,7 @@
 
 import asyncio
 import os
-import time
+import signal
 
 import pytest
 
@@ -21,10 +21,9 @@ def take_memory() -> int:
     return len(bytearray(executor.MAX_PROCESS_BYTES))
 
 
-def hold_the_lock(seconds: int) -> None:
-    """As a parser that never ends: no signal handler of Python runs."""
-    os.kill(os.getpid(), 14)
-    time.sleep(seconds)
+def reach_the_limit() -> None:
+    """The alarm of the kernel, as after the longest time: no handler of Python runs."""
+    signal.raise_signal(signal.SIGALRM)
 
 
 def test_calls_in_another_process() -> None:
@@ -39,7 +38,7 @@ def test_calls_in_another_process() -> None:
             with pytest.raises(Refusal, match="was not read within 20 s"):
                 await run(take_memory)
             with pytest.raises(Refusal, match="was not read within 20 s"):
-                await run(hold_the_lock, 600)
+                await run(reach_the_limit)
             assert await run(os.getpid) != pid
             calls = [asyncio.ensure_future(run(os.getpid)) for _ in range(MAX_CALLS + 2)]
             answers = await asyncio.gather(*calls, return_exceptions=True)

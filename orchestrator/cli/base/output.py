@@ -5,7 +5,7 @@ import os
 import sys
 from typing import NoReturn
 
-FAILED = 1
+from orchestrator.cli.base.codes import FAILED
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 

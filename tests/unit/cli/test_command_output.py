@@ -11,6 +11,7 @@ from cluster.worlds import demo_job, job
 from rich.console import Console
 from rich.text import Text
 from unit.cli.command_world import CommandWorld, open_world
+from unit.cli.local_time import use_berlin_time
 
 from orchestrator.cli.base.encoding import replace_unknown_signs
 from orchestrator.model.report import JobReport, StepChain, StepReport
@@ -26,13 +27,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[CommandWorld]:
 
 @pytest.fixture
 def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    import time
-
-    monkeypatch.setenv("TZ", "Europe/Berlin")
-    time.tzset()
-    yield
-    monkeypatch.undo()
-    time.tzset()
+    yield from use_berlin_time(monkeypatch)
     show_utc(wanted=False)
 
 

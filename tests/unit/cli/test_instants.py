@@ -1,22 +1,18 @@
 """Local times that come never or twice: never taken for an earlier one."""
 
-import time
 from collections.abc import Iterator
 from datetime import datetime
 
 import click
 import pytest
+from unit.cli.local_time import use_berlin_time
 
 from orchestrator.cli.base.instants import InstantType
 
 
 @pytest.fixture(autouse=True)
 def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setenv("TZ", "Europe/Berlin")
-    time.tzset()
-    yield
-    monkeypatch.undo()
-    time.tzset()
+    yield from use_berlin_time(monkeypatch)
 
 
 def read(text: str) -> datetime:

@@ -38,6 +38,7 @@ from orchestrator.coordinator.journal.sqlite.rows import (
     is_whole,
     make_damaged_error,
     make_record,
+    read_body,
     scope_key,
 )
 from orchestrator.coordinator.journal.sqlite.saved_positions import read_positions
@@ -297,8 +298,8 @@ class SqliteJournal:
         return rows[0][BODY] if rows else None
 
     def load_job(self, job_id: str) -> Job | None:
-        self.load_job_body(job_id)
-        return self._select_body(Job, "SELECT body FROM jobs WHERE id = ?", (job_id,))
+        body = self.load_job_body(job_id)
+        return None if body is None else read_body(self._path, Job, body, job_id)
 
     def load_record(self, job_id: str) -> JobRecord | None:
         records = self._select_records("WHERE id = ?", (job_id,))
@@ -431,10 +432,7 @@ class SqliteJournal:
 
     def _select_body(self, model: type[M], query: str, values: tuple[Any, ...]) -> M | None:
         rows = self._select_rows(query, values)
-        try:
-            return model.read_stored(rows[0][0]) if rows else None
-        except ValidationError as error:
-            raise make_damaged_error(self._path, f"the {model.__name__}", values[0], first_error_text(error)) from None
+        return read_body(self._path, model, rows[0][0], values[0]) if rows else None
 
     def _select_rows(self, query: str, values: tuple[Any, ...] = ()) -> list[Any]:
         try:

@@ -2,15 +2,20 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 from zlib import crc32
 
+from pydantic import ValidationError
+
 from orchestrator.coordinator.journal.records import UNREADABLE_TIME, DamagedRecord, JobRecord
-from orchestrator.model.base import ID_PATTERN
+from orchestrator.model.base import ID_PATTERN, Model
+from orchestrator.model.problems import first_error_text
 from orchestrator.model.queue import parse_utc
 from orchestrator.model.report import JobState
 from orchestrator.model.script import WrongValue
 from orchestrator.model.text.outside_text import show_text
+
+M = TypeVar("M", bound=Model)
 
 COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
@@ -54,6 +59,14 @@ def make_damaged_error(path: str, what: str, job_id: str, problem: str) -> Damag
     """The error for a part of a job that cannot be read."""
     text = f"{path}: {what} of job {job_id} cannot be read: {problem}"
     return DamagedRecord(text, "it is damaged, or was written by another version of Tutti")
+
+
+def read_body(path: str, model: type[M], body: str, job_id: str) -> M:
+    """A part of a job by its JSON. Raises `DamagedRecord`."""
+    try:
+        return model.read_stored(body)
+    except ValidationError as error:
+        raise make_damaged_error(path, f"the {model.__name__}", job_id, first_error_text(error)) from None
 
 
 def scope_key(owner: str, client_key: str) -> str:
