@@ -82,6 +82,7 @@ COMMAND_BUDGETS: dict[str, WorkBudget] = {
     "load-chunk": MOTION,
     "configure": CONTROLLER,
     "lease": AXES,
+    "check-settings": AXES,
     "enable": AXES,
     "home": AXES,
     "jog": AXES,

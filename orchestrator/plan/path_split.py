@@ -12,6 +12,7 @@ import numpy as np
 from orchestrator.model.errors import Refusal
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.names import controller_of
+from orchestrator.model.paths.packed import pack_pieces
 from orchestrator.model.paths.pieces import ArcPiece, HelixPiece, LinePiece, Piece, SplinePiece, TablePiece, Within
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
@@ -36,7 +37,7 @@ def split_path(
             parts.append((begin, []))
         parts[-1][1].append(piece)
         begin, is_alone = _find_end(piece), bool(moved_axes)
-    return [step.model_copy(update={"start": list(start), "pieces": pieces}) for start, pieces in parts]
+    return [step.model_copy(update={"start": list(start), "pieces": pack_pieces(pieces)}) for start, pieces in parts]
 
 
 def _require_rest(step: FollowPath, number: int, moved: list[str]) -> None:

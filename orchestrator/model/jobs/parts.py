@@ -8,17 +8,14 @@ import pickle
 from collections.abc import Generator, Iterable, Mapping
 from typing import Any, cast
 
-from pydantic import TypeAdapter
-
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.paths.pieces import LinePiece, Piece
+from orchestrator.model.paths.packed import PackedPieces
+from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.tree import find_paths
 
 PART_ITEMS = 500  # of a list, some 4 ms of work
-
-_PIECES: TypeAdapter[list[Piece]] = TypeAdapter(list[Piece])
 
 
 class _PartPickler(pickle.Pickler):
@@ -80,23 +77,22 @@ def has_long_path(model: Model) -> bool:
 
 
 def dump_long(model: Model, exclude: Mapping[str, Any] | None = None) -> bytes:
-    """The JSON of a job, or of a model with a field `job`, as `model_dump_json` writes it. In a thread other threads
-    get their turn: long paths are written in parts."""
+    """The JSON of a job, or of a model with a field `job`, as `model_dump_json` writes it; pieces of long paths are
+    copied, and become no objects."""
     paths = _find_long_paths(model)
     if not paths:
         return model.model_dump_json(exclude=exclude).encode()
     marks = [LinePiece.model_construct(to=[f"\0{number}"]) for number in range(len(paths))]
     marked_paths = {
-        id(path): path.model_copy(update={"pieces": [mark]}) for path, mark in zip(paths, marks, strict=True)
+        id(path): path.model_copy(update={"pieces": [mark]}) for (path, _), mark in zip(paths, marks, strict=True)
     }
     job = _find_job(model)
     assert job is not None
     short_job = job.model_copy(update={"steps": [step.replace_steps(marked_paths) for step in job.steps]})
     short_model = short_job if model is job else model.model_copy(update={"job": short_job})
     text = short_model.model_dump_json(exclude=exclude).encode()
-    for path, mark in zip(paths, marks, strict=True):
-        slices = (path.pieces[begin : begin + PART_ITEMS] for begin in range(0, len(path.pieces), PART_ITEMS))
-        text = text.replace(mark.to_json(), b",".join(_PIECES.dump_json(pieces)[1:-1] for pieces in slices), 1)
+    for (_, pieces), mark in zip(paths, marks, strict=True):
+        text = text.replace(mark.to_json(), pieces.to_json()[1:-1], 1)
     return text
 
 
@@ -105,6 +101,7 @@ def _find_job(model: Model) -> Job | None:
     return job if isinstance(job, Job) else None
 
 
-def _find_long_paths(model: Model) -> list[FollowPath]:
+def _find_long_paths(model: Model) -> list[tuple[FollowPath, PackedPieces]]:
     job = _find_job(model)
-    return [] if job is None else [path for path in find_paths(job.steps) if len(path.pieces) > PART_ITEMS]
+    paths = [] if job is None else find_paths(job.steps)
+    return [(path, path.pieces) for path in paths if isinstance(path.pieces, PackedPieces)]

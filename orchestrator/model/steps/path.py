@@ -8,7 +8,9 @@ from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 from orchestrator.model.frame import MAX_COORDINATES
 from orchestrator.model.paths.gcode_settings import GcodeSettings
 from orchestrator.model.paths.origin import PathOrigin
-from orchestrator.model.paths.pieces import MAX_PIECES, PathSpec, Piece
+from orchestrator.model.paths.packed import Pieces
+from orchestrator.model.paths.pieces import Piece
+from orchestrator.model.paths.spec import PathSpec
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.base import Align, OwnSkew, Step, StepSampling
 from orchestrator.model.steps.points import MAX_SCAN_AXES
@@ -62,7 +64,7 @@ class FollowPath(Step, PathSpec):
         max_length=MAX_COORDINATES,
         description="Where the path begins, and the axes stand; of G-code 0 without it, of tables none.",
     )
-    pieces: list[Piece] = Field(default=[], max_length=MAX_PIECES)
+    pieces: Pieces = Field(default=[])
     tolerance: Quantity = Field(
         description="How far the axes may be off the path, in the first axis's unit or with one; a path that cannot be "
         "promised within it is refused. Corners `within` a distance are part of the path."

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orchestrator.model.frame import FrameSpec
-from orchestrator.model.paths.pieces import PathSpec
+from orchestrator.model.paths.spec import PathSpec
 from orchestrator.plan.path.arc_length import Array, Index
 from orchestrator.plan.path.axes import AlongLimits, PathAxis, collect_limits
 from orchestrator.plan.path.errors import PathRefusal

@@ -12,12 +12,12 @@ from orchestrator.model.paths.pieces import (
     ArcPiece,
     HelixPiece,
     LinePiece,
-    PathSpec,
     Piece,
     SplinePiece,
     TablePiece,
     Within,
 )
+from orchestrator.model.paths.spec import PathSpec
 from orchestrator.model.units import (
     Quantity,
     Unit,

@@ -4,7 +4,7 @@ import warnings
 
 import pytest
 
-from orchestrator.model.paths.pieces import PathSpec
+from orchestrator.model.paths.spec import PathSpec
 from orchestrator.model.units import Unit
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.errors import PathRefusal

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from orchestrator.model.frame import FrameSpec
-from orchestrator.model.paths.pieces import PathSpec
+from orchestrator.model.paths.spec import PathSpec
 from orchestrator.model.units import Unit
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.errors import PathRefusal
