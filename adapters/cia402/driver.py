@@ -31,6 +31,7 @@ from adapters.cia402.fleetaxes import (
     ramp_s,
 )
 from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, lower_step
+from adapters.cia402.mapping.transfer import PdoMapper
 from adapters.cia402.needs import make_pdo_needs
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.probe import TouchProbe, find_edge
@@ -89,7 +90,7 @@ class Cia402Driver(
         self._axis, axis = only_axis(setup.config)
         self._bus, self._sync_scheduler = sharing.join_bus(setup, options)
         self._ramp_s = ramp_s(axis)
-        self._needs = make_pdo_needs(setup.config, options)
+        self._mapper = PdoMapper(make_pdo_needs(setup.config, options))
         self._streams = needs_stream(setup.config)
         self._following: int | None = CYCLIC_MODE
         """The mode in which the drive follows positions, once it is known."""
@@ -109,7 +110,7 @@ class Cia402Driver(
         if self._options.eds is not None:
             await startup.compare_product(node, startup.require_product(self._options.eds, self._config, self._options))
         await self._find_following_mode(node)
-        self._was_unmapped = await startup.map_and_start(node, self._sync_scheduler, self._options, self._needs)
+        self._was_unmapped = await startup.map_and_start(node, self._sync_scheduler, self._options, self._mapper)
         self._boots = node.boots
         await self._end_switching(node)
         if self._was_unmapped:
@@ -120,7 +121,7 @@ class Cia402Driver(
     async def _attach_node(self) -> Cia402Connection:
         """Attach the drive to its bus; nothing is sent to it."""
         answer_ns = self._options.answer_ms * NS_PER_MS
-        node = BusDrive(self._bus, self._number, f"node {self._number}", answer_ns, outputs=self._needs.outputs)
+        node = BusDrive(self._bus, self._number, f"node {self._number}", answer_ns, outputs=self._mapper.needs.outputs)
         await self._bus.attach_node(self._number, node, self._setup.open_link)
         node.log = self._log
         node.inhibit_ns = self._options.inhibit_ms * NS_PER_MS
@@ -134,7 +135,7 @@ class Cia402Driver(
         if self._streams:
             self._following = await startup.find_following_mode(found)
             found.followed = None if self._following is None else FOLLOWED[self._following]
-            self._needs = replace(self._needs, followed=found.followed)
+            self._mapper.needs = replace(self._mapper.needs, followed=found.followed)
 
     async def _end_switching(self, found: BusDrive) -> None:
         """Make the outputs passive that a stream has switched up to the end of the last connection: a drive keeps them
@@ -196,7 +197,7 @@ class Cia402Driver(
         self._log.warning("the drive was restarted; its mapping and settings are loaded again", boots=found.boots)
         self.connection.mover.cancel_waits()
         boots = found.boots
-        await startup.map_and_start(found, self._sync_scheduler, self._options, self._needs)
+        await startup.map_and_start(found, self._sync_scheduler, self._options, self._mapper)
         await startup.compare_settings(found, self._config, self._options)
         await self.connection.watch.record_settings(found.layout.pdos)
         self._boots = boots
@@ -291,7 +292,7 @@ class Cia402Driver(
         if not watch.has_differences:
             return
         if await watch.restore_settings():
-            await startup.map_and_start(node, self._sync_scheduler, self._options, self._needs)
+            await startup.map_and_start(node, self._sync_scheduler, self._options, self._mapper)
 
     async def send_raw(self, command: str) -> str:
         """Execute a raw command: `6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index

@@ -9,11 +9,10 @@ from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import DictionaryObject
 from adapters.cia402.canopen.sdo import SdoAborted
 from adapters.cia402.canopen.states import NEW_SET_POINT, QUICK_STOP, DriveState
-from adapters.cia402.canopen.words import NOT_THERE, READ_ONLY
+from adapters.cia402.canopen.words import NOT_THERE, READ_ONLY, WRITE_ONLY
 from adapters.cia402.eds import DriveProduct, read_product
 from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, only_axis, ramp_in_units
-from adapters.cia402.mapping.required import PdoNeeds
-from adapters.cia402.mapping.transfer import MappingNotAllowed, map_all
+from adapters.cia402.mapping.transfer import MappingNotAllowed, PdoMapper
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.shapes.trapezoid import WORD_MAX
 from adapters.cia402.sync.starts import SyncScheduler
@@ -75,18 +74,20 @@ async def find_following_mode(node: BusDrive) -> int | None:
     return next((mode for mode in o.FOLLOWED if modes >> mode - 1 & 1), None)
 
 
-async def map_and_start(node: BusDrive, sync_scheduler: SyncScheduler, options: Cia402Options, needs: PdoNeeds) -> bool:
+async def map_and_start(
+    node: BusDrive, sync_scheduler: SyncScheduler, options: Cia402Options, mapper: PdoMapper
+) -> bool:
     """Map its PDOs, set heartbeat and NMT state, and cancel commands that wait for a SYNC.
 
     A motion in progress continues. Return whether its PDOs differed from the required ones. Raises `ControllerFault`.
     """
     await node.sdo.write_value(o.HEARTBEAT, options.heartbeat_ms)
     try:
-        node.layout, stranger = await map_all(node.sdo, node.number, node.name, needs)
+        node.layout, stranger = await mapper.map_all(node.sdo, node.number, node.name)
     except MappingNotAllowed:
         node.log.info("the drive accepts a mapping only in the pre-operational state")
         stranger = True
-        await _map_pre_operational(node, needs)
+        await _map_pre_operational(node, mapper)
     await _start_node(node, options)
     if options.watchdog_ms is not None:
         await load_object(node, o.ABORT_CONNECTION_OPTION, _STOP_QUICKLY)
@@ -97,7 +98,8 @@ async def map_and_start(node: BusDrive, sync_scheduler: SyncScheduler, options: 
         node.log.info("the drive is in quick stop; it stays there until it is enabled")
         # It may have stopped by itself, and the controlword that enabled it would enable it again.
         node.control = QUICK_STOP
-    node.mode, node.wanted_mode = await node.sdo.read_value(o.MODE_DISPLAY), await node.sdo.read_value(o.MODE)
+    node.mode = await node.sdo.read_value(o.MODE_DISPLAY)
+    node.wanted_mode = await _read_wanted_mode(node)
     await _read_present_state(node)
     if node.has_outputs:
         node.outputs = await node.sdo.read_value(o.OUTPUTS)
@@ -113,6 +115,16 @@ async def map_and_start(node: BusDrive, sync_scheduler: SyncScheduler, options: 
     node.bus.send_frames(node.control_at_sync(node.control))
     node.loaded = not sync_scheduler.mark_connected(node.number)
     return stranger
+
+
+async def _read_wanted_mode(node: BusDrive) -> int:
+    """Return 6060h, which some drives do not let be read."""
+    try:
+        return await node.sdo.read_value(o.MODE)
+    except SdoAborted as error:
+        if error.abort != WRITE_ONLY:
+            raise
+        return node.mode
 
 
 async def _read_present_state(node: BusDrive) -> None:
@@ -148,7 +160,7 @@ async def _start_node(node: BusDrive, options: Cia402Options) -> None:
         )
 
 
-async def _map_pre_operational(node: BusDrive, needs: PdoNeeds) -> None:
+async def _map_pre_operational(node: BusDrive, mapper: PdoMapper) -> None:
     """Map PDOs in the pre-operational state, for drives that accept a mapping only there; it would stop a moving
     drive."""
     old_position = await node.sdo.read_value(o.ACTUAL)
@@ -160,7 +172,7 @@ async def _map_pre_operational(node: BusDrive, needs: PdoNeeds) -> None:
         )
     node.bus.send_frames(CanFrame(_NMT, bytes([NMT_PRE_OPERATIONAL, node.number])))
     try:
-        node.layout, _ = await map_all(node.sdo, node.number, node.name, needs)
+        node.layout, _ = await mapper.map_all(node.sdo, node.number, node.name)
     except MappingNotAllowed:
         raise ControllerFault(
             "pdo-mapping", f"{node.name} accepts no PDO mapping, not even pre-operational", "see the drive's manual"

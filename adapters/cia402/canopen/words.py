@@ -37,7 +37,7 @@ NO_OBJECT = 0x0602_0000
 NO_SUBINDEX = 0x0609_0011
 NOT_THERE = frozenset({NO_OBJECT, NO_SUBINDEX})
 """Abort codes of a device without the object."""
-READ_ONLY = 0x0601_0002
+WRITE_ONLY, READ_ONLY = 0x0601_0001, 0x0601_0002
 FIXED = frozenset({READ_ONLY, 0x0601_0000})
 """Abort codes of a mapping that cannot be changed."""
 NOT_MAPPABLE = 0x0604_0041

@@ -47,24 +47,52 @@ def pdo_value(obj: DictionaryObject, value: int) -> int:
     return value & (_OFF | _COB_MASK) if obj.sub == 1 and obj.name.startswith("COB-ID") else value
 
 
-async def map_all(sdo: SdoClient, node: int, name: str, needs: PdoNeeds) -> tuple[PdoLayout, bool]:
-    """Map the PDOs that differ from what is needed, and read them back; return them, and whether any differed. Raises
-    `MappingNotAllowed`, `ControllerFault`."""
-    traits, is_changed = PdoTraits(), False
-    while True:
+class PdoMapper:
+    """Map the PDOs of one drive, at each of its connections. needs: what the fleet file asks of them."""
+
+    def __init__(self, needs: PdoNeeds) -> None:
+        self.needs = needs
+        self._traits = PdoTraits()
+
+    async def map_all(self, sdo: SdoClient, node: int, name: str) -> tuple[PdoLayout, bool]:
+        """Map the PDOs if any differs from what is needed, and read them back; return them, and whether any differed.
+        Raises `MappingNotAllowed`, `ControllerFault`.
+
+        A drive that lacks something is compared with what it could map at the last connection: otherwise it would
+        seem to have lost its mapping by a restart.
+        """
         try:
-            layout = plan_layout(needs, traits)
-            for pdo in layout.pdos:
-                if not await _is_mapped(sdo, node, pdo):
-                    is_changed = True
-                    await _PdoWriter(sdo, node, name, traits).map_pdo(pdo)
-                    await _require_mapped(sdo, node, name, pdo)
+            layout = plan_layout(self.needs, self._traits)
+            if self._traits != PdoTraits() and await _are_mapped(sdo, node, layout):
+                return layout, False
+            self._traits, is_changed = PdoTraits(), False
+            while True:
+                try:
+                    layout = plan_layout(self.needs, self._traits)
+                    is_changed |= await self._map_layout(sdo, node, name, layout)
+                except _OtherTraits as error:
+                    self._traits, is_changed = error.traits, True
+                else:
+                    return layout, is_changed
         except UnsuitablePdos as error:
             raise ControllerFault("pdo-mapping", f"{name}: {error.text}", error.remedy) from None
-        except _OtherTraits as error:
-            traits = error.traits
-        else:
-            return layout, is_changed
+
+    async def _map_layout(self, sdo: SdoClient, node: int, name: str, layout: PdoLayout) -> bool:
+        """Map the PDOs that differ; return whether any did."""
+        is_changed = False
+        for pdo in layout.pdos:
+            if not await _is_mapped(sdo, node, pdo):
+                is_changed = True
+                await _PdoWriter(sdo, node, name, self._traits).map_pdo(pdo)
+                await _require_mapped(sdo, node, name, pdo)
+        return is_changed
+
+
+async def _are_mapped(sdo: SdoClient, node: int, layout: PdoLayout) -> bool:
+    for pdo in layout.pdos:
+        if not await _is_mapped(sdo, node, pdo):
+            return False
+    return True
 
 
 async def _require_mapped(sdo: SdoClient, node: int, name: str, pdo: PdoMapping) -> None:

@@ -92,6 +92,7 @@ SHAPES: Mapping[str, Sequence[Edit]] = {
     "fixed standard mapping": [with_fixed_mapping(STANDARD_MAPPING)],
     "small PDOs": [
         without("6084", "60FD", "605A", "605D", "607D", "60C2"),
+        with_entry(["6060"], "AccessType", "wo"),
         without(*(f"{index}sub{number}" for index in ("1600", "1A00") for number in range(2, 9))),
     ],
     "two RPDOs": [

@@ -79,6 +79,10 @@ def test_a_drive_of_another_shape_is_homed_moved_stopped_and_started_with_others
         await world.rest(300)
         assert not world.unit.is_moving("1")
         assert not await driver.check_settings(everything=True)
+        await driver.close()
+        await driver.connect()
+        await driver.configure()
+        assert not (await driver.poll()).restarted
 
     run(main, count=2, simulate={"eds": file}, options={"eds": file})
 
