@@ -7,6 +7,7 @@ from random import Random
 import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 from unit.adapters.cia402_shapes import EDS, REFUSED, SHAPES, Edit, with_entry, without, write_shape
+from unit.adapters.test_cia402_stream import SMOOTH, followed, released, smooth
 
 from adapters.cia402 import MAKE
 from adapters.cia402.canopen.commanded import CommandedPosition
@@ -16,8 +17,6 @@ from adapters.contract import JogMove
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.plan.step import AxisMove, plan_step
-
-SMOOTH = {"limits": {"velocity": 80_000, "acceleration": 400_000, "jerk": 4_000_000}}
 
 
 async def start_together(world: Drives, targets: tuple[int, ...]) -> list[int]:
@@ -85,6 +84,20 @@ def test_a_drive_of_another_shape_is_homed_moved_stopped_and_started_with_others
         assert not (await driver.poll()).restarted
 
     run(main, count=2, simulate={"eds": file}, options={"eds": file})
+
+
+@pytest.mark.parametrize("shape", ["one ramp for both", "mode by SDO"])
+def test_positions_are_streamed_to_a_drive_of_another_shape(shape: str, tmp_path: Path) -> None:
+    file = write_shape(tmp_path, SHAPES[shape])
+
+    async def main(world: Drives) -> None:
+        await world.ready()
+        await released(world, {0: smooth(0, 20_000)})
+        _, outcome = await followed(world)
+        assert outcome.state == "done", outcome.reason
+        assert world.unit.position("1") == 20_000
+
+    run(main, simulate={"eds": file}, options={"eds": file}, **SMOOTH)
 
 
 @pytest.mark.parametrize("shape", REFUSED)
