@@ -44,7 +44,7 @@ def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float,
     """Return upper bounds in ns.
 
     ramp_s: the longest ramp of the motion that may have to be stopped. watched: number of settings that are read before
-    arming.
+    arming, and of objects that it reads and writes besides.
     """
     each_ns = full_frame_ns(bitrate) * drives
     way_ns = options.wire_jitter_us * NS_PER_US + _HOST_NS

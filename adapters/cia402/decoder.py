@@ -1,13 +1,14 @@
 """The frames of a CANopen bus in words: service, node, objects and their values."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from adapters.cia402.canopen import bus, states
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.pdos import PdoMapping
 from adapters.cia402.canopen.words import abort_text, emergency_text
+from adapters.cia402.mapping.required import PdoTimes, required_pdos
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.pdo import PdoMapping, required_pdos
 from adapters.toolkit.frames import DecodedFrame, FrameDirection, printable_text
 from orchestrator.link.can import CanFrame, FrameReader
 
@@ -32,17 +33,6 @@ _NODE = 0x7F
 _STATE_BITS = 0x8F  # of the controlword
 
 
-def _list_objects() -> Iterator[DictionaryObject]:
-    for value in vars(o).values():
-        if isinstance(value, DictionaryObject):
-            yield value
-        elif isinstance(value, tuple):
-            yield from (entry for entry in value if isinstance(entry, DictionaryObject))  # pyright: ignore[reportUnknownVariableType]
-
-
-_OBJECTS = {(entry.index, entry.sub): entry for entry in _list_objects()}
-
-
 class Cia402Decoder:
     """Frames of all nodes of a bus, with the mapping of PDOs that the adapter loads."""
 
@@ -52,12 +42,13 @@ class Cia402Decoder:
         self._pdos: dict[tuple[int, int], PdoMapping] = {}
         self._following: set[int] = set()
         """Nodes that follow positions: only these have a TPDO 4."""
+        times = PdoTimes(options.state_ms, options.inhibit_ms)
         for outputs in (False, True):
             for followed_object in (None, *o.FOLLOWED.values()):
-                for pdo in required_pdos(options, outputs=outputs, followed=followed_object):
+                for pdo in required_pdos(times, outputs=outputs, followed=followed_object):
                     length = sum(carried_object.byte_size for carried_object in pdo.carries)
                     self._pdos.setdefault((pdo.function, length), pdo)
-        pdos = required_pdos(options, outputs=True, followed=o.TARGET)
+        pdos = required_pdos(times, outputs=True, followed=o.TARGET)
         # As long as the mapping of ramps.
         self._switched = next(pdo for pdo in pdos if pdo.function == bus.RPDO[3])
 
@@ -102,7 +93,7 @@ class Cia402Decoder:
 
 def _describe_sdo(data: bytes, *, is_request: bool) -> str:
     specifier, (index, sub) = data[0] >> 5, (int.from_bytes(data[1:3], "little"), data[3])
-    obj = _OBJECTS.get((index, sub))
+    obj = o.BY_ADDRESS.get((index, sub))
     name = str(obj) if obj is not None else f"{index:04X}h:{sub:02X}"
     if specifier == 4:
         return f"SDO abort {name}: {abort_text(int.from_bytes(data[4:], 'little'))}"

@@ -1,6 +1,7 @@
 """The driver of one CiA 402 drive."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 from adapters.abilities import (
     LatchDriver,
@@ -15,10 +16,12 @@ from adapters.abilities import (
 )
 from adapters.cia402 import sharing, startup
 from adapters.cia402.canopen import objects as o
+from adapters.cia402.canopen.commanded import CommandedPosition
 from adapters.cia402.canopen.handshake import STANDING_NS
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import CYCLIC_MODE, FOLLOWED, DictionaryObject
 from adapters.cia402.canopen.sdo import bus_off_fault
+from adapters.cia402.canopen.setpoint import count_accesses
 from adapters.cia402.connection import Cia402Connection, make_connection
 from adapters.cia402.costs import step_costs
 from adapters.cia402.fleetaxes import (
@@ -28,8 +31,9 @@ from adapters.cia402.fleetaxes import (
     ramp_s,
 )
 from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, lower_step
+from adapters.cia402.mapping.transfer import PdoMapper
+from adapters.cia402.needs import make_pdo_needs
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.pdo import required_pdos
 from adapters.cia402.probe import TouchProbe, find_edge
 from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.shapes.switching import NOTHING_SWITCHED
@@ -82,17 +86,16 @@ class Cia402Driver(
         super().__init__(setup, Cia402Lowered)
         self._config = setup.config
         self._options = options
-        self._clock = setup.clock
         self._number = node_number(setup.config)
         self._axis, axis = only_axis(setup.config)
         self._bus, self._sync_scheduler = sharing.join_bus(setup, options)
         self._ramp_s = ramp_s(axis)
-        self._pdos = required_pdos(options, outputs=bool(setup.config.outputs))
+        self._mapper = PdoMapper(make_pdo_needs(setup.config, options))
         self._streams = needs_stream(setup.config)
         self._following: int | None = CYCLIC_MODE
         """The mode in which the drive follows positions, once it is known."""
         self._boots = 0
-        self._is_connected = self._was_unmapped = self._restarted = False
+        self._is_connected = self._was_unmapped = self._restarted = self._has_equal_ramps = False
         self._broken_off = NOTHING_SWITCHED
         """What the step switched with which the last connection ended."""
 
@@ -107,7 +110,7 @@ class Cia402Driver(
         if self._options.eds is not None:
             await startup.compare_product(node, startup.require_product(self._options.eds, self._config, self._options))
         await self._find_following_mode(node)
-        self._was_unmapped = await startup.map_and_start(node, self._sync_scheduler, self._options, self._pdos)
+        self._was_unmapped = await startup.map_and_start(node, self._sync_scheduler, self._options, self._mapper)
         self._boots = node.boots
         await self._end_switching(node)
         if self._was_unmapped:
@@ -118,11 +121,11 @@ class Cia402Driver(
     async def _attach_node(self) -> Cia402Connection:
         """Attach the drive to its bus; nothing is sent to it."""
         answer_ns = self._options.answer_ms * NS_PER_MS
-        name = f"node {self._number}"
-        node = BusDrive(self._bus, self._number, name, answer_ns, outputs=bool(self._config.outputs))
+        node = BusDrive(self._bus, self._number, f"node {self._number}", answer_ns, outputs=self._mapper.needs.outputs)
         await self._bus.attach_node(self._number, node, self._setup.open_link)
         node.log = self._log
         node.inhibit_ns = self._options.inhibit_ms * NS_PER_MS
+        node.commanded = CommandedPosition(self._options.rest_window)
         self._log.info("attached to the bus", place=self._config.link.endpoint, node=self._number)
         self._connection = make_connection(self._config, self._options, node, self._sync_scheduler)
         return self._connection
@@ -132,7 +135,7 @@ class Cia402Driver(
         if self._streams:
             self._following = await startup.find_following_mode(found)
             found.followed = None if self._following is None else FOLLOWED[self._following]
-            self._pdos = required_pdos(self._options, outputs=bool(self._config.outputs), followed=found.followed)
+            self._mapper.needs = replace(self._mapper.needs, followed=found.followed)
 
     async def _end_switching(self, found: BusDrive) -> None:
         """Make the outputs passive that a stream has switched up to the end of the last connection: a drive keeps them
@@ -148,14 +151,16 @@ class Cia402Driver(
         node = self.connection.node
         await startup.wait_for_rest(node, self._options.busy_wait_s)
         await startup.compare_settings(node, self._config, self._options)
-        await self.connection.watch.record_settings(self._pdos)
+        self._has_equal_ramps = node.has_equal_ramps
+        await self.connection.watch.record_settings(node.layout.pdos)
         # Reported by the next poll: a reconnecting adapter must learn that the drive was off meanwhile.
         self._restarted = self._restarted or (self._was_unmapped and self._is_connected)
         self._is_connected = True
 
     def _step_costs(self, longest_ramp_s: float) -> StepCosts:
-        arm_reads = len(AT_ARM) if self._connection is None else self._connection.watch.arm_reads
-        stands = self._connection is not None and self._connection.node.stands_acknowledged
+        connection = self._connection
+        arm_reads = len(AT_ARM) if connection is None else connection.watch.arm_reads + count_accesses(connection.node)
+        stands = connection is not None and connection.node.stands_acknowledged
         costs = step_costs(self._options, self._bus.bitrate, len(self._bus.units), longest_ramp_s, arm_reads)
         return costs.model_copy(update={"arm_ns": costs.arm_ns + STANDING_NS * stands})
 
@@ -192,9 +197,9 @@ class Cia402Driver(
         self._log.warning("the drive was restarted; its mapping and settings are loaded again", boots=found.boots)
         self.connection.mover.cancel_waits()
         boots = found.boots
-        await startup.map_and_start(found, self._sync_scheduler, self._options, self._pdos)
+        await startup.map_and_start(found, self._sync_scheduler, self._options, self._mapper)
         await startup.compare_settings(found, self._config, self._options)
-        await self.connection.watch.record_settings(self._pdos)
+        await self.connection.watch.record_settings(found.layout.pdos)
         self._boots = boots
 
     async def check_settings(self, *, everything: bool) -> Sequence[SettingDifference]:
@@ -209,7 +214,7 @@ class Cia402Driver(
         longest_s = max([self._ramp_s, *(max(profile.durations_s, default=0.0) for profile in profiles.values())])
         bus = self._bus
         times = BusTimes(bus.bitrate, bus.start_ns, len(bus.units), len(bus.switching))
-        traits = ConnectionTraits(times, self._step_costs(longest_s), self._following)
+        traits = ConnectionTraits(times, self._step_costs(longest_s), self._following, self._has_equal_ramps)
         lowered_step = lower_step(self._config, self._options, traits, profiles, start)
         return add_triggers(lowered_step, self._config, self._options, times, start)
 
@@ -287,7 +292,7 @@ class Cia402Driver(
         if not watch.has_differences:
             return
         if await watch.restore_settings():
-            await startup.map_and_start(node, self._sync_scheduler, self._options, self._pdos)
+            await startup.map_and_start(node, self._sync_scheduler, self._options, self._mapper)
 
     async def send_raw(self, command: str) -> str:
         """Execute a raw command: `6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index

@@ -1,36 +1,41 @@
 """The optional EDS file of a drive: its objects are known before the connection, and the product can be verified."""
 
-from collections.abc import Callable, Iterator
-from configparser import Error as NoIniFile
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
-from io import StringIO
-from pathlib import Path
 
-from canopen import ObjectDictionary, ObjectDictionaryError, import_od
+from canopen import ObjectDictionary
 
 from adapters.cia402.canopen import objects as o
-from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.eds_file import read_dictionary
+from adapters.cia402.canopen.objects import DictionaryObject, read_mapping_entry
+from adapters.cia402.canopen.pdos import PdoMapping
 from adapters.cia402.fleetaxes import needs_stream
+from adapters.cia402.mapping.layout import PdoTraits, TooFewPdos, UnsuitablePdos, plan_layout
+from adapters.cia402.mapping.required import list_all_pdos
+from adapters.cia402.needs import NEEDS, AskedDrive, ObjectNeed, make_pdo_needs
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.pdo import PdoMapping, parameter_values, required_pdos
 from adapters.contract import require_no_problems
 from orchestrator.model.fleet import Controller
 
-_READ = (o.DEVICE_TYPE, o.STATUSWORD, o.MODE_DISPLAY, o.DEMAND, o.ACTUAL, o.INPUTS)
-_WRITTEN = (
-    o.HEARTBEAT,
-    o.CONTROLWORD,
-    o.MODE,
-    o.TARGET,
-    o.PROFILE_VELOCITY,
-    o.ACCELERATION,
-    o.DECELERATION,
-    o.HOMING_METHOD,
-    o.HOMING_SWITCH_SPEED,
-    o.HOMING_ZERO_SPEED,
+_MOST_OBJECTS = 8
+_PDO_OBJECTS = frozenset(
+    {
+        o.CONTROLWORD,
+        o.STATUSWORD,
+        o.MODE,
+        o.MODE_DISPLAY,
+        o.DEMAND,
+        o.ACTUAL,
+        o.VELOCITY,
+        o.TARGET,
+        o.PROFILE_VELOCITY,
+        o.ACCELERATION,
+        o.DECELERATION,
+        o.INPUTS,
+        o.OUTPUTS,
+        o.INTERPOLATION_POSITION,
+    }
 )
-"""All other objects are optional: without them a drive does what their defaults in the standard state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,68 +50,56 @@ def read_product(path: str, config: Controller, options: Cia402Options) -> Drive
     """Return the product of an EDS file that contains everything that the adapter maps, reads and writes. Raises
     `ConfigError`."""
     require_no_problems(find_problems(path, config, options))
-    device = _read_dictionary(path).device_information
+    device = read_dictionary(path).device_information
     return DriveProduct(device.vendor_number, device.product_number)
 
 
 def find_problems(path: str, config: Controller, options: Cia402Options) -> list[str]:
-    """Everything that the adapter maps, reads or writes, and that the EDS file lacks."""
+    """What decides that a drive with this EDS file cannot do what the fleet file asks for: one line, or none."""
     try:
-        dictionary = _read_dictionary(path)
+        dictionary = read_dictionary(path)
     except ValueError as error:
-        return [str(error)]
-    problems: list[str] = []
-    for check in _make_checks(path, dictionary, config, options):
-        try:
-            check()
-        except ValueError as error:
-            problems.append(str(error))
-    return list(dict.fromkeys(problems))
+        return [f"options.eds: {error}"]
+    reason = _find_reason(dictionary, AskedDrive(config, options, _find_followed(dictionary, config)))
+    return [f"options.eds: {reason} ({path})"] if reason else []
 
 
-def _make_checks(
-    path: str, dictionary: ObjectDictionary, config: Controller, options: Cia402Options
-) -> Iterator[Callable[[], object]]:
-    """One check for each object."""
-    for pdo in required_pdos(options, outputs=bool(config.outputs), followed=_find_followed(dictionary, config)):
-        for obj in pdo.carries:
-            yield partial(_require_mappable, path, dictionary, pdo, obj)
-        # Inhibit time and event timer need not exist.
-        for obj, _ in parameter_values(pdo, 0):
-            if obj.sub not in (3, 5) or obj.index == pdo.mapping:
-                yield partial(_require_object, path, dictionary, obj, f"and {pdo.title} must be set up")
-    for obj in _READ:
-        yield partial(_require_object, path, dictionary, obj, "which the adapter reads")
-    for name, pair in (("encoder", o.ENCODER), ("gear", o.GEAR), ("feed", o.FEED)):
-        if getattr(options, name) is not None:
-            for obj in pair:
-                yield partial(_require_object, path, dictionary, obj, f"which option `{name}` compares")
-    for obj, purpose in _written_objects(config, options, dictionary):
-        yield partial(_require_writable, path, dictionary, obj, purpose)
-
-
-def _require_writable(path: str, dictionary: ObjectDictionary, obj: DictionaryObject, why: str) -> None:
-    access = _require_object(path, dictionary, obj, why)
-    if "w" not in access:
-        raise ValueError(f"options.eds: according to {path} {obj} cannot be written ({access}), {why}")
-
-
-def _read_dictionary(path: str) -> ObjectDictionary:
-    """Read the file. The standard states ASCII; makers' tools write UTF-8, or the code page of their Windows."""
+def _find_reason(dictionary: ObjectDictionary, asked: AskedDrive) -> str:
+    """Return what decides, the most decisive first: too few PDOs, objects that it lacks, what its PDOs carry."""
+    needs = make_pdo_needs(asked.config, asked.options, asked.followed)
+    pdo_text = ""
     try:
-        data = Path(path).read_bytes()
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("cp1252", errors="replace")
-        if "[DeviceInfo]" not in text:
-            raise ValueError("it has no section DeviceInfo")
-        source = StringIO(text)
-        source.name = path  # its suffix states the format
-        # The node number only affects defaults.
-        return import_od(source, 1)
-    except (OSError, NoIniFile, ValueError, KeyError, AttributeError, ObjectDictionaryError) as error:
-        raise ValueError(f"options.eds: {path} cannot be read as an EDS file: {error}") from None
+        plan_layout(needs, _read_traits(dictionary))
+    except TooFewPdos as error:
+        return str(error)
+    except UnsuitablePdos as error:
+        pdo_text = str(error)
+    return _list_lacks(dictionary, asked) or pdo_text
+
+
+def _list_lacks(dictionary: ObjectDictionary, asked: AskedDrive) -> str:
+    gaps: list[str] = []
+    remedies: list[str] = []
+    for need in NEEDS:
+        texts = list(_find_lacks(dictionary, asked, need)) if need.applies(asked) else []
+        if texts:
+            gaps.append(f"{', '.join(texts)}, needed for {need.purpose}")
+            remedies.append(need.remedy)
+    return "; ".join(dict.fromkeys([*gaps, *remedies]))
+
+
+def _find_lacks(dictionary: ObjectDictionary, asked: AskedDrive, need: ObjectNeed) -> Iterator[str]:
+    for obj in need.objects:
+        variable = dictionary.get_variable(obj.index, obj.sub)
+        if variable is None:
+            yield f"no {obj}"
+        elif obj.bits and len(variable) != obj.bits:
+            yield f"{obj} has {len(variable)} bits, not {obj.bits}"
+        elif need.is_written and "w" not in variable.access_type:
+            wanted_value = asked.find_value(obj)
+            # A file need not state the value of a constant.
+            if wanted_value is None or variable.default not in (None, wanted_value):
+                yield f"{obj} cannot be written ({variable.access_type})"
 
 
 def _find_followed(dictionary: ObjectDictionary, config: Controller) -> DictionaryObject | None:
@@ -123,34 +116,42 @@ def _find_followed(dictionary: ObjectDictionary, config: Controller) -> Dictiona
     return None
 
 
-def _written_objects(
-    config: Controller, options: Cia402Options, dictionary: ObjectDictionary
-) -> Iterator[tuple[DictionaryObject, str]]:
-    """Yield the objects that are written with these options, each with the reason."""
-    for obj in _WRITTEN:
-        yield obj, "which the adapter writes"
-    if options.quick_stop_acceleration is not None:
-        yield o.QUICK_STOP_DECELERATION, "which `quick_stop_acceleration` sets"
-    if options.watchdog_ms is not None:
-        for obj in (o.ABORT_CONNECTION_OPTION, o.CONSUMER):
-            yield obj, "which `watchdog_ms` sets"
-    if _find_followed(dictionary, config) is not None:
-        for obj in (o.PERIOD, o.PERIOD_INDEX):
-            yield obj, "which streaming for the axis's `jerk` sets"
+def _read_traits(dictionary: ObjectDictionary) -> PdoTraits:
+    """Return what the file says of objects in PDOs, and of all PDOs that the adapter may use."""
+    variables = {obj: dictionary.get_variable(obj.index, obj.sub) for obj in _PDO_OBJECTS}
+    absent_objects = {obj for obj, variable in variables.items() if variable is None}
+    sdo_objects = {obj for obj, variable in variables.items() if variable is not None and not variable.pdo_mappable}
+    missing_titles: set[str] = set()
+    contents: dict[str, tuple[DictionaryObject, ...]] = {}
+    rooms: dict[str, int] = {}
+    kinds: dict[str, int] = {}
+    for pdo in list_all_pdos():
+        if dictionary.get_variable(pdo.parameter, 1) is None or dictionary.get_variable(pdo.mapping, 0) is None:
+            missing_titles.add(pdo.title)
+            continue
+        rooms[pdo.title] = len(_list_entries(dictionary, pdo))
+        if _is_fixed(dictionary, pdo.mapping, 0) or _is_fixed(dictionary, pdo.mapping, 1):
+            contents[pdo.title] = _read_fixed(dictionary, pdo)
+        kind = dictionary.get_variable(pdo.parameter, 2)
+        if kind is not None and kind.default is not None and "w" not in kind.access_type:
+            kinds[pdo.title] = int(kind.default)
+    return PdoTraits(
+        frozenset(absent_objects), frozenset(sdo_objects), frozenset(missing_titles), contents, rooms, kinds
+    )
 
 
-def _require_object(path: str, dictionary: ObjectDictionary, obj: DictionaryObject, why: str) -> str:
-    """Return the access type of an object that must exist. Raises `ValueError`."""
-    variable = dictionary.get_variable(obj.index, obj.sub)
-    if variable is None:
-        raise ValueError(f"options.eds: {path} has no {obj}, {why}")
-    if obj.bits and len(variable) != obj.bits:
-        raise ValueError(f"options.eds: by {path} {obj} has {len(variable)} bits, not {obj.bits}")
-    return variable.access_type
+def _is_fixed(dictionary: ObjectDictionary, index: int, sub: int) -> bool:
+    variable = dictionary.get_variable(index, sub)
+    return variable is not None and "w" not in variable.access_type
 
 
-def _require_mappable(path: str, dictionary: ObjectDictionary, pdo: PdoMapping, obj: DictionaryObject) -> None:
-    _require_object(path, dictionary, obj, f"which {pdo.title} must carry")
-    variable = dictionary.get_variable(obj.index, obj.sub)
-    if variable is not None and not variable.pdo_mappable:
-        raise ValueError(f"options.eds: according to {path} no PDO can carry {obj}, and {pdo.title} must")
+def _list_entries(dictionary: ObjectDictionary, pdo: PdoMapping) -> list[int]:
+    """Return the default values of its entries, as many as it has."""
+    variables = [dictionary.get_variable(pdo.mapping, sub) for sub in range(1, _MOST_OBJECTS + 1)]
+    return [int(variable.default or 0) for variable in variables if variable is not None]
+
+
+def _read_fixed(dictionary: ObjectDictionary, pdo: PdoMapping) -> tuple[DictionaryObject, ...]:
+    count = dictionary.get_variable(pdo.mapping, 0)
+    most = _MOST_OBJECTS if count is None or count.default is None else int(count.default)
+    return tuple(read_mapping_entry(entry) for entry in _list_entries(dictionary, pdo)[:most] if entry)

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen import states
 from adapters.cia402.canopen.handshake import settle_handshake, standing_refusal
+from adapters.cia402.canopen.modes import wait_for_mode
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.sdo import SdoAborted
+from adapters.cia402.canopen.setpoint import begin_motion, load_set_point, make_set_point
 from adapters.cia402.canopen.states import DriveState
-from adapters.cia402.canopen.words import NOT_THERE
+from adapters.cia402.canopen.words import NOT_THERE, READ_ONLY
 from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, homing_method, homing_numbers, only_axis
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
@@ -32,7 +34,8 @@ _BEGIN_NS = NS_PER_S  # within this time a search shows that it has begun
 _RESULT = states.ACKNOWLEDGED | states.MODE_ERROR  # homing attained, homing error
 _HERE = (35, 37)
 """Methods whose reference is the present position."""
-_OPTIONAL = (o.HOMING_ACCELERATION, o.HOME_OFFSET)  # without them: the drive's own ramp, and 0
+_OPTIONAL = frozenset({o.HOMING_ACCELERATION, o.HOME_OFFSET, o.HOMING_SWITCH_SPEED, o.HOMING_ZERO_SPEED})
+"""Objects without which the drive homes by its own values; `needs` refuses speeds that the fleet file states."""
 _RETURN_NS = 60 * NS_PER_S  # a caller with a shorter timeout cancels
 _AT_LIMITS = (1, 2, 17, 18)
 """Methods whose reference is at the edge of a limit switch, or near it."""
@@ -169,13 +172,15 @@ class Cia402ManualMotion:
             except SdoAborted as error:
                 if obj in _OPTIONAL and error.abort in NOT_THERE:
                     continue
+                if error.abort == READ_ONLY and await node.sdo.read_value(obj) == value:
+                    continue
                 raise Refusal(
                     "homing-method",
                     f"axis {self._name}: {error}",
                     "choose another `homing.method`, or other homing speeds",
                 ) from None
         node.send_control(states.ENABLE, o.HOMING_MODE)
-        if not await node.wait_briefly(lambda: node.mode == o.HOMING_MODE):
+        if not await wait_for_mode(node, o.HOMING_MODE):
             await node.query_status()
             raise Refusal("wrong-mode", f"{node.name} does not enter homing mode", "does it support this mode (6502h)?")
 
@@ -190,6 +195,7 @@ class Cia402ManualMotion:
             since_ns=node.clock.now_ns(),
             is_here=homing_method(self._axis) in _HERE,
         )
+        begin_motion(node, 0)  # where the reference will be
         node.send_control(states.ENABLE | states.NEW_SET_POINT)
         has_begun = await search.wait_for_result()
         is_reference_attained = not search.has_failed and search.is_attained
@@ -273,7 +279,7 @@ class Cia402ManualMotion:
         node = self._node
         if node.mode != o.PROFILE_POSITION_MODE or node.control & states.NEW_SET_POINT:
             node.send_control(states.ENABLE, o.PROFILE_POSITION_MODE)
-            if not await node.wait_briefly(lambda: node.mode == o.PROFILE_POSITION_MODE):
+            if not await wait_for_mode(node, o.PROFILE_POSITION_MODE):
                 await node.query_status()
                 raise Refusal("wrong-mode", f"{node.name} does not enter profile position mode", "see 6502h")
         if self.is_jogging:
@@ -284,13 +290,14 @@ class Cia402ManualMotion:
             await settle_handshake(node, stops)
         if node.stops != stops:
             raise Refusal("stopped", f"a stop came before axis {self._name} was started", "")
-        await node.load_set_point(target, velocity, ramp, ramp)
+        await load_set_point(node, make_set_point(node, target, velocity, ramp, ramp))
         since_ns = node.clock.now_ns()
         node.send_control(states.ENABLE | states.NEW_SET_POINT | states.AT_ONCE)
         self._jog_stops, self._jog_drops, self._jog_ns = node.stops, node.drops, since_ns
         is_taken = await node.wait_briefly(lambda: node.acknowledged_ns >= since_ns or node.stops != stops)
         if node.stops != stops:
             raise Refusal("stopped", f"a stop came while axis {self._name} was being started", "")
+        begin_motion(node, target)
         node.send_control(states.ENABLE)
         if not is_taken:
             self._power.write_stop(abort=False)

@@ -5,8 +5,10 @@ from collections.abc import Callable, Mapping
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen import states
 from adapters.cia402.canopen.handshake import settle_handshake, standing_refusal
+from adapters.cia402.canopen.modes import refresh_mode, wait_for_mode
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.setpoint import load_set_point, make_set_point
 from adapters.cia402.lowering import Cia402Lowered
 from adapters.cia402.power import PowerStage
 from adapters.cia402.step import DriveStep
@@ -21,7 +23,7 @@ _MODES = {
 
 class StepLoader:
     """Load the steps of one drive and check that they stay loaded. ramp: the deceleration of a drive that follows a
-    stream (6084h)."""
+    stream (6084h, or 6083h without it)."""
 
     def __init__(self, node: BusDrive, power: PowerStage, ramp: int) -> None:
         self._node = node
@@ -65,6 +67,7 @@ class StepLoader:
         """Check that the step is still loaded and the axis is where the plan starts. Raises `Refusal`."""
         node = self._node
         await node.query_status()
+        await refresh_mode(node)
         node.require_operational()
         if node.boots != move.boots:
             raise Refusal("not-loaded", f"{node.name} was switched off and on", "arm it again")
@@ -101,20 +104,16 @@ class StepLoader:
         node.send_control(states.ENABLE, o.PROFILE_POSITION_MODE)
         await self._require_mode(o.PROFILE_POSITION_MODE, lambda: True)
         await settle_handshake(node, stops)
-        await node.load_set_point(target, shape.velocity, shape.acceleration, shape.deceleration)
-        return {
-            o.TARGET: target,
-            o.PROFILE_VELOCITY: shape.velocity,
-            o.ACCELERATION: shape.acceleration,
-            o.DECELERATION: shape.deceleration,
-        }
+        values = make_set_point(node, target, shape.velocity, shape.acceleration, shape.deceleration)
+        await load_set_point(node, values)
+        return values
 
     async def _load_stream(self, lowered: Cia402Lowered) -> Mapping[DictionaryObject, int]:
         """Prepare the stream: the drive follows its present position until the first SYNC."""
         node, start_counts = self._node, lowered.start_counts
         assert node.followed is not None
         node.give_position(start_counts)
-        await node.sdo.write_value(o.DECELERATION, self._ramp)
+        await node.sdo.write_value(node.braking_ramp, self._ramp)
         await node.sdo.write_value(node.followed, start_counts)
         node.send_control(states.ENABLE, lowered.mode)
         # Bit 12 that stands from another mode would be taken for the answer to bit 4.
@@ -126,13 +125,12 @@ class StepLoader:
             if not await node.wait_briefly(lambda: bool(node.status & states.FOLLOWS)):
                 await node.query_status()
                 raise Refusal("wrong-mode", f"{node.name} does not begin to interpolate", "see its manual")
-        return {node.followed: start_counts, o.DECELERATION: self._ramp}
+        return {node.followed: start_counts, node.braking_ramp: self._ramp}
 
     async def _require_mode(self, mode: int, ready: Callable[[], bool]) -> None:
         """Raise `Refusal` (wrong-mode) unless the drive enters `mode`."""
         node = self._node
-        is_ready = await node.wait_briefly(lambda: (node.mode == mode and ready()) or not node.is_enabled)
-        if not is_ready or not node.is_enabled:
+        if not await wait_for_mode(node, mode, ready):
             await node.query_status()
             raise Refusal(
                 "wrong-mode",

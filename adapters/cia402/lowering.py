@@ -11,7 +11,7 @@ from adapters.cia402.fleetaxes import POSITION_MAX, axis_bounds, drive_units, ne
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.shapes.course import SetpointTrajectory
 from adapters.cia402.shapes.switching import NOTHING_SWITCHED, OutputSchedule, SwitchedPoint, SyncPoint
-from adapters.cia402.shapes.trapezoid import DriveTrapezoid, fit_trapezoid
+from adapters.cia402.shapes.trapezoid import DriveBounds, DriveTrapezoid, DriveUnits, fit_trapezoid
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.toolkit.path_error import path_error_counts
 from adapters.toolkit.wired_points import find_driven_output
@@ -80,11 +80,13 @@ class BusTimes:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionTraits:
-    """Bus and drive of a step. following: the mode in which the drive follows positions; None: it has none."""
+    """Bus and drive of a step. following: the mode in which the drive follows positions; None: it has none.
+    equal_ramps: it has one ramp for both."""
 
     bus: BusTimes
     costs: StepCosts
     following: int | None
+    equal_ramps: bool = False
 
 
 def lower_step(
@@ -105,7 +107,7 @@ def lower_step(
     require_start_class(
         start, ("sync",), "a CiA 402 drive starts with the SYNC of its bus, and has no clock to start by"
     )
-    name, _ = only_axis(config)
+    name, axis = only_axis(config)
     drive = _find_output(config, start.drive)
     profile = profiles.get(name)
     terms = _sync_terms(options, bus)
@@ -131,7 +133,8 @@ def lower_step(
     # A single count has no path.
     if start.chunk is not None or (any(profile.jerks) and high - low > 1.5):
         return _lower_stream(replace(resting_step, chunk=start.chunk), config, options, traits, profile)
-    return _lower_set_point(resting_step, config, options, profile, start)
+    bounds = replace(axis_bounds(axis), equal_ramps=traits.equal_ramps)
+    return _lower_set_point(resting_step, bounds, drive_units(options), profile, start)
 
 
 def _output_commands(drive: SyncOutput | None) -> tuple[str, ...]:
@@ -141,13 +144,13 @@ def _output_commands(drive: SyncOutput | None) -> tuple[str, ...]:
 
 
 def _lower_set_point(
-    done: Cia402Lowered, config: Controller, options: Cia402Options, profile: Profile, start: StartOptions
+    done: Cia402Lowered, bounds: DriveBounds, units: DriveUnits, profile: Profile, start: StartOptions
 ) -> Cia402Lowered:
     """Lower to a motion by the drive's own profile."""
-    shape = _fit_shape(config, options, profile, start)
+    shape = _fit_shape(done.axis, bounds, units, profile, start)
     commands = (
         f"607Ah = {profile.end_counts}, 6081h = {shape.velocity}",
-        f"6083h = {shape.acceleration}, 6084h = {shape.deceleration}",
+        f"6083h = {shape.acceleration}" + ("" if bounds.equal_ramps else f", 6084h = {shape.deceleration}"),
         "6040h = 001Fh with SYNC",
     )
     return replace(
@@ -263,11 +266,12 @@ def _find_output(config: Controller, drive: TriggerDrive | None) -> SyncOutput |
     return SyncOutput(drive.output, point_bit(point.number), point.active == "high", drive.active_ns)
 
 
-def _fit_shape(config: Controller, options: Cia402Options, profile: Profile, start: StartOptions) -> DriveTrapezoid:
-    name, axis = only_axis(config)
+def _fit_shape(
+    name: str, limits: DriveBounds, units: DriveUnits, profile: Profile, start: StartOptions
+) -> DriveTrapezoid:
     way = abs(profile.end_counts - profile.start_counts)
-    wanted_s, limits = profile.duration_s, axis_bounds(axis)
-    shape = fit_trapezoid(way, wanted_s, profile.peak_velocity, limits, drive_units(options))
+    wanted_s = profile.duration_s
+    shape = fit_trapezoid(way, wanted_s, profile.peak_velocity, limits, units)
     if shape is None:
         raise Refusal(
             "limits",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from adapters.cia402 import path
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen import states
+from adapters.cia402.canopen.modes import wait_for_mode
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.interruption import failure_text, is_interrupted
 from adapters.cia402.loading import StepLoader
@@ -250,7 +251,7 @@ class Cia402Mover:
         without."""
         node = self._node
         node.send_control(states.ENABLE, o.PROFILE_POSITION_MODE)
-        await node.wait_briefly(lambda: node.mode == o.PROFILE_POSITION_MODE)
+        await wait_for_mode(node, o.PROFILE_POSITION_MODE)
 
     # Internals
 

@@ -50,6 +50,13 @@ class Cia402Options(FiringOptions):
     inhibit_ms: int = Field(
         default=10, ge=1, le=1000, description="Shortest time between two of its position messages."
     )
+    rest_window: int = Field(
+        default=10,
+        ge=0,
+        le=1_000_000,
+        description="Of a drive without 6062h: how far its actual position may be from the commanded one at rest, "
+        "counts.",
+    )
     period_ms: int = Field(
         default=10, ge=1, le=100, description="Period of SYNC while positions are streamed, for jerk-limited motion."
     )

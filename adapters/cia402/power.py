@@ -12,6 +12,7 @@ from adapters.cia402.canopen.bus import SDO_REQUEST
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import CONTROLWORD, FOLLOWED, PROFILE_POSITION_MODE
 from adapters.cia402.canopen.sdo import download_request
+from adapters.cia402.canopen.setpoint import rest_here
 from adapters.cia402.canopen.states import NEXT, DriveState
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.link.base import LinkClosed
@@ -174,6 +175,7 @@ class PowerStage:
             has_ended = node.state is DriveState.DISABLED and node.quick_stop_disables
             if node.stops == stops and (has_ended or node.state is DriveState.QUICK_STOP):
                 await self._enable_drive()
+            await rest_here(node)
 
 
 def quick_stop_by_sdo(number: int) -> CanFrame:

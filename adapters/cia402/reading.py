@@ -4,7 +4,7 @@ from typing import Literal
 
 from adapters.cia402.canopen import states
 from adapters.cia402.canopen.node import BusDrive
-from adapters.cia402.canopen.objects import point_bit
+from adapters.cia402.canopen.objects import INPUTS, VELOCITY, point_bit
 from adapters.cia402.canopen.states import DriveState
 from adapters.cia402.fleetaxes import POINTS
 from adapters.cia402.moves import Cia402Mover
@@ -51,10 +51,11 @@ class DriveReader:
     def make_reading(self, *, restarted: bool) -> ControllerReading:
         """Return the present state of the drive."""
         node, is_moving = self._node, self._is_moving()
+        has_inputs = INPUTS in node.layout.reported
         axis = AxisReading(
             commanded_counts=node.demand,
             actual_counts=float(node.actual),
-            velocity_counts_s=node.velocity / float(self._options.velocity_units) if is_moving else 0.0,
+            velocity_counts_s=self._velocity() if is_moving else 0.0,
             moving=is_moving,
             enabled=node.is_enabled,
             limit=_limit_switches(node.inputs),
@@ -62,11 +63,17 @@ class DriveReader:
         return ControllerReading(
             at_ns=node.state_ns if is_moving and node.state_ns else node.heard_ns,
             axes={self._axis: axis},
-            inputs={number: bool(node.inputs & point_bit(number)) for number in POINTS},
+            inputs={number: bool(node.inputs & point_bit(number)) for number in POINTS} if has_inputs else {},
             outputs={number: bool(node.outputs & point_bit(number)) for number in POINTS} if node.has_outputs else {},
             faults=self._drive_faults(),
             restarted=restarted,
         )
+
+    def _velocity(self) -> float:
+        """Return its velocity, counts/s; without 606Ch it is that of its positions."""
+        node = self._node
+        units = float(self._options.velocity_units) if VELOCITY in node.layout.reported else 1.0
+        return node.velocity / units
 
     def _is_moving(self) -> bool:
         """Return whether the drive moves: by its statusword during an operation; otherwise by its position, which shows

@@ -7,6 +7,7 @@ from contextlib import suppress
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen import states
 from adapters.cia402.canopen.node import BusDrive
+from adapters.cia402.canopen.setpoint import begin_motion
 from adapters.cia402.interruption import failure_text, is_interrupted, not_started_fault
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.output import DrivenLine
@@ -105,6 +106,7 @@ class DriveStarter:
             return {name: HostInterval(move.t0_ns, move.t0_ns) for name in names}
         earliest_ns, latest_ns = timing.guaranteed_start(write.written_ns)
         await self._require_acceptance(move, write.written_ns, latest_ns + node.answer_ns)
+        begin_motion(node, lowered_step.target)
         await self._require_motion(move)
         accepted_ns = self._accepted_ns(move, write.written_ns)
         if accepted_ns:

@@ -1,17 +1,18 @@
 """Connection to a drive: its identity, its PDO mapping, and the comparison of its settings with the fleet file."""
 
+from dataclasses import replace
 from fractions import Fraction
 
-from adapters.cia402 import pdo
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen.bus import NMT_PRE_OPERATIONAL, NMT_START, OPERATIONAL
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import DictionaryObject
 from adapters.cia402.canopen.sdo import SdoAborted
 from adapters.cia402.canopen.states import NEW_SET_POINT, QUICK_STOP, DriveState
-from adapters.cia402.canopen.words import NOT_THERE
+from adapters.cia402.canopen.words import NOT_THERE, READ_ONLY, WRITE_ONLY
 from adapters.cia402.eds import DriveProduct, read_product
 from adapters.cia402.fleetaxes import POSITION_MAX, drive_units, only_axis, ramp_in_units
+from adapters.cia402.mapping.transfer import MappingNotAllowed, PdoMapper
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.shapes.trapezoid import WORD_MAX
 from adapters.cia402.sync.starts import SyncScheduler
@@ -26,7 +27,6 @@ _NMT = 0x000
 _SLOW_DOWN, _QUICK_STOP_AND_STAY = 1, 6
 _STOP_QUICKLY = 3  # of the abort connection option
 _TRAPEZOID = 0
-_MILLISECONDS = -3
 _BEATS = 5  # of its heartbeat periods, within which it must have reported operational
 _STILL_NS = 60 * NS_PER_MS
 
@@ -75,7 +75,7 @@ async def find_following_mode(node: BusDrive) -> int | None:
 
 
 async def map_and_start(
-    node: BusDrive, sync_scheduler: SyncScheduler, options: Cia402Options, wanted: tuple[pdo.PdoMapping, ...]
+    node: BusDrive, sync_scheduler: SyncScheduler, options: Cia402Options, mapper: PdoMapper
 ) -> bool:
     """Map its PDOs, set heartbeat and NMT state, and cancel commands that wait for a SYNC.
 
@@ -83,11 +83,11 @@ async def map_and_start(
     """
     await node.sdo.write_value(o.HEARTBEAT, options.heartbeat_ms)
     try:
-        stranger = await pdo.map_all(node.sdo, node.number, node.name, wanted)
-    except pdo.MappingNotAllowed:
+        node.layout, stranger = await mapper.map_all(node.sdo, node.number, node.name)
+    except MappingNotAllowed:
         node.log.info("the drive accepts a mapping only in the pre-operational state")
         stranger = True
-        await _map_pre_operational(node, wanted)
+        await _map_pre_operational(node, mapper)
     await _start_node(node, options)
     if options.watchdog_ms is not None:
         await load_object(node, o.ABORT_CONNECTION_OPTION, _STOP_QUICKLY)
@@ -98,16 +98,15 @@ async def map_and_start(
         node.log.info("the drive is in quick stop; it stays there until it is enabled")
         # It may have stopped by itself, and the controlword that enabled it would enable it again.
         node.control = QUICK_STOP
-    node.mode, node.wanted_mode = await node.sdo.read_value(o.MODE_DISPLAY), await node.sdo.read_value(o.MODE)
-    # PDO contents arrive on change, or a little later; this is the present state.
-    node.demand, node.actual = await node.sdo.read_value(o.DEMAND), await node.sdo.read_value(o.ACTUAL)
-    node.inputs = await node.sdo.read_value(o.INPUTS)
+    node.mode = await node.sdo.read_value(o.MODE_DISPLAY)
+    node.wanted_mode = await _read_wanted_mode(node)
+    await _read_present_state(node)
     if node.has_outputs:
         node.outputs = await node.sdo.read_value(o.OUTPUTS)
     node.mapped = True
     if node.followed is not None:
         await load_object(node, o.PERIOD, options.period_ms)
-        await load_object(node, o.PERIOD_INDEX, _MILLISECONDS)
+        await load_object(node, o.PERIOD_INDEX, o.MILLISECONDS)
         # A position may wait for a SYNC, of a stream that is not continued.
         node.given = node.demand
         node.bus.send_frames(node.position_frame(node.given))
@@ -116,6 +115,30 @@ async def map_and_start(
     node.bus.send_frames(node.control_at_sync(node.control))
     node.loaded = not sync_scheduler.mark_connected(node.number)
     return stranger
+
+
+async def _read_wanted_mode(node: BusDrive) -> int:
+    """Return 6060h, which some drives do not let be read."""
+    try:
+        return await node.sdo.read_value(o.MODE)
+    except SdoAborted as error:
+        if error.abort != WRITE_ONLY:
+            raise
+        return node.mode
+
+
+async def _read_present_state(node: BusDrive) -> None:
+    """Read what PDOs report on change, or a little later."""
+    is_reported = o.DEMAND in node.layout.reported
+    demand = await node.sdo.read_value(o.DEMAND) if is_reported else None
+    node.actual = await node.sdo.read_value(o.ACTUAL)
+    node.demand = node.commanded.estimate(node.actual) if demand is None else demand
+    if not is_reported:
+        node.log.info(f"no PDO carries {o.DEMAND}: the commanded position is concluded from the actual one")
+    if o.INPUTS in node.layout.reported:
+        node.inputs = await node.sdo.read_value(o.INPUTS)
+    else:
+        node.log.info(f"no PDO carries {o.INPUTS}: limit switches and inputs are not shown")
 
 
 async def _start_node(node: BusDrive, options: Cia402Options) -> None:
@@ -137,7 +160,7 @@ async def _start_node(node: BusDrive, options: Cia402Options) -> None:
         )
 
 
-async def _map_pre_operational(node: BusDrive, wanted: tuple[pdo.PdoMapping, ...]) -> None:
+async def _map_pre_operational(node: BusDrive, mapper: PdoMapper) -> None:
     """Map PDOs in the pre-operational state, for drives that accept a mapping only there; it would stop a moving
     drive."""
     old_position = await node.sdo.read_value(o.ACTUAL)
@@ -149,8 +172,8 @@ async def _map_pre_operational(node: BusDrive, wanted: tuple[pdo.PdoMapping, ...
         )
     node.bus.send_frames(CanFrame(_NMT, bytes([NMT_PRE_OPERATIONAL, node.number])))
     try:
-        await pdo.map_all(node.sdo, node.number, node.name, wanted)
-    except pdo.MappingNotAllowed:
+        node.layout, _ = await mapper.map_all(node.sdo, node.number, node.name)
+    except MappingNotAllowed:
         raise ControllerFault(
             "pdo-mapping", f"{node.name} accepts no PDO mapping, not even pre-operational", "see the drive's manual"
         ) from None
@@ -180,23 +203,46 @@ async def compare_settings(node: BusDrive, config: Controller, options: Cia402Op
     if node.quick_stop_disables:
         node.log.info(f"the drive has no {o.QUICK_STOP_OPTION}: a quick stop switches it off; it is enabled again")
     await load_optional(node, o.PROFILE_TYPE, _TRAPEZOID)
-    loads: list[tuple[DictionaryObject, int]] = [
-        (o.ACCELERATION, ramp_in_units(axis, own)),
-        (o.DECELERATION, ramp_in_units(axis, own)),
-    ]
+    ramp = ramp_in_units(axis, own)
+    await load_object(node, o.ACCELERATION, ramp)
+    await _load_deceleration(node, ramp)
     if quickest is not None:
         wanted_units = round(quickest * float(axis.scale) * own.acceleration)
-        loads.append((o.QUICK_STOP_DECELERATION, max(1, min(WORD_MAX, wanted_units))))
-    for obj, value in loads:
-        await load_object(node, obj, value)
+        await load_object(node, o.QUICK_STOP_DECELERATION, max(1, min(WORD_MAX, wanted_units)))
+
+
+async def _load_deceleration(node: BusDrive, ramp: int) -> None:
+    """Load 6084h, or record that the drive has none."""
+    if o.DECELERATION not in node.layout.absent:
+        try:
+            await node.sdo.write_value(o.DECELERATION, ramp)
+        except SdoAborted as error:
+            if error.abort not in NOT_THERE:
+                raise _refused_fault(node, o.DECELERATION, ramp, error) from None
+        else:
+            await _require_held(node, o.DECELERATION, ramp)
+            return
+    node.layout = replace(node.layout, absent=node.layout.absent | {o.DECELERATION})
+    node.log.info(f"the drive has no {o.DECELERATION}: both ramps of a move are equal, by {o.ACCELERATION}")
 
 
 async def load_object(node: BusDrive, obj: DictionaryObject, value: int) -> None:
-    """Write an object and read it back. Raises `ControllerFault` (config-mismatch)."""
+    """Write an object and read it back; one that cannot be written must hold the value. Raises `ControllerFault`
+    (config-mismatch)."""
     try:
         await node.sdo.write_value(obj, value)
     except SdoAborted as error:
-        raise _mismatch_fault(node, f"{obj} does not accept {value}: {error}", "check the drive's manual") from None
+        if error.abort == READ_ONLY and await node.sdo.read_value(obj) == value:
+            return
+        raise _refused_fault(node, obj, value, error) from None
+    await _require_held(node, obj, value)
+
+
+def _refused_fault(node: BusDrive, obj: DictionaryObject, value: int, error: SdoAborted) -> ControllerFault:
+    return _mismatch_fault(node, f"{obj} does not accept {value}: {error}", "check the drive's manual")
+
+
+async def _require_held(node: BusDrive, obj: DictionaryObject, value: int) -> None:
     held_value = await node.sdo.read_value(obj)
     if held_value != value:
         raise _mismatch_fault(node, f"{obj} is {held_value}, wanted {value}", "is another master on the bus?")

@@ -10,9 +10,10 @@ from collections.abc import Iterable, Sequence
 from adapters.cia402.canopen import objects as o
 from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import DictionaryObject
+from adapters.cia402.canopen.pdos import PdoMapping
 from adapters.cia402.canopen.sdo import SdoAborted
 from adapters.cia402.canopen.words import NOT_THERE, WRONG_STATE
-from adapters.cia402.pdo import PdoMapping, parameter_values, pdo_value
+from adapters.cia402.mapping.transfer import parameter_values, pdo_value
 from adapters.contract import SettingDifference
 from orchestrator.model.errors import Refusal
 

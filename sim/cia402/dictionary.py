@@ -1,12 +1,16 @@
-"""The object dictionary of one drive: the content of its EDS file, and the present values."""
+"""The object dictionary of one drive: the content of its EDS file, and the present values.
+
+Another EDS file may describe which of the objects the drive shows, and how: the firmware is the same.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
+from configparser import Error as IniError
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
-from canopen import ObjectDictionary, import_od
+from canopen import ObjectDictionary, ObjectDictionaryError, import_od
 from canopen.objectdictionary import ODVariable, datatypes
 
 from sim.cia402 import aborts
@@ -48,9 +52,20 @@ class ObjectEntry:
         return int.from_bytes(data, "little", signed=self.signed)
 
 
+_PDO_PARAMETERS, _PDO_MAPPINGS = (0x1400, 0x1800), (0x1600, 0x1A00)
+_PDOS = range(0x1400, 0x1C00)
+_PDO_COUNT = 4
+_PDO_OFF = 0x8000_0000
+_NODE = 0x7F  # of a COB-ID of the predefined connection set
+
+
 @lru_cache(maxsize=128)
-def _read_entries(node: int) -> Mapping[Key, ObjectEntry]:
-    dictionary: ObjectDictionary = import_od(str(EDS), node)
+def _read_entries(node: int, path: str = str(EDS)) -> Mapping[Key, ObjectEntry]:
+    """Read an EDS file. Raises `ValueError`."""
+    try:
+        dictionary: ObjectDictionary = import_od(path, node)
+    except (OSError, IniError, ValueError, KeyError, AttributeError, ObjectDictionaryError) as error:
+        raise ValueError(f"eds: {path} cannot be read: {error}") from None
     entries: dict[Key, ObjectEntry] = {}
     for index in cast(Iterable[int], dictionary):
         thing = dictionary[index]
@@ -76,21 +91,48 @@ def _build_entry(variable: ODVariable) -> ObjectEntry:
     )
 
 
+def _describe_pdos(described: Mapping[Key, ObjectEntry], node: int) -> dict[Key, int]:
+    """Return the values of PDO parameters and mappings as a file describes them; PDOs that it lacks are off."""
+    values = {
+        key: entry.default for key, entry in described.items() if key[0] in _PDOS and isinstance(entry.default, int)
+    }
+    for parameters, mappings in zip(_PDO_PARAMETERS, _PDO_MAPPINGS, strict=True):
+        for number in range(_PDO_COUNT):
+            parameter, mapping = parameters + number, mappings + number
+            cob = values.get((parameter, 1), 0)
+            if not cob or (mapping, 0) not in described:
+                values |= {(parameter, 1): _PDO_OFF, (mapping, 0): 0}
+                continue
+            # Files state the identifier of one node, or a formula.
+            values[parameter, 1] = cob & ~_NODE | node
+            entries = [values[mapping, sub] for sub in range(1, values[mapping, 0] + 1)]
+            unknown = next((entry for entry in entries if (entry >> 16, entry >> 8 & 0xFF) not in described), None)
+            if unknown is not None:
+                raise ValueError(f"eds: {mapping:04X}h maps {unknown >> 16:04X}h, which the file lacks")
+    return values
+
+
 class DriveDictionary:
     """The objects of one drive.
 
     without: indices that are hidden from clients; the firmware uses their defaults.
+    eds: path of the file that describes what clients see; None: the simulator's own.
     reads: sources of values that are not stored.
     writes: called with a value before it is stored; raises `SdoAbort` for a value that cannot be accepted.
     """
 
-    def __init__(self, node: int, without: frozenset[int] = frozenset()) -> None:
-        self.entries = {key: entry for key, entry in _read_entries(node).items() if key[0] not in without}
+    def __init__(self, node: int, without: frozenset[int] = frozenset(), eds: str | None = None) -> None:
+        entries = _read_entries(node, eds or str(EDS))
+        self.entries = {key: entry for key, entry in entries.items() if key[0] not in without}
         self.reads: dict[Key, Callable[[], int]] = {}
         self.writes: dict[Key, Callable[[int], None]] = {}
         self._defaults = {
-            key: entry.default for key, entry in _read_entries(node).items() if isinstance(entry.default, int)
+            key: entry.default
+            for key, entry in {**entries, **_read_entries(node)}.items()
+            if isinstance(entry.default, int)
         }
+        if eds is not None:
+            self._defaults |= _describe_pdos(entries, node)
         self._indices = {index for index, _ in self.entries}
         self._values: dict[Key, int] = {}
         self.reset_values({})
@@ -110,6 +152,15 @@ class DriveDictionary:
     def put_value(self, index: int, sub: int, value: int) -> None:
         """Store without checks."""
         self._values[index, sub] = value
+
+    def is_writable(self, index: int, sub: int) -> bool:
+        """Return whether clients can write an object."""
+        entry = self.entries.get((index, sub))
+        return entry is not None and entry.writable
+
+    def has_object(self, index: int) -> bool:
+        """Return whether clients see an object."""
+        return index in self._indices
 
     def find_entry(self, index: int, sub: int) -> ObjectEntry:
         """Return the description of an object. Raises `SdoAbort`."""

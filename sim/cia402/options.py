@@ -21,6 +21,9 @@ class DriveOptions(BaseModel):
     """Values stored in the drive by a commissioning tool, by `index` or `index:sub`, hexadecimal: `6091:1`."""
     without: tuple[str, ...] = ()
     """Optional objects that the drive lacks, hexadecimal: `1013`."""
+    eds: str | None = None
+    """Path of another EDS file, which describes the objects that clients see, their access and the PDOs; None: the
+    simulator's own."""
     modes: tuple[Literal[1, 3, 6, 7, 8], ...] = (1, 3, 6, 7, 8)
     """Modes of operation that the drive has; reported in object 0x6502."""
     serial: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = 1
@@ -60,6 +63,11 @@ class DriveOptions(BaseModel):
     """Inputs that are touch probe 1 and 2."""
     enable_input: InputNumber | None = None
     """While this input is low the power stage has no voltage."""
+
+    @property
+    def hidden_indices(self) -> frozenset[int]:
+        """Return the indices of `without`."""
+        return frozenset(int(index, 16) for index in self.without)
 
 
 def read_options(options: Mapping[str, object]) -> DriveOptions:

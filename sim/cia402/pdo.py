@@ -119,6 +119,8 @@ class PdoSet:
             writes[pdo.mapping, sub] = lambda value: self._check_object(pdo, value, receive=receive)
 
     def _require_off(self, pdo: _PdoParameters) -> None:
+        if not self._dictionary.is_writable(pdo.parameter, 1):
+            return  # it cannot be switched off
         if not self._dictionary.get_value(pdo.parameter, 1) & _OFF:
             raise SdoAbort(aborts.UNSUPPORTED)
 

@@ -100,7 +100,9 @@ class ServoMotor:
         return self._read_scaled(index, sub, 0x6096)
 
     def read_acceleration(self, index: int) -> float:
-        """Return an object in acceleration units, as units per second squared."""
+        """Return an object in acceleration units, as units per second squared; without 6084h, 6083h in its place."""
+        if index == 0x6084 and not self._dictionary.has_object(index):
+            index = 0x6083
         return self._read_scaled(index, 0, 0x6097)
 
     def velocity_units(self, speed: float) -> int:

@@ -45,7 +45,7 @@ class DriveNode:
         self._draw = draw
         self.node = node
         self.state = OFF
-        self.dictionary = DriveDictionary(node, frozenset(int(index, 16) for index in options.without))
+        self.dictionary = DriveDictionary(node, options.hidden_indices, options.eds)
         self._permanent = PermanentObjects(self.dictionary, options)
         self.can = bus.attach_node(
             self._receive_frame, self._handle_bus_error, bitrate=options.bitrate, by_identifier=True

@@ -1,10 +1,11 @@
 """One drive on the bus: its state as it reports it, and the commands that it was given."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from adapters.cia402.canopen import states
 from adapters.cia402.canopen.bus import EMCY, HEARTBEAT, RPDO, SDO_ANSWER, TPDO, Cia402Bus
+from adapters.cia402.canopen.commanded import CommandedPosition
 from adapters.cia402.canopen.objects import (
     ACCELERATION,
     ACTUAL,
@@ -15,18 +16,17 @@ from adapters.cia402.canopen.objects import (
     MODE,
     MODE_DISPLAY,
     OUTPUTS,
-    PROFILE_VELOCITY,
     STATUSWORD,
-    TARGET,
     VELOCITY,
     DictionaryObject,
 )
+from adapters.cia402.canopen.pdos import PdoLayout
 from adapters.cia402.canopen.sdo import SdoClient, bus_off_fault
 from adapters.cia402.canopen.states import DriveState, drive_state_of
 from adapters.cia402.canopen.waits import StateWaits
 from adapters.cia402.canopen.words import emergency_text
 from adapters.contract import NULL_LOG
-from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.link.can import CanFrame
 from orchestrator.model.errors import Refusal
@@ -56,6 +56,10 @@ class BusDrive:
         self.has_outputs = outputs
         self.followed: DictionaryObject | None = None
         """The object of the positions that are streamed to it; None: none are, so RPDO 4 carries its ramps."""
+        self.layout = PdoLayout()
+        """Its PDOs, once it is known what it can map."""
+        self.commanded = CommandedPosition(0)
+        """Its commanded position, of a drive that does not report it."""
         self.given = 0
         """The position that it was given last: one that waits for a SYNC is overwritten with it."""
         self.answer = SyncAnswer(0, 0, 0)
@@ -107,6 +111,16 @@ class BusDrive:
         return self.state is DriveState.ENABLED
 
     @property
+    def has_equal_ramps(self) -> bool:
+        """Whether it has one ramp for both (6083h), and no 6084h."""
+        return DECELERATION in self.layout.absent
+
+    @property
+    def braking_ramp(self) -> DictionaryObject:
+        """Return the object by which it brakes."""
+        return ACCELERATION if self.has_equal_ramps else DECELERATION
+
+    @property
     def switches_with_positions(self) -> bool:
         """Whether its outputs travel with the positions of a stream, and not with the controlword at a SYNC."""
         return self.has_outputs and self.followed is not None
@@ -118,21 +132,10 @@ class BusDrive:
         self.heard_ns = at_ns
         if function == SDO_ANSWER:
             self.sdo.handle_answer(data, at_ns)
-        elif function == TPDO[0] and len(data) == STATUSWORD.byte_size + MODE_DISPLAY.byte_size:
-            self.handle_status(STATUSWORD.decode(data), at_ns)
-            self.mode = MODE_DISPLAY.decode(data[2:])
-        elif function == TPDO[1] and len(data) == DEMAND.byte_size + ACTUAL.byte_size:
-            demand = DEMAND.decode(data)
-            if demand != self.demand:
-                if at_ns - self.moved_ns < _TOGETHER * self.inhibit_ns:
-                    self.running_ns = at_ns
-                self.moved_ns = at_ns
-            self.demand, self.actual, self.state_ns = demand, ACTUAL.decode(data[4:]), at_ns
-            if self.positions is not None:
-                self.positions.append((at_ns, self.actual))
-        elif function == TPDO[2] and len(data) == INPUTS.byte_size + VELOCITY.byte_size:
-            self.inputs, self.velocity = INPUTS.decode(data), VELOCITY.decode(data[4:])
-        elif function == TPDO[3] and len(data) == STATUSWORD.byte_size + DEMAND.byte_size:
+        elif (reading := self.layout.readings.get(function)) is not None:
+            if len(data) == reading.byte_size:
+                self._take_values(reading.decode(data), at_ns)
+        elif function == TPDO[3] and self.layout.answer and len(data) == STATUSWORD.byte_size + DEMAND.byte_size:
             # It may have waited for the bus longer than other messages: it does not show the present state.
             self.answer = SyncAnswer(at_ns, STATUSWORD.decode(data), DEMAND.decode(data[2:]))
         elif function == EMCY and len(data) == 8:
@@ -140,6 +143,31 @@ class BusDrive:
         elif function == HEARTBEAT and len(data) == 1:
             self._handle_heartbeat(data[0], at_ns)
         self.wake_waiting()
+
+    def _take_values(self, values: Mapping[DictionaryObject, int], at_ns: int) -> None:
+        status = values.get(STATUSWORD)
+        if status is not None:
+            self.handle_status(status, at_ns)
+        self.mode = values.get(MODE_DISPLAY, self.mode)
+        self.inputs = values.get(INPUTS, self.inputs)
+        self.velocity = values.get(VELOCITY, self.velocity)
+        actual = values.get(ACTUAL)
+        if actual is not None:
+            self._take_position(actual, values.get(DEMAND), at_ns)
+
+    def _take_position(self, actual: int, demand: int | None, at_ns: int) -> None:
+        """Handle its position. demand: None for a drive that does not report it."""
+        if demand is None:
+            demand = self.commanded.estimate(actual)
+        if demand != self.demand:
+            if at_ns - self.moved_ns < _TOGETHER * self.inhibit_ns:
+                self.running_ns = at_ns
+            self.moved_ns = at_ns
+        if VELOCITY not in self.layout.reported and at_ns > self.state_ns:
+            self.velocity = round((actual - self.actual) * NS_PER_S / (at_ns - self.state_ns))
+        self.demand, self.actual, self.state_ns = demand, actual, at_ns
+        if self.positions is not None:
+            self.positions.append((at_ns, actual))
 
     def handle_status(self, status: int, at_ns: int) -> None:
         """Handle a statusword from any source."""
@@ -231,22 +259,6 @@ class BusDrive:
         """Return a controlword that takes effect with the next SYNC; with outputs, where these travel with it."""
         output_data = b"" if self.switches_with_positions else self._output_bytes(outputs)
         return CanFrame(RPDO[0] + self.number, CONTROLWORD.encode(control) + output_data)
-
-    async def load_set_point(self, target: int, velocity: int, acceleration: int, deceleration: int) -> None:
-        """Load a target with its profile, all in the drive's units; a controlword starts the motion.
-
-        Raises like `SdoClient.write_value`.
-        """
-        number = self.number
-        goal = CanFrame(RPDO[2] + number, TARGET.encode(target) + PROFILE_VELOCITY.encode(velocity))
-        if self.followed is None:
-            ramps = CanFrame(RPDO[3] + number, ACCELERATION.encode(acceleration) + DECELERATION.encode(deceleration))
-            self.bus.send_frames(goal, ramps)
-        else:
-            await self.sdo.write_value(ACCELERATION, acceleration)
-            await self.sdo.write_value(DECELERATION, deceleration)
-            self.give_position(target)
-            self.bus.send_frames(goal)
 
     def give_position(self, counts: int) -> None:
         """Overwrite the position that waits for a SYNC, of a drive whose outputs travel with it: no older one must come

@@ -1,5 +1,6 @@
 """Objects of CiA 301 and CiA 402 that the adapter reads, writes and maps, with their names in the standards."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 
@@ -119,6 +120,8 @@ ACCELERATION_MAX = DictionaryObject(0x60C5, 0, 32, "max acceleration")
 DECELERATION_MAX = DictionaryObject(0x60C6, 0, 32, "max deceleration")
 SUPPORTED_MODES = DictionaryObject(0x6502, 0, 32, "supported drive modes")
 
+MILLISECONDS = -3
+"""The unit of `PERIOD`, by `PERIOD_INDEX`."""
 PROFILE_POSITION_MODE = 1
 HOMING_MODE = 6
 INTERPOLATED_MODE = 7
@@ -133,3 +136,24 @@ FIRST_POINT_BIT = 16
 def point_bit(number: int) -> int:
     """Return the bit of input or output `number`."""
     return 1 << (FIRST_POINT_BIT + number - 1)
+
+
+def _list_objects() -> Iterator[DictionaryObject]:
+    for value in list(globals().values()):
+        if isinstance(value, DictionaryObject):
+            yield value
+        elif isinstance(value, tuple):
+            yield from (entry for entry in value if isinstance(entry, DictionaryObject))  # pyright: ignore[reportUnknownVariableType]
+
+
+BY_ADDRESS = {(entry.index, entry.sub): entry for entry in _list_objects()}
+"""The objects above, by index and sub-index."""
+
+
+def read_mapping_entry(entry: int) -> DictionaryObject:
+    """Return the object of an entry in a mapping parameter object; one that the adapter does not use has no name."""
+    index, sub, bits = entry >> 16, entry >> 8 & 0xFF, entry & 0xFF
+    known_object = BY_ADDRESS.get((index, sub))
+    if known_object is not None and known_object.bits == bits:
+        return known_object
+    return DictionaryObject(index, sub, bits, "another object")

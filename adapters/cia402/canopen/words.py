@@ -33,8 +33,14 @@ ABORTS = {
     0x0800_0023: "object dictionary generation failed, or no object dictionary is present",
     0x0800_0024: "no data available",
 }
-NOT_THERE = frozenset({0x0602_0000, 0x0609_0011})
+NO_OBJECT = 0x0602_0000
+NO_SUBINDEX = 0x0609_0011
+NOT_THERE = frozenset({NO_OBJECT, NO_SUBINDEX})
 """Abort codes of a device without the object."""
+WRITE_ONLY, READ_ONLY = 0x0601_0001, 0x0601_0002
+FIXED = frozenset({READ_ONLY, 0x0601_0000})
+"""Abort codes of a mapping that cannot be changed."""
+NOT_MAPPABLE = 0x0604_0041
 WRONG_STATE = 0x0800_0022
 TIMED_OUT = 0x0504_0000
 

@@ -34,10 +34,11 @@ class DriveUnits:
 
 @dataclass(frozen=True, slots=True)
 class DriveBounds:
-    """Limits of an axis: counts/s, counts/s²."""
+    """Limits of an axis: counts/s, counts/s². equal_ramps: the drive has one number for both ramps."""
 
     velocity: float
     acceleration: float
+    equal_ramps: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +101,11 @@ class _MoveGoal(NamedTuple):
 
 
 class DriveLimits(NamedTuple):
-    """The largest allowed numbers, in the drive's units."""
+    """The largest allowed numbers, in the drive's units. equal_ramps: both ramps have one number."""
 
     velocity: int
     acceleration: int
+    equal_ramps: bool
 
     @classmethod
     def from_bounds(cls, bounds: DriveBounds, units: DriveUnits) -> "DriveLimits":
@@ -111,7 +113,9 @@ class DriveLimits(NamedTuple):
             return min(WORD_MAX, floor(limit * (1 + 1e-9)))
 
         return cls(
-            largest_number(bounds.velocity * units.velocity), largest_number(bounds.acceleration * units.acceleration)
+            largest_number(bounds.velocity * units.velocity),
+            largest_number(bounds.acceleration * units.acceleration),
+            bounds.equal_ramps,
         )
 
 
@@ -133,14 +137,22 @@ def _trapezoid_candidates(
         if inverse <= 0:
             continue
         for acceleration in _numbers_around(2 / inverse * units.acceleration, reach, 1, most.acceleration):
-            inverse_rest = inverse - units.acceleration / acceleration
-            if inverse_rest > 0:
-                exact = units.acceleration / inverse_rest
-                for deceleration in {floor(exact), ceil(exact)}:
-                    if 1 <= deceleration <= most.acceleration:
-                        yield make_trapezoid(velocity, acceleration, deceleration)
+            for deceleration in _fit_decelerations(
+                acceleration, inverse - units.acceleration / acceleration, most, units
+            ):
+                yield make_trapezoid(velocity, acceleration, deceleration)
     yield make_trapezoid(most.velocity, most.acceleration, most.acceleration)  # the fastest allowed move
     yield make_trapezoid(1, 1, 1)  # and the slowest possible one
+
+
+def _fit_decelerations(acceleration: int, inverse_rest: float, most: DriveLimits, units: DriveUnits) -> list[int]:
+    """Return the decelerations that may keep the duration. inverse_rest: of the exact one, s²/count."""
+    if most.equal_ramps:
+        return [acceleration]
+    if inverse_rest <= 0:
+        return []
+    exact = units.acceleration / inverse_rest
+    return [number for number in {floor(exact), ceil(exact)} if 1 <= number <= most.acceleration]
 
 
 def _numbers_around(exact: float, reach: int, least: int, most: int) -> list[int]:

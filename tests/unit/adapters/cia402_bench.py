@@ -27,7 +27,11 @@ SYNC = 0x080
 
 
 def config(
-    node: int, options: Mapping[str, Any] | None = None, outputs: Mapping[str, Any] | None = None, **axis: Any
+    node: int,
+    options: Mapping[str, Any] | None = None,
+    outputs: Mapping[str, Any] | None = None,
+    inputs: Mapping[str, Any] | None = None,
+    **axis: Any,
 ) -> Controller:
     return Controller.model_validate(
         {
@@ -35,6 +39,7 @@ def config(
             "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": node},
             "options": dict(options or {}),
             "outputs": dict(outputs or {}),
+            "inputs": dict(inputs or {}),
             "axes": {
                 "a": {
                     "motors": ["1"],

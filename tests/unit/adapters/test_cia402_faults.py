@@ -142,7 +142,7 @@ def test_bus_off_in_a_move_is_reported_and_a_stop_is_sent_again_afterwards() -> 
     run(main)
 
 
-@pytest.mark.parametrize("without", ["6062", "6083", "60FD"])
+@pytest.mark.parametrize("without", ["6064", "6083", "607A"])
 def test_an_object_that_cannot_be_mapped_is_named(without: str) -> None:
     async def main(world: Drives) -> None:
         with pytest.raises(ControllerFault) as caught:
@@ -321,7 +321,7 @@ def test_the_eds_file_of_another_product_is_detected(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[6062]", "[5062]", "no position demand value"),
+        ("[6064]", "[5064]", "no position actual value"),
         ("[DeviceInfo]", "rubbish [DeviceInfo", "cannot be read"),
         ("", "", "cannot be read"),
     ],
@@ -330,7 +330,7 @@ def test_an_eds_file_that_is_not_enough_is_refused_offline(tmp_path: Path, old: 
     other = tmp_path / "other.eds"
     if old:
         text = _EDS.read_text()
-        other.write_text(new + "\n" + text if words != "no position demand value" else text.replace(old, new))
+        other.write_text(new + "\n" + text if words != "no position actual value" else text.replace(old, new))
     with pytest.raises(ValueError, match=words):
         MAKE.check_config(config(1, {"eds": str(other)}))
 

@@ -6,28 +6,19 @@ from typing import Any
 
 import pytest
 from unit.adapters.cia402_bench import Drives, config, run
+from unit.adapters.cia402_shapes import EDS as _EDS
+from unit.adapters.cia402_shapes import without as leave_out
 
 from adapters.cia402 import MAKE
 from orchestrator.clock.base import NS_PER_MS
-from sim import cia402
 
-_EDS = Path(cia402.__file__).with_name("drive.eds")
 _OPTIONAL = ("605A", "605B", "605C", "605D", "605E", "6065", "6066", "607C", "607D", "6085", "6086", "609A")
-
-
-def eds_without(*objects: str) -> str:
-    """Return the drive's EDS file without these objects."""
-    text = _EDS.read_text()
-    for each in objects:
-        text = re.sub(rf"(?s)\[{each}(sub\w+)?\].*?(?=\n\[|$)", "", text)
-        text = re.sub(rf"\n\d+=0x{each}\b", "", text, flags=re.IGNORECASE)
-    return text
 
 
 @pytest.mark.parametrize("without", [("605A",), _OPTIONAL])
 def test_a_drive_without_optional_objects_is_homed_moved_and_stopped(without: tuple[str, ...], tmp_path: Path) -> None:
     file = tmp_path / "drive.eds"
-    file.write_text(eds_without(*without))
+    file.write_text(leave_out(*without)(_EDS.read_text()))
 
     async def main(world: Drives) -> None:
         driver = world.driver
@@ -95,8 +86,8 @@ def test_a_file_that_is_no_eds_file_is_named(content: bytes, tmp_path: Path) -> 
     [
         ("1000", {}, {}),
         ("1017", {}, {}),
-        ("6098", {}, {}),
-        ("1602", {}, {}),
+        ("6098", {}, {"homing": {"method": "23"}}),
+        ("1601", {}, {}),
         ("1801", {}, {}),
         ("6085", {"quick_stop_acceleration": 1000.0}, {}),
         ("1016", {"watchdog_ms": 500}, {}),
@@ -110,7 +101,7 @@ def test_an_object_that_will_be_touched_is_missed_offline(
     missing: str, options: dict[str, Any], axis: dict[str, Any], tmp_path: Path
 ) -> None:
     file = tmp_path / "drive.eds"
-    file.write_text(eds_without(missing))
+    file.write_text(leave_out(missing)(_EDS.read_text()))
     with pytest.raises(ValueError, match=f"{missing}h"):
         MAKE.check_config(config(1, {"eds": str(file), **options}, **axis))
 
