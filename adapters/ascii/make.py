@@ -55,6 +55,7 @@ class AsciiMake:
     """Controllers with simple text lines that a file describes: started by the host, moving in trapezoids."""
 
     api_version = API_VERSION
+    searches_by_direction = True
 
     @property
     def name(self) -> str:
