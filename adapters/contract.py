@@ -759,7 +759,8 @@ class Make(Protocol):
     """One make and model that can be driven: the object that an entry point of group `tutti.adapters` names.
 
     Optional: `make_decoder(options)` returns an `adapters.toolkit.frames.FrameDecoder` for `tutti trace`, made for a
-    controller with these options; without it the trace shows text.
+    controller with these options; without it the trace shows text. `searches_by_direction = True`: a search for the
+    reference goes in `homing.direction` and ends at a switch, so that soft limits beyond it are a mistake of the file.
     """
 
     @property

@@ -1,16 +1,17 @@
 """The description of a controller with text lines: a YAML file."""
 
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from adapters.ascii.patterns import LinePattern
 from adapters.toolkit.lines.dialect import LineState
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.jobs.files import FileError, parse_file, read_file
+from orchestrator.model.jobs.files import FileError, LoadedFile, read_file, require_mapping, validate_value
 
 PACKAGED = Path(__file__).with_name("descriptions")
 
@@ -56,7 +57,8 @@ class QueryText(_Part):
 
 
 class IdentityText(QueryText):
-    """Groups: model, firmware, serial; only one of them must exist."""
+    """Groups: model, firmware, serial, from all lines of the reply; only the model must be known. A line with the group
+    `other` is that of a controller that needs another description: its name."""
 
     model: str = Field(default="", description="The model, if the reply does not name it.")
 
@@ -71,7 +73,10 @@ class StatusText(QueryText):
     """Groups: `positions`, separated by commas, in the order of `motors`; `state`, or `flags` with a number of bits for
     each motor; perhaps `free`, the free bytes of the receive buffer."""
 
-    states: dict[str, LineState] = Field(default={}, description="What each value of the group `state` means.")
+    states: dict[str, LineState] = Field(
+        default={},
+        description="What each value of the group `state` means; `Run` also is `Run:2`, unless that is named.",
+    )
     moving_bit: int = Field(default=0, ge=0, description="Value of the bit of `flags` that means: it moves.")
     forward_bit: int = Field(default=0, ge=0, description="Of the limit switch in forward direction.")
     reverse_bit: int = Field(default=0, ge=0)
@@ -102,11 +107,16 @@ class SessionText(QueryText):
 
 class SettingText(QueryText):
     """A stored setting that must have a value. Group: value. `{index}` in `match` is the number of the motor, from 0;
-    then it is compared for each axis."""
+    then it is compared for each axis, and so it is with `bit: motor`."""
 
     item: str
     match: str
-    value: float | Literal["scale", "acceleration", "velocity_per_minute"]
+    value: float | Literal["scale", "acceleration", "velocity_per_minute", "searches_backwards"] = Field(
+        description="A number, or what the fleet file states; searches_backwards: 1 for a search towards lower counts."
+    )
+    bit: Annotated[int, Field(ge=0, le=62)] | Literal["motor"] | None = Field(
+        default=None, description="Compare only this bit, as 0 or 1; `motor`: that of the motor's number, from 0."
+    )
     is_minimum: bool = False
     remedy: str
 
@@ -115,6 +125,9 @@ class Description(_Part):
     """Commands, reply patterns, units, status and timing of a controller."""
 
     schema_: Literal["tutti.ascii/1"] = Field(alias="schema")
+    extends: str | None = Field(
+        default=None, description="A description that comes with Tutti: what this file leaves out is that of it."
+    )
     name: str
     motors: list[str] = Field(min_length=1, max_length=32)
     positions: Literal["units", "counts"] = Field(description="What it speaks in: units of the axis, or counts.")
@@ -149,6 +162,21 @@ class Description(_Part):
     clear_alarm: list[StepText] = Field(default=[])
     reference: float = Field(default=0.0, description="Position that the controller has at the reference.")
 
+    _files: tuple[LoadedFile, ...] = PrivateAttr(default=())
+
+    def locate_fields(self, files: tuple[LoadedFile, ...]) -> Self:
+        """Note the files in which it is written: its own, then what that extends."""
+        self._files = files
+        return self
+
+    def find_place(self, *field: str | int) -> str:
+        """Where a field of it is written, for messages: file, line and field, e.g. `grbl.yaml:33: session`."""
+        file = next((file for file in self._files if _is_written(file, field)), None)
+        if file is None:
+            return ".".join(map(str, field))
+        problem = file.problem(field, "")
+        return f"{Path(file.name).name}:{problem.line}: {problem.field}"
+
     @model_validator(mode="after")
     def _check_texts(self) -> "Description":
         allowed_names = {
@@ -175,6 +203,17 @@ def _check_names(field: str, text: str, allowed: set[str]) -> None:
         raise ValueError(f"{field}: {text!r} has an unknown name {error}; known are {names}") from None
 
 
+def _is_written(file: LoadedFile, field: Sequence[str | int]) -> bool:
+    """Return whether a file has a field itself."""
+    value: Any = file.root.value
+    for part in field:
+        try:
+            value = value[part]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return True
+
+
 @cache
 def load_description(name: str) -> Description:
     """Return the description of a packaged name or a path. Raises `DescriptionError`.
@@ -187,9 +226,35 @@ def load_description(name: str) -> Description:
         known_names = ", ".join(packaged_names())
         raise DescriptionError(f"{name[:200]} is no file; give the path of a description, or one of {known_names}")
     try:
-        return parse_file(read_file(path), Description)
+        return _parse_description(read_file(path))
     except FileError as error:
         raise DescriptionError(str(error)) from None
+
+
+def _parse_description(file: LoadedFile) -> Description:
+    """Make a description of what was read, and of what it extends. Raises `FileError`."""
+    require_mapping(file, Description)
+    files = [file]
+    value: dict[str, Any] = file.root.value
+    while (name := files[-1].root.value.get("extends")) is not None:
+        if name not in packaged_names():
+            known_names = ", ".join(packaged_names())
+            raise FileError([files[-1].problem(("extends",), f"{name!r:.200} is none of {known_names}")])
+        files.append(read_file(PACKAGED / f"{name}.yaml"))
+        value = _merge(files[-1].root.value, value)
+    description, problems = validate_value(value, Description)
+    if description is None:
+        raise FileError(file.problem(problem.place, problem.text) for problem in problems)
+    return description.locate_fields(tuple(files))
+
+
+def _merge(base: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of both; those of a mapping one by one, anything else whole."""
+    union = {**base, **own}
+    for name, value in own.items():
+        if isinstance(value, dict) and isinstance(base.get(name), dict):
+            union[name] = _merge(base[name], cast("dict[str, Any]", value))
+    return union
 
 
 def packaged_names() -> list[str]:

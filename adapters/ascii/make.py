@@ -19,22 +19,22 @@ from orchestrator.model.plugins import API_VERSION
 _EXAMPLE = """\
 adapter: ascii
 link: {{kind: serial, device: /dev/ttyUSB{port}}}
-options: {{description: grbl}} # or scpi-stage, or the path of a description of your own
+options: {{description: grbl}} # or grblhal, scpi-stage, or the path of a description of your own
 axes:
   x:
     motors: [X] # X, Y or Z
     unit: mm
     scale: 250 # steps per mm, compared with $100
-    soft_limits: {{min: 0, max: 180}}
+    soft_limits: {{min: -180, max: 0}} # from 0, where homing ends, away from the switch, which is in positive direction
     limits: {{velocity: 8 mm/s, acceleration: 10 mm/s²}} # compared with $110 and $120
-    homing: {{timeout_s: 90}}
+    homing: {{direction: positive, timeout_s: 90}} # compared with $23
   y:
     motors: [Y]
     unit: mm
     scale: 250
-    soft_limits: {{min: 0, max: 180}}
+    soft_limits: {{min: -180, max: 0}}
     limits: {{velocity: 8 mm/s, acceleration: 10 mm/s²}}
-    homing: {{timeout_s: 90}}
+    homing: {{direction: positive, timeout_s: 90}}
 """
 
 
@@ -55,6 +55,7 @@ class AsciiMake:
     """Controllers with simple text lines that a file describes: started by the host, moving in trapezoids."""
 
     api_version = API_VERSION
+    searches_by_direction = True
 
     @property
     def name(self) -> str:

@@ -8,9 +8,10 @@ from typing import Any, cast
 from adapters.contract import ConfigError, Make, validate_options
 from adapters.host.unusable import UnusableMake
 from adapters.toolkit.frames import FrameDecoder, TextDecoder
-from orchestrator.model.fleet import Controller, Fleet, SerialLink
+from orchestrator.model.fleet import Axis, Controller, Fleet, SerialLink
 from orchestrator.model.plugins import PluginError, PluginListing, list_plugins, load_plugin, plugin_names
 from orchestrator.model.problems import Problem
+from orchestrator.model.units import find_dimension
 
 # What a plug-in must have. A make of another project need not derive from `Make`.
 _MEMBERS = (
@@ -102,7 +103,29 @@ def find_controller_problems(name: str, config: Controller, *, tolerant: bool = 
         texts += error.texts
     except ValueError as error:  # of a make outside this project
         texts.append(str(error))
+    if getattr(make, "searches_by_direction", False):
+        texts += [_explain_side(axis_name, axis) for axis_name, axis in config.axes.items() if _is_beyond_switch(axis)]
     return [_locate_problem(own, text) for text in dict.fromkeys(texts)]
+
+
+def _is_beyond_switch(axis: Axis) -> bool:
+    """Return whether all that the soft limits allow is on the far side of the home switch: the search ends at 0. A
+    rotary axis may pass its switch."""
+    limits = axis.soft_limits_counts
+    if limits is None or axis.kind == "rotary" or find_dimension(axis.unit) == "angle" or axis.homing.method == "here":
+        return False
+    return limits[1] <= 0 if axis.homing_sign < 0 else limits[0] >= 0
+
+
+def _explain_side(name: str, axis: Axis) -> str:
+    limits, direction = axis.soft_limits, axis.homing.direction
+    assert limits is not None
+    reverse, side = ("positive", "above") if direction == "negative" else ("negative", "below")
+    return (
+        f"axes.{name}.soft_limits: {limits.min} to {limits.max} lies beyond the home switch: the search goes in "
+        f"{direction} direction and ends at 0, with the travel {side} it. Correct the range, or state `homing: "
+        f"{{direction: {reverse}}}`"
+    )
 
 
 _FIELD = re.compile(r"([a-z_][\w.-]*): ")

@@ -40,6 +40,7 @@ class PpSmcMake:
     """
 
     api_version = API_VERSION
+    searches_by_direction = True
 
     @property
     def name(self) -> str:

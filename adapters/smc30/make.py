@@ -35,6 +35,7 @@ class Smc30Make:
     """JVL SMC30B and SMC30C over a serial port, alone or up to seven on one, or a controller behind a TCP bridge."""
 
     api_version = API_VERSION
+    searches_by_direction = True
 
     @property
     def name(self) -> str:

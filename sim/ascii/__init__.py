@@ -1,4 +1,4 @@
-"""Simulated controllers with simple text lines: GRBL 1.1, and a stage in the manner of SCPI."""
+"""Simulated controllers with simple text lines: GRBL 1.1, grblHAL, and a stage in the manner of SCPI."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
@@ -6,8 +6,9 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from orchestrator.clock.base import Clock
-from orchestrator.model.fleet import Controller
+from orchestrator.model.fleet import Axis, Controller
 from sim.ascii.grbl import GrblController, GrblMachine
+from sim.ascii.grbl_family import GRBL, GRBLHAL, GrblFamily
 from sim.ascii.scpi import ScpiStage, StageMachine
 from sim.core.commissioning import search_distance, span_counts
 from sim.core.controller import FirmwareTiming
@@ -15,6 +16,8 @@ from sim.core.lines import LineController, LineDevice
 from sim.core.oscillator import Oscillator
 
 _GRBL_MOTORS = "XYZ"
+_FAMILIES: Mapping[str, GrblFamily] = {"grbl": GRBL, "grblhal": GRBLHAL}
+_PULL_OFF_MM = 1.0  # $27, and where the fleet file says nothing else minus the position at the reference
 
 
 class AsciiOptions(BaseModel):
@@ -22,7 +25,7 @@ class AsciiOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    model: Literal["grbl", "scpi-stage"] = "grbl"
+    model: Literal["grbl", "grblhal", "scpi-stage"] = "grbl"
     settings: dict[str, float] = Field(default={}, description="GRBL: values of its settings, by number, e.g. '120'.")
     switch_counts: dict[str, int] = Field(
         default={}, description="Where the reference switches are, from the position at power-up, by motor."
@@ -92,26 +95,38 @@ class AsciiSimulator:
         switches = {motor: axis.homing_sign * search_distance(axis) for motor, axis in axes.items()}
         speeds = [axis.homing.speed or axis.limits.velocity / 10 for axis in axes.values()]
         options: dict[str, Any] = {"model": model, "switch_counts": switches, "search_speed": min(speeds)}
-        if model != "grbl":
+        if model not in _FAMILIES:
             return {**options, "counts_per_unit": {motor: float(axis.scale) for motor, axis in axes.items()}}
-        settings = {"10": 3.0, "22": 1.0}
-        for motor, axis in axes.items():
-            number = _GRBL_MOTORS.index(motor)
-            settings |= {
-                f"10{number}": float(axis.scale),
-                f"11{number}": axis.limits.velocity * 60,
-                f"12{number}": axis.limits.acceleration,
-                f"13{number}": span_counts(axis) / float(axis.scale),
-            }
-        return {**options, "settings": settings}
+        return {**options, "settings": _make_settings(axes, dict(expected.get("reference", {})))}
 
     def vector_bench(self, clock: Clock, options: Mapping[str, object]) -> AsciiBench:
         """Build a controller whose firmware takes no time."""
         return AsciiBench(self.build_controller(clock, options), (b"error:", b"-"))
 
 
+def _make_settings(axes: Mapping[str, Axis], references: Mapping[str, float]) -> dict[str, float]:
+    """The settings of GRBL for a machine. axes, references (machine positions after homing, mm): by motor."""
+    settings = {"10": 3.0, "22": 1.0, "23": 0.0, "27": _PULL_OFF_MM}
+    for motor, axis in axes.items():
+        number = _GRBL_MOTORS.index(motor)
+        settings |= {
+            f"10{number}": float(axis.scale),
+            f"11{number}": axis.limits.velocity * 60,
+            f"12{number}": axis.limits.acceleration,
+            f"13{number}": span_counts(axis) / float(axis.scale),
+        }
+        if axis.homing_sign < 0:
+            settings["23"] += 1 << number
+            if motor in references:
+                settings[f"13{number}"] = settings["27"] - references[motor]
+        else:
+            settings["27"] = -references.get(motor, -_PULL_OFF_MM)
+    return settings
+
+
 def _build_grbl(options: AsciiOptions, device: LineDevice) -> LineController:
-    machine = GrblMachine(options.switch_counts, options.search_speed, options.startup_ms)
+    family = _FAMILIES[options.model]
+    machine = GrblMachine(family, options.switch_counts, options.search_speed, options.startup_ms)
     return GrblController(device, {int(number): value for number, value in options.settings.items()}, machine)
 
 
@@ -122,6 +137,7 @@ def _build_stage(options: AsciiOptions, device: LineDevice) -> LineController:
 
 _BUILDERS: dict[str, Callable[[AsciiOptions, LineDevice], LineController]] = {
     "grbl": _build_grbl,
+    "grblhal": _build_grbl,
     "scpi-stage": _build_stage,
 }
 

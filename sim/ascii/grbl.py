@@ -1,5 +1,5 @@
-"""A simulated GRBL 1.1, read from its wiki and its source (https://github.com/gnea/grbl, v1.1): protocol.c, system.c,
-gcode.c, motion_control.c, limits.c, report.c.
+"""A simulated GRBL 1.1 or grblHAL, read from wiki and source (https://github.com/gnea/grbl, v1.1;
+https://github.com/grblHAL/core): protocol.c, system.c, gcode.c, motion_control.c, limits.c, report.c.
 
 Counts are steps from the position that the controller has after homing: the register is then zero at the reference.
 """
@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from math import sqrt
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.model.errors import TuttiError
+from sim.ascii.grbl_family import AXES, GrblFamily, GrblRefusal, format_setting, read_words
 from sim.core.controller import LimitSwitch
 from sim.core.lines import LineController, LineDevice, LineFirmware
 
-GREETING = "\r\nGrbl 1.1h ['$' for help]\r\n"
-RX_BYTES = 128  # serial.h: RX_BUFFER_SIZE
-AXES = ("X", "Y", "Z")
 # defaults.h: generic machine.
 DEFAULTS: Mapping[int, float] = {
     0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.010, 12: 0.002, 13: 0, 20: 0, 21: 0, 22: 0, 23: 0,
@@ -24,22 +21,14 @@ DEFAULTS: Mapping[int, float] = {
     100: 250.0, 101: 250.0, 102: 250.0, 110: 500.0, 111: 500.0, 112: 500.0,
     120: 10.0, 121: 10.0, 122: 10.0, 130: 200.0, 131: 200.0, 132: 200.0,
 }  # fmt: skip
-_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
-_GCODES = {"G0", "G1", "G17", "G21", "G53", "G54", "G90", "G94"}  # of the blocks that move here; others are refused
-
-
-class _LineRefused(TuttiError):
-    """A line that is answered `error:` with a number (report.h)."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(str(number))
-        self.number = number
+_SEARCH_SCALAR = 1.5  # limits.c: HOMING_AXIS_SEARCH_SCALAR, of the maximum travel
 
 
 @dataclass(frozen=True, slots=True)
 class GrblMachine:
-    """What surrounds the controller. switch_counts: by motor, steps from power-up. search_speed: mm/s."""
+    """The firmware, and what surrounds it. switch_counts: by motor, steps from power-up. search_speed: mm/s."""
 
+    family: GrblFamily
     switch_counts: Mapping[str, int]
     search_speed: float
     startup_ms: int
@@ -50,15 +39,17 @@ class GrblController(LineController):
 
     def __init__(self, device: LineDevice, settings: Mapping[int, float], machine: GrblMachine) -> None:
         super().__init__(AXES, device)
-        self.firmware = LineFirmware(startup_ms=machine.startup_ms, longest_line=RX_BYTES)
+        self._family = family = machine.family
+        self.firmware = LineFirmware(startup_ms=machine.startup_ms, longest_line=family.rx_bytes)
         self.settings = {**DEFAULTS, **settings}
         self._machine = machine
         self._state = "Alarm" if self.settings[22] else "Idle"  # main.c: HOMING_INIT_LOCK
         self._is_suspended = False
         self._motion = ""
-        self._tool = 0
+        self._modal: dict[str, float] = {"T": 0.0, "F": 0.0, "S": 0.0}
         self._planned: list[tuple[dict[str, float], float]] = []
         self._homing_reply: Callable[[str], None] | None = None
+        self._is_search_vain = False
         self._generation = 0
         for axis in self.axes.values():
             axis.set_position(self._home_steps(axis.name))
@@ -67,8 +58,12 @@ class GrblController(LineController):
         return self.settings[100 + AXES.index(axis)]
 
     def _home_steps(self, axis: str) -> float:
-        """Counts of machine position 0: the reference has minus the pull-off (limits.c: limits_go_home)."""
-        return round(self.settings[27] * self._steps_per_mm(axis))
+        """Counts of machine position 0 (limits.c: limits_go_home): the reference has minus the pull-off, after a search
+        in negative direction ($23) the pull-off minus the maximum travel."""
+        index, pull_off = AXES.index(axis), self.settings[27]
+        is_negative = int(self.settings[23]) >> index & 1
+        reference = pull_off - self.settings[130 + index] if is_negative else -pull_off
+        return round(-reference * self._steps_per_mm(axis))
 
     def _to_mm(self, axis: str, counts: float) -> float:
         return round(counts - self._home_steps(axis)) / self._steps_per_mm(axis)
@@ -85,11 +80,12 @@ class GrblController(LineController):
                 axis.set_position(self._home_steps(axis.name))
 
     def greet(self) -> str:
-        return GREETING + ("[MSG:'$H'|'$X' to unlock]\r\n" if self._state == "Alarm" else "")
+        return self._family.greeting + ("[MSG:'$H'|'$X' to unlock]\r\n" if self._state == "Alarm" else "")
 
     def _reset(self, state: str) -> None:
         self._generation += 1
-        self._state, self._is_suspended, self._motion, self._tool = state, False, "", 0
+        self._state, self._is_suspended, self._motion = state, False, ""
+        self._modal = dict.fromkeys(self._modal, 0.0)  # gcode.c: gc_init
         self._planned.clear()
         self._homing_reply = None
         self.discard_received()
@@ -113,7 +109,7 @@ class GrblController(LineController):
     def take_immediate(self, data: bytes, reply: Callable[[str], None]) -> bytes:
         line = bytearray()
         for byte in data:
-            match byte:
+            match self._family.bytes_at_once.get(byte):
                 case 0x3F if self._motion != "home":  # limits.c: no time for reports while it searches
                     reply(self._make_report(len(line)))
                 case 0x3F:
@@ -128,8 +124,10 @@ class GrblController(LineController):
                 case 0x85:
                     if self._motion == "jog":
                         self._brake_all()
-                case _:
+                case _ if byte < 0x80:
                     line.append(byte)
+                case _:
+                    pass
         return bytes(line)
 
     def _hold(self) -> None:
@@ -149,6 +147,7 @@ class GrblController(LineController):
         if not self._is_suspended or any(axis.is_moving for axis in self.axes.values()):
             return
         self._is_suspended = False
+        self.send_to_all(self._family.message)
         self._run_planned()
         self.parse_again()
 
@@ -167,9 +166,9 @@ class GrblController(LineController):
         positions = ",".join(f"{self._to_mm(name, axis.position):.3f}" for name, axis in self.axes.items())
         buffer = ""
         if int(self.settings[10]) & 2:
-            blocks = 15 - len(self._planned) - bool(self._motion)
-            buffer = f"|Bf:{blocks},{RX_BYTES - self.waiting_bytes() - following}"
-        return f"<{state}|MPos:{positions}{buffer}|FS:0,0>\r\n"
+            blocks = self._family.blocks - len(self._planned) - bool(self._motion)
+            buffer = f"|Bf:{blocks},{self._family.rx_bytes - self.waiting_bytes() - following}"
+        return f"<{state}|MPos:{positions}{buffer}{self._family.feed}>\r\n"
 
     # Lines
 
@@ -181,11 +180,11 @@ class GrblController(LineController):
             elif not text:
                 reply("ok\r\n")
             elif self._state == "Alarm" or self._motion == "jog":
-                raise _LineRefused(9)
+                raise GrblRefusal(9)
             else:
                 self._execute_block(text)
                 reply("ok\r\n")
-        except _LineRefused as error:
+        except GrblRefusal as error:
             reply(f"error:{error.number}\r\n")
 
     def _execute_system(self, text: str, reply: Callable[[str], None]) -> None:
@@ -194,27 +193,23 @@ class GrblController(LineController):
         if text == "$":
             reply("[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n")
         elif text == "$G":
-            reply(f"[GC:G0 G54 G17 G21 G90 G94 M5 M9 T{self._tool} F0 S0]\r\n")
+            reply(self._family.format_modes(self._modal))
         elif text.startswith("$J="):
             self._start_jog(text[3:])
         elif busy:
-            raise _LineRefused(8)
+            raise GrblRefusal(8)
         elif text == "$$":
             for number, value in sorted(self.settings.items()):
-                reply(
-                    f"${number}={value:.3f}\r\n"
-                    if number >= 100 or number in (11, 12, 24, 25, 27)
-                    else f"${number}={value:.0f}\r\n"
-                )
+                reply(format_setting(self._family, number, value))
         elif text == "$I":
-            reply("[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\n")
+            reply(self._family.identity)
         elif text == "$X":
             if self._state == "Alarm":
-                reply("[MSG:Caution: Unlocked]\r\n")
+                reply(self._family.unlocked)
                 self._state = "Idle"
         elif text == "$H":
             if not self.settings[22]:
-                raise _LineRefused(5)
+                raise GrblRefusal(5)
             self._start_homing(reply)
             return
         else:
@@ -224,51 +219,36 @@ class GrblController(LineController):
     def _store_setting(self, text: str) -> None:
         parts = re.fullmatch(r"\$(\d+)=([-+]?[\d.]+)", text)
         if parts is None or int(parts[1]) not in self.settings:
-            raise _LineRefused(3)
+            raise GrblRefusal(3)
         self.settings[int(parts[1])] = float(parts[2])
-
-    def _read_words(self, text: str) -> dict[str, float]:
-        """Return axis words and F of a block, absolute, in mm. G-codes that it does not use here are refused."""
-        if "".join(f"{letter}{number}" for letter, number in _WORD.findall(text)) != text:
-            raise _LineRefused(1)
-        values: dict[str, float] = {}
-        for letter, number in _WORD.findall(text):
-            if letter == "G":
-                if f"G{float(number):g}" not in _GCODES:
-                    raise _LineRefused(20)
-            elif letter in (*AXES, "F", "T"):
-                if letter in values:
-                    raise _LineRefused(25)
-                values[letter] = float(number)
-            else:
-                raise _LineRefused(20)
-        return values
 
     def _execute_block(self, text: str) -> None:
         """gcode.c, as far as straight lines in machine coordinates."""
-        values = self._read_words(text)
-        if "T" in values:
-            self._tool = int(values.pop("T"))
-        feed = values.pop("F", 0.0)
+        values = read_words(text)
+        # Each line without T sets it to 0; S lasts (gcode.c: "Select tool", "Set spindle speed").
+        modal = {name: values.pop(name, self._modal[name]) for name in "FS"}
+        modal["T"], feed = values.pop("T", 0.0) * self._family.shows_tool, modal["F"]
         if not values:
+            self._modal = modal
             return
         if "G53" not in text or not re.search(r"G0?1(?!\d)", text):
-            raise _LineRefused(30)
+            raise GrblRefusal(30)
         if feed <= 0:
-            raise _LineRefused(22)
+            raise GrblRefusal(22)
+        self._modal = modal
         self._planned.append((values, feed / 60))
         if not self._motion:
             self._run_planned()
 
     def _start_jog(self, text: str) -> None:
         if self._state != "Idle" or self._is_suspended or self._motion not in ("", "jog"):
-            raise _LineRefused(9)
-        values = self._read_words(text)
+            raise GrblRefusal(9)
+        values = read_words(text)
         feed = values.pop("F", 0.0)
         if feed <= 0:
-            raise _LineRefused(22)
+            raise GrblRefusal(22)
         if self._motion:  # another jog is planned behind this one; not needed here
-            raise _LineRefused(9)
+            raise GrblRefusal(9)
         self._start_line(values, feed / 60, "jog")
 
     def _run_planned(self) -> None:
@@ -301,16 +281,19 @@ class GrblController(LineController):
     # Homing
 
     def _start_homing(self, reply: Callable[[str], None]) -> None:
-        """limits.c: all axes search their switches; the position is then minus the pull-off, with $23=0."""
+        """limits.c: all axes search their switches, $130 and half as far at most."""
         self._motion, self._homing_reply, self._state = "home", reply, "Idle"
-        longest_s = 0.0
+        longest_s, self._is_search_vain = 0.0, False
         for name, axis in self.axes.items():
             switch = self._machine.switch_counts.get(name)
             if switch is None:
                 continue
-            speed = self._machine.search_speed * self._steps_per_mm(name)
+            scale = self._steps_per_mm(name)
+            speed, acceleration = self._machine.search_speed * scale, self.settings[120 + AXES.index(name)] * scale
             way = switch - axis.physical_position
-            acceleration = self.settings[120 + AXES.index(name)] * self._steps_per_mm(name)
+            farthest = _SEARCH_SCALAR * self.settings[130 + AXES.index(name)] * scale
+            self._is_search_vain |= abs(way) > farthest
+            way = max(-farthest, min(way, farthest))
             axis.start_move(axis.position + way, speed, acceleration)
             longest_s = max(longest_s, abs(way) / speed + speed / acceleration)
         generation = self._generation
@@ -323,12 +306,17 @@ class GrblController(LineController):
         if any(axis.is_moving for axis in self.axes.values()):
             self.time.call_after(10 * NS_PER_MS, lambda: self._end_homing(generation))
             return
-        for axis in self.axes.values():
-            axis.set_position(0.0)
-        self._motion = ""
-        reply, self._homing_reply = self._homing_reply, None
+        reply, self._homing_reply, self._motion = self._homing_reply, None, ""
+        if self._is_search_vain:  # the reset comes behind the reply, which is `ok` all the same
+            self.send_to_all("ALARM:9\r\n")
+        else:
+            for axis in self.axes.values():
+                axis.set_position(0.0)
         if reply is not None:
-            reply("ok\r\n")
+            reply(f"{'' if self._is_search_vain else self._family.message}ok\r\n")
+        if self._is_search_vain:
+            self._reset("Alarm")
+            self.send_to_all(self.greet())
         self.parse_again()
 
     def set_limit(self, axis: str, which: LimitSwitch) -> None:

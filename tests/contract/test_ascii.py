@@ -1,7 +1,9 @@
 """Described controllers against the contract, and descriptions that are wrong."""
 
 import asyncio
+import re
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import yaml
 
 from adapters.ascii.description import DescriptionError, load_description, packaged_names
 from adapters.ascii.patterns import BadPattern, LinePattern
-from adapters.contract import ConfigError, ExamplePlace
+from adapters.contract import ConfigError, ExamplePlace, JogMove
 from adapters.host.makes import find_make
 from adapters.toolkit.lines.driver import LineDriver
 from orchestrator.clock.base import NS_PER_S, sleep_ns
@@ -21,6 +23,7 @@ from orchestrator.conformance.suite import MakeCheck, list_checks
 from orchestrator.conformance.worlds import Case, World, run_case
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
+from sim.ascii.grbl import GrblController
 from sim.core.vectors import check_file, find_simulator
 
 HERE = Path(__file__).parent
@@ -50,8 +53,17 @@ def grbl_case() -> Case:
     return make_case("ascii")
 
 
+def grblhal_case() -> Case:
+    config = grbl_case().controller
+    return make_case("ascii", config.model_copy(update={"options": {"description": "grblhal"}}))
+
+
 CAMPAIGN = "no invariant is violated"  # of makes with a description, at night: it takes long, and the driver is one
-CHECKS = {"grbl": list_checks("ascii"), "scpi-stage": list_checks("ascii", case=stage_case())}
+CHECKS = {
+    "grbl": list_checks("ascii"),
+    "grblhal": list_checks("ascii", case=grblhal_case()),
+    "scpi-stage": list_checks("ascii", case=stage_case()),
+}
 
 
 @pytest.mark.parametrize(
@@ -73,7 +85,7 @@ def test_every_packaged_description_is_checked() -> None:
     assert set(packaged_names()) == set(CHECKS)
 
 
-@pytest.mark.parametrize("model", ["grbl", "scpi-stage"])
+@pytest.mark.parametrize("model", ["grbl", "grblhal", "scpi-stage"])
 def test_vectors(model: str) -> None:
     report = check_file("ascii", HERE / "vectors" / f"{model}.vectors.jsonl")
     assert list(report.failures.values()) == []
@@ -121,6 +133,143 @@ def test_a_line_behind_a_hold_waits_for_its_start() -> None:
         assert "Idle" in await world.driver.send_raw("?")
 
     run_case(grbl_case(), main)
+
+
+def connect_as(description: str, model: str) -> ControllerFault:
+    """The fault with which a simulated controller of `model` is refused that has a wrong description."""
+    right_case = grblhal_case() if model == "grblhal" else grbl_case()
+    config = right_case.controller.model_copy(update={"options": {"description": description}})
+    faults: list[ControllerFault] = []
+
+    async def main(world: World) -> None:
+        with pytest.raises(ControllerFault) as caught:
+            await world.driver.connect()
+            await world.driver.configure()
+            await world.driver.set_enabled(world.axes, on=True)
+        faults.append(caught.value)
+
+    run_case(Case(config.model_dump(mode="json", by_alias=True), right_case.simulate, right_case.port), main)
+    return faults[0]
+
+
+def test_another_firmware_of_the_family_is_refused_by_its_name() -> None:
+    fault = connect_as("grbl", "grblhal")
+    assert "it is grblHAL, and not GRBL 1.1 (grbl.yaml:" in fault.text
+    assert "grblhal" in fault.remedy
+    # GRBL has no 0x80.
+    assert re.search(r"no reply to b'\\x80' .* \(grbl\.yaml:\d+: status\.last\)", connect_as("grblhal", "grbl").text)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        # The tool, the mark of before: each line of G-code without T sets it to 0, and on grblHAL it only is selected.
+        (
+            "session: {match: '\\[GC:.* T(?P<number>\\d+) .*\\]', write: \"T{number}\\n\"}",
+            r"number 1 was written, and 0 is read back \(mine\.yaml:4: session\)",
+        ),
+        (
+            "status: {free_when_empty: 128}",
+            r"1023 free bytes at rest, not 128 \(mine\.yaml:4: status\.free_when_empty\)",
+        ),
+        (
+            "finish_stop: [{send: \"\\x18\", last: 'Grbl 1.1.*'}]",
+            r"a line like 'Grbl 1\.1\.\*' \(mine\.yaml:4: finish_stop",
+        ),
+    ],
+)
+def test_a_wrong_line_of_a_description_is_named_when_connecting(tmp_path: Path, changed: str, words: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"schema: tutti.ascii/1\nextends: grblhal\nname: mine\n{changed}\n")
+    case = grblhal_case()
+    config = case.controller.model_copy(update={"options": {"description": str(file)}})
+
+    async def main(world: World) -> None:
+        other = world.hit.controller.connect("serial", lambda _: None, lambda: None)
+        for data in (b"$X\n", b"!"):
+            other.receive_bytes(data)
+            await sleep_ns(world.clock, NS_PER_S // 10)
+        with pytest.raises(ControllerFault, match=words):
+            await world.driver.connect()
+
+    run_case(Case(config.model_dump(mode="json", by_alias=True), case.simulate, case.port), main)
+
+
+def test_the_session_number_outlives_moves_jogs_and_stops() -> None:
+    for case in (grbl_case(), grblhal_case()):
+
+        async def main(world: World) -> None:
+            await world.ready()
+            await world.move(world.targets())
+            assert not (await world.driver.poll()).restarted
+            await world.manual.jog_axis(world.axes[0], JogMove(-500.0, 1000.0, None))
+            await sleep_ns(world.clock, NS_PER_S)
+            await world.driver.stop(abort=False)
+            await sleep_ns(world.clock, 2 * NS_PER_S)
+            assert not (await world.driver.poll()).restarted
+
+        run_case(case, main)
+
+
+def test_a_connection_after_a_hold_succeeds_at_once() -> None:
+    for case in (grbl_case(), grblhal_case()):
+
+        async def main(world: World, case: Case = case) -> None:
+            await world.ready()
+            await world.arm(await world.plan(world.targets()))
+            await world.driver.close()
+            guardian = world.hit.controller.connect("serial", lambda _: None, lambda: None)
+            guardian.receive_bytes(find_make("ascii").stop_bytes(case.controller))
+            began_ns = world.clock.now_ns()
+            await world.driver.connect()
+            await world.driver.configure()
+            assert world.clock.now_ns() - began_ns < NS_PER_S
+            assert not (await world.driver.poll()).restarted
+
+        run_case(case, main)
+
+
+def test_a_search_in_vain_finds_no_reference() -> None:
+    """It is answered `ok`, and the axes that did not have their turn stand at 0 counts, as before."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        assert not await world.manual.home_axes(world.axes, lambda _: None)
+        controller = world.hit.controller
+        assert isinstance(controller, GrblController)
+        controller._machine = replace(controller._machine, switch_counts={"Z": 10_000})
+        controller.settings[132] = 1.0
+        failures = await world.manual.home_axes(world.axes, lambda _: None)
+        assert set(failures) == set(world.axes)
+        assert all("the controller reports Alarm" in failure.text for failure in failures.values())
+
+    run_case(grbl_case(), main)
+
+
+def test_a_status_that_is_lost_is_asked_again() -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        await world.arm(await world.plan(world.targets()))
+        drops = [True]
+        world.hit.wire.to_far = lambda data: data.replace(b"?", b"", 1) if drops and drops.pop() else data
+        await world.driver.slots.present.verify()
+        assert not drops
+        await world.driver.slots.unload()
+
+    run_case(grbl_case(), main)
+
+
+def test_the_direction_of_the_search_is_compared() -> None:
+    case = grbl_case()
+    wrong = {**case.simulate, "settings": {**case.simulate["settings"], "23": 2.0}}
+
+    async def main(world: World) -> None:
+        with pytest.raises(ControllerFault, match=r"\$23, .* of axis y is 1, required is 0") as caught:
+            await world.driver.connect()
+            await world.driver.configure()
+        assert "homing.direction" in caught.value.remedy
+
+    run_case(Case(case.config, wrong, case.port), main)
 
 
 # Bad input
@@ -180,13 +329,25 @@ def test_a_wrong_description_is_named_with_its_field(tmp_path: Path, changed: di
     assert file in str(caught.value)
 
 
+@pytest.mark.parametrize("base", ["no-such", "./grbl", "7"])
+def test_a_description_extends_only_what_comes_with_tutti(tmp_path: Path, base: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"schema: tutti.ascii/1\nextends: {base}\n")
+    with pytest.raises(DescriptionError, match=r"mine\.yaml:2: extends: .* is none of grbl, grblhal, scpi-stage"):
+        load_description(str(file))
+    file = tmp_path / "wrong.yaml"
+    file.write_text("schema: tutti.ascii/1\nextends: grbl\nstatus: {match: x}\n")
+    with pytest.raises(DescriptionError, match=r"wrong\.yaml:3: status: .*has no group"):
+        load_description(str(file))
+
+
 def test_files_that_are_no_descriptions(tmp_path: Path) -> None:
     for name, text in (("broken", "a: [1"), ("list", "[1, 2]"), ("large", "#" * 200_000)):
         file = tmp_path / name
         file.write_text(text)
         with pytest.raises(DescriptionError, match=name):
             load_description(str(file))
-    with pytest.raises(DescriptionError, match="give the path of a description, or one of grbl, scpi-stage"):
+    with pytest.raises(DescriptionError, match="give the path of a description, or one of grbl, grblhal, scpi-stage"):
         load_description("no-such")
     config = described("no-such", {"u": {**STAGE, "motors": ["1"]}})
     with pytest.raises(ConfigError, match=r"options\.description"):

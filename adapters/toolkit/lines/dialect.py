@@ -31,12 +31,14 @@ class LineStatus:
 
     is_loaded: whether a loaded move waits for its start; None where the controller does not report it.
     alarm: its own words for what is wrong.
+    doubt: what it shows at rest, with nothing loaded, that the make does not expect of its controllers.
     """
 
     state: LineState
     axes: Mapping[str, LineAxisStatus]
     is_loaded: bool | None = None
     alarm: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +91,7 @@ class LineTraits:
     armed_state: its state while a move is loaded. start_confirmed: the reply to the start is sent after the start.
     answers_while_homing: it reports its status while it searches.
     keeps_session: a stop does not clear the session number.
+    session_place: where a file states the session number, for messages.
     """
 
     joint: bool = False
@@ -99,6 +102,7 @@ class LineTraits:
     keeps_session: bool = True
     switches_motors: bool = False
     terminators: tuple[str, ...] = field(default=("\n",))
+    session_place: str = ""
 
 
 class LineDialect(Protocol):

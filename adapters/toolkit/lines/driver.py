@@ -104,9 +104,16 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             unit.begin_tidying()
             await unit.wait_until_tidy()
         identity, _ = await session.ask(self._dialect.ask_identity(), self._dialect.read_identity)
+        await self._require_no_doubt(unit)
         await self._compare_session(unit)
         self.log_identity(session.link.endpoint, identity)
         return identity
+
+    async def _require_no_doubt(self, unit: LineUnit) -> None:
+        """Raise `ControllerFault` for a controller that shows at rest what the make does not expect of it."""
+        doubt = (await unit.read_state()).status.doubt
+        if doubt:
+            raise ControllerFault("config-mismatch", doubt, "is it the right make? if so, correct that line")
 
     async def _compare_session(self, unit: LineUnit) -> None:
         """Find out whether the controller was off since the last connection, and number this session."""
@@ -116,7 +123,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         self._restarted = self._restarted or self._number != 0
         unit.number = number % _MOST_NUMBERS + 1
         try:
-            await unit.session.run_procedure(self._dialect.write_session(unit.number))
+            await unit.write_number()
         except Refusal:  # in an alarm: it is numbered when that is cleared
             unit.must_number = True
         unit.has_lost_session = False
@@ -215,11 +222,15 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             timeout_s = max(self._config.axes[name].homing.timeout_s for name in axes)
             failure = await ReferenceSearch(unit).search(self._dialect.search_reference(motors, timeout_s), stop_count)
             await unit.wait_until_tidy()
-        counts = (await unit.read_state()).counts
+        state = await unit.read_state()
+        if state.status.state == "alarm":  # a search in vain may be answered like any other
+            failure = failure or f"the controller reports {state.status.alarm}"
         failures: dict[str, Refusal] = {}
         for name in axes:
-            if failure or counts[name] != 0:
-                reason = failure or f"it is at {counts[name]} counts; see `reference` in the options"
+            position = state.status.axes[self._config.axes[name].motors[0]].position
+            if failure or state.counts[name] != 0:
+                reference = self._scales[name].to_position(0)
+                reason = failure or f"it is at {position:g}, not at {reference:g}; see `reference` in the options"
                 text = f"axis {name} has not found its reference: {reason}"
                 failures[name] = Refusal("homing-failed", text, "check its switch")
             else:

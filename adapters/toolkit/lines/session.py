@@ -86,8 +86,16 @@ class LineSession:
         return value, reply
 
     async def ask_status(self) -> tuple[LineStatus, LineReply]:
-        """Read the controller's status."""
-        return await self.ask(self._dialect.ask_status(), self._dialect.read_status)
+        """Read the controller's status. A question without a reply is asked once more: it changes nothing, and one lost
+        character is no reason to give up a move that runs. Raises like `run_step`."""
+        step, reader = self._dialect.ask_status(), self._dialect.read_status
+        try:
+            return await self.ask(step, reader)
+        except ControllerFault as fault:
+            if fault.code != "no-answer":
+                raise
+            self._log.warning("asked again", command=repr(step.data), reason=fault.text)
+        return await self.ask(step, reader)
 
     async def run_procedure(self, steps: Sequence[LineStep]) -> None:
         """Run steps in order, each to its end. Raises like `run_step`."""
@@ -187,11 +195,11 @@ class LineSession:
         if expected.lines:
             expected.answer.set_failure(self._garbage_fault(step, expected.lines))
             return
-        fault = ControllerFault("no-answer", f"no reply to {step.data!r} on {self.link.endpoint}", _CHECK)
-        expected.answer.set_failure(fault)
+        text = f"no reply to {step.data!r} on {self.link.endpoint}" + _explain_expected(step)
+        expected.answer.set_failure(ControllerFault("no-answer", text, _CHECK))
 
     def _garbage_fault(self, step: LineStep, lines: Sequence[str]) -> ControllerFault:
-        reply_text = "; ".join(lines)[:200] + (f"; expected is {step.expected}" if step.expected else "")
+        reply_text = "; ".join(lines)[:200] + _explain_expected(step)
         return ControllerFault(
             "garbage", f"{self.link.endpoint}: the reply to {step.data!r} cannot be read: {reply_text}", _CHECK
         )
@@ -244,3 +252,7 @@ class LineSession:
         if self._expected is not None:
             self._expected.answer.set_failure(error)
             self._expected = None
+
+
+def _explain_expected(step: LineStep) -> str:
+    return f"; expected is {step.expected}" if step.expected else ""

@@ -85,6 +85,19 @@ class LineUnit:
         number, _ = await self.session.ask(self.dialect.ask_session(), self.dialect.read_session)
         return number
 
+    async def write_number(self) -> None:
+        """Write the session number, and read it back: without one no restart would be noticed. Raises `Refusal`."""
+        await self.session.run_procedure(self.dialect.write_session(self.number))
+        number = await self.read_number()
+        if number != self.number:
+            source = self.dialect.traits.session_place
+            raise ControllerFault(
+                "config-mismatch",
+                f"the session number {self.number} was written, and {number} is read back"
+                + f" ({source})" * bool(source),
+                "is it the right make? if so, another value must be the session number: a volatile one that lasts",
+            )
+
     async def is_restarted(self, state: LineUnitState) -> bool:
         """Return whether the controller has lost the session number. It is read at rest only."""
         if self.session.restarted:
@@ -213,7 +226,7 @@ class LineUnit:
     async def number_again(self) -> None:
         """Write the session number if it could not be written before."""
         if self.must_number and (await self.read_state()).status.state != "alarm":
-            await self.session.run_procedure(self.dialect.write_session(self.number))
+            await self.write_number()
             self.must_number = False
 
     def cancel(self) -> None:

@@ -9,9 +9,10 @@ import pytest
 from adapters.contract import ExamplePlace
 from adapters.host.makes import find_controller_problems, find_make, known_makes, list_makes, stops_by_line
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.fleet import Controller, Fleet
+from orchestrator.model.fleet import Axis, Controller, Fleet, SoftLimits
 from orchestrator.model.plugins import API_VERSION, PluginError, UnknownPlugin
 from orchestrator.runtime.checked import load_checked_fleet
+from orchestrator.runtime.example_fleet import load_example
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.vectors import find_simulator
 
@@ -140,3 +141,42 @@ def test_other_controllers_of_the_host_run_and_the_broken_one_shows_the_reason(i
         assert "acme_kit 2.5" in fault.text and "no_such_module" in fault.text and fault.remedy
 
     run_virtual(main)
+
+
+@pytest.mark.parametrize(
+    ("adapter", "direction", "low", "high", "is_wrong"),
+    [
+        ("ascii", "positive", 0, 180, True),
+        ("ascii", "positive", 5, 180, True),
+        ("ascii", "positive", -180, 0, False),
+        ("ascii", "positive", -180, 5, False),
+        ("ascii", "negative", -180, 0, True),
+        ("ascii", "negative", 0, 180, False),
+        ("ascii", "negative", 5, 180, False),  # it keeps off the switch
+        ("smc30", "positive", 0, 100, True),
+        ("shrc203", "positive", 0, 50, False),  # its direction is set in the controller
+    ],
+)
+def test_soft_limits_beyond_the_home_switch_are_named(
+    adapter: str, direction: str, low: float, high: float, is_wrong: bool
+) -> None:
+    config = load_example(adapter)
+    name, axis = next(iter(config.axes.items()))
+    plain = axis.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    plain |= {"soft_limits": {"min": low, "max": high}, "homing": {"direction": direction}}
+    changed = config.model_copy(update={"axes": {name: Axis.model_validate(plain)}})
+    problems = [problem for problem in find_controller_problems("c", changed) if "home switch" in problem.text]
+    assert bool(problems) == is_wrong
+    for problem in problems:
+        assert problem.place == ("controllers", "c", "axes", name, "soft_limits")
+        assert f"{low} to {high} lies beyond" in problem.text
+        assert "homing: {direction: " in problem.text
+
+
+def test_an_axis_that_can_turn_past_its_switch_has_no_far_side() -> None:
+    config = load_example("ppsmc")  # in degrees
+    axes = {
+        name: axis.model_copy(update={"soft_limits": SoftLimits(min=-90, max=0)}) for name, axis in config.axes.items()
+    }
+    problems = find_controller_problems("c", config.model_copy(update={"axes": axes}))
+    assert not [problem for problem in problems if "home switch" in problem.text]
