@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from orchestrator.model.base import Model
+from orchestrator.model.duration import Duration
 from orchestrator.model.frame import MAX_COORDINATES
 from orchestrator.model.units import Quantity
 
@@ -21,6 +22,47 @@ class PauseInput(Model):
     timeout: str = Field(default="1 h", max_length=60, description="How long it is waited for.")
 
 
+Wait = Annotated[Duration, Field(description="After a change, before the axes move.")]
+
+
+class SpindleOutputs(Model):
+    """Outputs that switch a spindle."""
+
+    forward: str = Field(description="controller.output that M3 switches on.")
+    reverse: str | None = Field(default=None, description="That of M4; without it M4 is refused.")
+    speed: float | None = Field(
+        default=None, gt=0, description="Turns a minute that it has; another S is refused. Without it S is skipped."
+    )
+    wait: Wait = 0
+
+    @property
+    def outputs(self) -> list[str]:
+        """All of them."""
+        return [output for output in (self.forward, self.reverse) if output is not None]
+
+
+class CoolantOutputs(Model):
+    """Outputs that switch coolant; a code without one is refused."""
+
+    mist: str | None = Field(default=None, description="controller.output that M7 switches on.")
+    flood: str | None = Field(default=None, description="That of M8.")
+    wait: Wait = 0
+
+    @property
+    def outputs(self) -> list[str]:
+        """All of them."""
+        return [output for output in (self.mist, self.flood) if output is not None]
+
+
+class ToolChange(Model):
+    """A person changes tools."""
+
+    change: PauseInput = Field(description="M6 stops the spindle, and waits for this input.")
+    table: Annotated[str, Field(min_length=1, max_length=4096)] | None = Field(
+        default=None, description="LinuxCNC's tool table (.tbl) beside the job file."
+    )
+
+
 class GcodeSettings(Model):
     """What stands for the machine that a program was written for. Without an entry, a program that needs it is
     refused."""
@@ -28,15 +70,19 @@ class GcodeSettings(Model):
     dialect: Literal["linuxcnc", "grbl", "marlin", "fanuc"] = Field(
         default="linuxcnc", description="Whose meanings codes have that have several."
     )
-    spindle: Literal["none"] | None = Field(
-        default=None, description="`none`: M3, M4, M5 and S are skipped; there is no spindle, or a person sees to it."
+    spindle: Literal["none"] | SpindleOutputs | None = Field(
+        default=None,
+        description="`none`: M3, M4, M5 and S are skipped; there is no spindle, or a person sees to it. Or the outputs "
+        "that switch it, which the end of the program switches off.",
     )
-    tools: Annotated[str, Field(min_length=1, max_length=4096)] | None = Field(
+    tools: Annotated[str, Field(min_length=1, max_length=4096)] | ToolChange | None = Field(
         default=None,
         description="`none`: T, M6 and G43 are skipped; there is one tool, or a person sees to it. Else LinuxCNC's "
-        "tool table (.tbl) beside the job file: G43 takes lengths from it, in mm.",
+        "tool table (.tbl) beside the job file: G43 takes lengths from it, in mm. Or what M6 waits for.",
     )
-    coolant: Literal["none"] | None = Field(default=None, description="`none`: M7 and M8 are skipped.")
+    coolant: Literal["none"] | CoolantOutputs | None = Field(
+        default=None, description="`none`: M7 and M8 are skipped. Or the outputs that switch it."
+    )
     pause: Literal["none"] | PauseInput | None = Field(
         default=None, description="At M0, M1 and M60: `none` goes on without a stop; or an input that ends the pause."
     )
@@ -49,6 +95,13 @@ class GcodeSettings(Model):
         description="Where the axes are at the zero of G54 to G59.3, and where G28 and G30 go: one value for each axis "
         "of the path, in their order. G54 without an entry is at 0.",
     )
+
+    @property
+    def tool_table(self) -> str | None:
+        """The file with the lengths of tools."""
+        if isinstance(self.tools, ToolChange):
+            return self.tools.table
+        return None if self.tools == "none" else self.tools
 
     @field_validator("offsets")
     @classmethod

@@ -131,9 +131,68 @@ def test_equal_points_are_skipped_however_they_are_written() -> None:
 def test_what_is_skipped_is_said() -> None:
     text = add_checksum("N1 G40 G49 G80 G94 M9") + "\nG0 X1 M3 S100\nM30"
     assert read(text, spindle="none").notes == [
-        "skipped, changes no path and no tool: *, G40, M9, G94, G49, G80, M30",
-        "skipped by `gcode:`: M3, S",
+        "skipped, changes no path and no tool: *, G40, G94, M9, G49, G80, M30",
+        "skipped by `gcode:`: S, M3",
     ]
+
+
+SPINDLE = {"forward": "r.spindle", "reverse": "r.back", "speed": 9000, "wait": "2 s"}
+
+
+def outline(text: str, **settings: Any) -> list[str]:
+    """The steps in short words."""
+    lines: list[str] = []
+    for step in read(text, **settings).steps:
+        if step["do"] == "output":
+            lines.append(f"{step['output']} {'on' if step['value'] else 'off'}")
+        else:
+            lines.append(str({"dwell": step.get("duration"), "wait": step.get("input")}.get(step["do"], step["do"])))
+    return lines
+
+
+def test_outputs_stand_for_spindle_and_coolant() -> None:
+    text = "S9000 M3\nG0 X1\nM8\nF60 G1 X2\nM3\nM4 X3\nM9 M5\nX4\nM7\nX5\nM30"
+    coolant = {"mist": "r.mist", "flood": "r.flood"}
+    assert outline(text, spindle=SPINDLE, coolant=coolant) == [
+        *("r.spindle on", "2 s", "path", "r.flood on", "path"),  # M3 again changes nothing
+        *("r.spindle off", "2 s", "r.back on", "2 s", "path", "r.back off", "2 s", "r.flood off", "path"),
+        *("r.mist on", "path", "r.mist off"),  # the end of the program
+    ]
+    assert read(text, spindle=SPINDLE, coolant=coolant).notes[-1] == (
+        "switched, or waited for, by `gcode:`: M3 (2), M8, M4, M5, M9, M7"
+    )
+    assert outline("M3\nF60 G1 X1", spindle={"forward": "r.spindle"}) == ["r.spindle on", "path", "r.spindle off"]
+
+
+def test_a_person_changes_tools_with_the_spindle_at_rest() -> None:
+    tools = {"change": {"input": "r.go", "timeout": "10 min"}}
+    text = "M3\nF60 G1 X1\nT2 M6\nM3\nX2"
+    assert outline(text, spindle=SPINDLE, tools=tools) == [
+        *("r.spindle on", "2 s", "path", "r.spindle off", "2 s", "r.go", "r.spindle on", "2 s", "path"),
+        *("r.spindle off", "2 s"),
+    ]
+    assert "2: column 1: G43 needs lengths" in refuse("T1 M6\nG43 H1\nG0 X1", spindle="none", tools=tools)
+
+
+def test_a_part_of_a_program_begins_with_its_outputs_on() -> None:
+    steps = read("S9000 M3 M8\nF60 G1 X1\nX2\nX3", 3, spindle=SPINDLE, coolant={"flood": "r.flood"}).steps
+    assert [(step["do"], step.get("output")) for step in steps] == [
+        *(("output", "r.spindle"), ("output", "r.flood"), ("dwell", None), ("move", None), ("path", None)),
+        *(("output", "r.spindle"), ("output", "r.flood"), ("dwell", None)),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "words"),
+    [
+        ("G0 X1 M4", {"spindle": {"forward": "r.s"}}, "column 7: M4 needs `gcode: {spindle: {reverse:"),
+        ("G0 X1 S100", {"spindle": SPINDLE}, "column 7: S100: the spindle is switched on and off, and runs at 9000"),
+        ("G0 X1 M7", {"coolant": {"flood": "r.f"}}, "column 7: M7 needs `gcode: {coolant: {mist:"),
+        ("G0 X1 M8", {"coolant": {}}, "column 7: M8 needs `gcode: {coolant: {flood:"),
+    ],
+)
+def test_what_no_output_stands_for_is_refused(text: str, settings: dict[str, Any], words: str) -> None:
+    assert words in refuse(text, **settings)
 
 
 # Modes

@@ -10,10 +10,11 @@ from orchestrator.model.paths.gcode_settings import GcodeSettings
 
 @dataclass(slots=True)
 class SkipNotes:
-    """What was skipped: by itself, and by an entry of `gcode:`."""
+    """What was skipped: by itself, and by an entry of `gcode:`; and what such an entry makes of codes."""
 
     skipped: Counter[str] = field(default_factory=Counter[str])
     mapped: Counter[str] = field(default_factory=Counter[str])
+    acted: Counter[str] = field(default_factory=Counter[str])
 
     def skip(self, name: str) -> None:
         """Note what changes no path and no tool."""
@@ -23,6 +24,10 @@ class SkipNotes:
         """Note what an entry of `gcode:` lets skip."""
         self.mapped[name] += 1
 
+    def act_by_entry(self, name: str) -> None:
+        """Note what an entry of `gcode:` switches, or waits for."""
+        self.acted[name] += 1
+
     def require_entry(self, settings: GcodeSettings, entry: str, name: str, word: Word) -> None:
         """Note what an entry of `gcode:` lets skip. Raises `LineError` without the entry."""
         if getattr(settings, entry) is None:
@@ -31,8 +36,12 @@ class SkipNotes:
         self.skip_by_entry(name)
 
     def describe(self) -> list[str]:
-        """At most two lines."""
-        texts = (("skipped, changes no path and no tool", self.skipped), ("skipped by `gcode:`", self.mapped))
+        """At most three lines."""
+        texts = (
+            ("skipped, changes no path and no tool", self.skipped),
+            ("skipped by `gcode:`", self.mapped),
+            ("switched, or waited for, by `gcode:`", self.acted),
+        )
         return [
             f"{text}: " + ", ".join(f"{name} ({count})" if count > 1 else name for name, count in counts.items())
             for text, counts in texts

@@ -8,7 +8,7 @@ from orchestrator.model.paths.files.gcode.line import LETTERS, CodeLine
 from orchestrator.model.paths.files.gcode.motions import Machine, take_words
 from orchestrator.model.paths.files.gcode.notes import SkipNotes
 from orchestrator.model.paths.files.gcode.offsets import SYSTEMS
-from orchestrator.model.paths.gcode_settings import GcodeSettings
+from orchestrator.model.paths.gcode_settings import GcodeSettings, ToolChange
 from orchestrator.model.paths.origin import Place
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 
@@ -63,6 +63,8 @@ class OffsetRunner:
         elif code.name == "G43.1":
             self._machine.offsets.choose_tool(take_words(line, self._machine, "G43.1"))
         else:
+            if isinstance(self._settings.tools, ToolChange) and self._tools is None:
+                raise LineError(word.column, "G43 needs lengths: `gcode: {tools: {change: …, table: tools.tbl}}`")
             self._notes.require_entry(self._settings, "tools", "G43", word)
             number = line.take_number("H", "the tool of G43")
             number = self._machine.modes.tool if number is None else number

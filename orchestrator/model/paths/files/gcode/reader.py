@@ -47,8 +47,8 @@ class GcodeReader:
         self._problems = ImportProblems(name)
         self._lines = set[int]()  # with a mistake
         tools = None
-        if self._settings.tools not in (None, "none"):
-            tools = read_tools((folder or Path()) / str(self._settings.tools))
+        if self._settings.tool_table is not None:
+            tools = read_tools((folder or Path()) / self._settings.tool_table)
         named_axes = {letter.upper(): axis for letter, axis in axes.items()}
         try:
             self._runner = LineRunner(named_axes, start or {}, self._settings, tools)
@@ -81,7 +81,7 @@ class GcodeReader:
             self._note(flow.line.number, error)
         if not has_begun:
             self._problems.add(from_line, 0, f"the program ends at line {flow.line.number}, before it")
-        runner.writer.end_path()
+        runner.finish()
         if not any(step["do"] == "path" for step in runner.writer.steps) and not self._problems.found:
             self._problems.add(max(1, len(lines)), 0, NOTHING)
         self._problems.raise_any()

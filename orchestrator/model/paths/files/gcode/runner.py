@@ -11,13 +11,13 @@ from orchestrator.model.paths.files.gcode.modes import INCH_MM, Modes
 from orchestrator.model.paths.files.gcode.motions import Machine, make_arc, take_words
 from orchestrator.model.paths.files.gcode.notes import SkipNotes
 from orchestrator.model.paths.files.gcode.offsets import WorkOffsets
+from orchestrator.model.paths.files.gcode.outputs import OutputRunner
 from orchestrator.model.paths.files.gcode.positions import OffsetRunner, read_places
 from orchestrator.model.paths.files.gcode.writer import StepWriter
 from orchestrator.model.paths.gcode_settings import GcodeSettings, PauseInput
 from orchestrator.model.paths.origin import Place
 
-_SKIPPED_GROUPS = ("cutter", "spindle mode", "coolant", "override", "skipped 1")
-_MAPPED_GROUPS = ("spindle", "mist", "flood")
+_SKIPPED_GROUPS = ("cutter", "spindle mode", "override", "skipped 1")
 _CENTRES = "IJK"
 
 
@@ -35,6 +35,7 @@ class LineRunner:
         self.notes = SkipNotes()
         self._settings = settings
         self._dialect = DIALECTS[settings.dialect]
+        self._outputs = OutputRunner(settings, self.writer, self.notes)
         self._modes = Modes()
         places = read_places(settings, list(axes))
         self._offsets = WorkOffsets(list(axes), places)
@@ -53,6 +54,7 @@ class LineRunner:
         self._change_feed(line)
         self._change_tool(line)
         if line.codes:
+            self._outputs.run(line)
             if "dwell" in line.codes:
                 self._dwell(line)
             self._change_modes(line)
@@ -64,9 +66,14 @@ class LineRunner:
     def begin_here(self) -> list[str]:
         """Forget the steps before, and begin with a move to where the program stands; its modes in words."""
         self.writer.forget()
-        self.writer.steps.append(self.writer.move_here())
-        self.writer.places.append([])
+        for step in (*self._outputs.list_active(), self.writer.move_here()):
+            self.writer.add_step(step)
         return self._modes.describe(self._offsets.system)
+
+    def finish(self) -> None:
+        """The program has ended."""
+        self._outputs.end()
+        self.writer.end_path()
 
     def find_state(self, name: int | str) -> float | None:
         """What a program may read of the machine, by the name or number of a parameter; None: it may not."""
@@ -89,10 +96,6 @@ class LineRunner:
         for group in _SKIPPED_GROUPS:
             if group in line.codes:
                 self.notes.skip(line.codes[group][0].name)
-        for group in _MAPPED_GROUPS:
-            if group in line.codes:
-                code, word = line.codes[group]
-                self.notes.require_entry(self._settings, code.meaning, code.name, word)
 
     def _change_feed(self, line: CodeLine) -> None:
         modes = self._modes
@@ -105,7 +108,7 @@ class LineRunner:
             modes.feed = None  # for one motion
         speed = None if "dwell" in line.codes and "S" in self._dialect.dwell else line.take("S", "the spindle")
         if speed is not None:
-            self.notes.require_entry(self._settings, "spindle", "S", speed)
+            self._outputs.check_speed(speed)
             modes.spindle_speed = speed.value
         feed = line.take("F", "the feed")
         if feed is not None:
@@ -125,7 +128,7 @@ class LineRunner:
                 raise LineError(word.column, f"the tool table has no tool {tool}")
             self._modes.selected_tool = tool
         if "tool" in line.codes:
-            self.notes.require_entry(self._settings, "tools", "M6", line.codes["tool"][1])
+            self._outputs.change_tool(line.codes["tool"][1])
             self._modes.tool = self._modes.selected_tool
 
     def _dwell(self, line: CodeLine) -> None:
