@@ -217,6 +217,9 @@ def test_absolute_centres_and_planes() -> None:
 def test_the_job_chooses_corners_that_the_program_does_not() -> None:
     (step,) = read("G0 X1\nF60 G1 X2\nG61.1 X3\nG64 P0.1 Q0.1 X4").steps
     assert [piece.get("corner") for piece in step["pieces"]] == ["stop", None, "stop", {"within": "0.1 mm"}]
+    (step,) = read("G61 G0 X1\nF60 G1 X2\nG64 X3").steps
+    assert [piece.get("corner") for piece in step["pieces"]] == ["stop", "stop", None]
+    assert "G64 needs a tolerance above 0" in refuse("G64 Q0.1\nG0 X1")
 
 
 # Offsets

@@ -157,10 +157,13 @@ class LineRunner:
         if "control" in line.codes:
             modes.corner = "stop" if line.find_code("control") != "G64" else self._read_corner(line)
 
-    def _read_corner(self, line: CodeLine) -> dict[str, str]:
-        """G64 P, and Q, by which a controller may leave points out: none is."""
+    def _read_corner(self, line: CodeLine) -> dict[str, str] | None:
+        """G64 P, and Q, by which a controller may leave points out: none is. Alone it allows any rounding: what the job
+        says holds."""
         tolerance = line.take("P", "the tolerance of G64")
-        line.take("Q", "the tolerance of points of G64")
+        point_tolerance = line.take("Q", "the tolerance of points of G64")
+        if tolerance is None and point_tolerance is None:
+            return None
         if tolerance is None or tolerance.value <= 0:
             raise LineError(0, "G64 needs a tolerance above 0: write for example G64 P0.05")
         return {"within": f"{format_number(tolerance.value * self._modes.scale)} mm"}
