@@ -174,7 +174,8 @@ class PpSmcMover:
             await self.clear_targets_now()
 
     async def clear_targets(self) -> None:
-        """Empty the target buffer after a stop, once no move is loaded or in progress."""
+        """Empty the target buffer after a stop or a move, once no move is loaded or in progress; loading one empties
+        it as well."""
         async with self._unit.loading:
             if self._unit.untidy and self.move is None:
                 await self.clear_targets_now()

@@ -80,10 +80,12 @@ PPSMC = NaiveMake(
 
 @dataclass(frozen=True, slots=True)
 class NaiveMove:
-    """One controller of the script, and how far it moves to and fro, counts."""
+    """One controller of the script, and how far it moves to and fro, counts. hold_ns: how long its serial adapter keeps
+    received bytes, as in the fleet beside it."""
 
     make: NaiveMake
     counts: int
+    hold_ns: int = 0
 
 
 def measure_naive_gaps(moves: Sequence[NaiveMove], steps: int, seed: int = 1) -> list[int]:
@@ -100,7 +102,9 @@ async def _run_script(clock: VirtualClock, moves: Sequence[NaiveMove], steps: in
         crystal = Oscillator(0, draw.uniform(-50, 50), 0.05, draw.randrange(2**31))
         line = make.controller.build(clock, f"u{number}", crystal, draw)
         units += line.devices.values()
-        ports.append((move, _ScriptPort(await scripted.open_link(clock, line, make.controller.baud, draw), make)))
+        ports.append(
+            (move, _ScriptPort(await scripted.open_link(clock, line, make.controller.baud, draw, move.hold_ns), make))
+        )
     for _, port in ports:
         for text in port.make.setup:
             await port.send(text)

@@ -6,6 +6,7 @@ live, with real processes, sockets and pseudo-terminals of this machine.
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -138,7 +139,9 @@ async def _measure_virtual(each: StepsFleet, clock: VirtualClock, steps: int) ->
         ]
         for axis in each.counts
     }
-    naive = measure_naive_gaps(each.naive, steps)
+    holds_ns = [round(config.simulate.hold_ms * NS_PER_MS) for config in each.fleet.controllers.values()]
+    script = [replace(move, hold_ns=hold_ns) for move, hold_ns in zip(each.naive, holds_ns, strict=True)]
+    naive = measure_naive_gaps(script, steps)
     return StepsFigures(
         fleet=each.name,
         steps=steps,

@@ -52,10 +52,13 @@ class StatePolling:
     async def poll_and_publish(self) -> None:
         """Read the controller and publish the new state. Raises `LinkClosed` until the controller is connected: while
         the connection is set up the controller replies, but its loaded content is not this adapter's."""
+        began_ns = self._context.clock.now_ns()
         reading = await self._context.driver.poll() if self.is_connected else None
         # The connection may be lost while the poll waits for its turn on the line.
         if reading is None or not self.is_connected:
             raise LinkClosed("the controller is not connected yet")
+        self._steps.polled_ns = self._context.clock.now_ns()
+        self._steps.poll_takes_ns = self._steps.polled_ns - began_ns
         require_sound_reading(reading)
         self.listener.handle_reading(reading)
         self._publisher.publish_state()

@@ -54,7 +54,9 @@ class Surveillance:
         """Drop the reference of axes whose count has changed at rest without an order; return these axes."""
         busy, was_busy = self._has_ordered_motion(), self._was_busy
         self._was_busy = busy
-        if before is None or busy or was_busy or self._status.ordered_ns >= before.at_ns:
+        # A whole step may lie between two polls.
+        ordered_ns = max(self._status.ordered_ns, self._steps.followed_ns)
+        if before is None or busy or was_busy or ordered_ns >= before.at_ns:
             return []
         jumped_axes: list[str] = []
         for name, axis_reading in reading.axes.items():

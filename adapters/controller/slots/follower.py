@@ -37,6 +37,7 @@ class StepFollower:
             await self._follow_to_end(armed_step)
         finally:
             self._steps.followed_steps -= 1
+            self._steps.followed_ns = self._context.clock.now_ns()
 
     async def _follow_to_end(self, armed_step: ArmedStep) -> None:
         """Follow the move from its release to its end, with the controller's own evidence."""

@@ -18,6 +18,9 @@ QUIET_BEFORE_T0_NS = 300 * NS_PER_MS
 QUIET_AFTER_REQUEST_NS = 250 * NS_PER_MS
 # From this long before the end of a step a controller is not polled, if another step follows: a poll would delay that.
 QUIET_TURN_NS = 40 * NS_PER_MS
+# While an adapter loads a step behind the end of another one, a poll would delay it. A controller that is not read for
+# 0.7 s counts as silent.
+QUIET_LOADING_NS = 450 * NS_PER_MS
 
 
 class LoadedSteps:
@@ -25,11 +28,13 @@ class LoadedSteps:
 
     present: in its phase; None if there is none. following: the place of the one behind it. interruptions: how often
     something has withdrawn a step; a transition that finds it changed after a wait unloads what it has loaded.
-    followed_steps: whose ends the driver has not reached yet. reading_is_old: the last reading is from before the end
-    of a step that another one follows. ended_ns: when the present step should have ended, at the latest, host time.
-    requested_ns: when the last request of a step came. past_steps: as many as starts are learned from. stop_pending: a
-    released step has failed, and its stop could not be sent yet. stop_ns: longest time that a stop of the last step
-    takes; its ramps may be gentler than the steepest ramps of the axes.
+    followed_steps: whose ends the driver has not reached yet. followed_ns: when it has last reached one.
+    reading_is_old: the last reading is from before the end of a step that another one follows. ended_ns: when the
+    present step should have ended, at the latest, host time. requested_ns: when the last request of a step came.
+    polled_ns, poll_takes_ns: when the last poll ended, and how long it took, with the wait for its turn. past_steps: as
+    many as starts are learned from. stop_pending: a released step has failed, and its stop could not be sent yet.
+    stop_ns: longest time that a stop of the last step takes; its ramps may be gentler than the steepest ramps of the
+    axes.
     """
 
     def __init__(self, driver: Driver) -> None:
@@ -40,9 +45,11 @@ class LoadedSteps:
         self.loading_lock = asyncio.Lock()
         self.interruptions = 0
         self.followed_steps = 0
+        self.followed_ns = 0
         self.reading_is_old = False
         self.ended_ns = 0
         self.requested_ns = -QUIET_AFTER_REQUEST_NS
+        self.polled_ns = self.poll_takes_ns = 0
         self.past_steps: deque[PastStep] = deque(maxlen=MAX_STARTS)
         self.stop_pending = False
         self.stop_ns = 0
@@ -97,9 +104,15 @@ class LoadedSteps:
         if armed_step is not None:
             if armed_step.phase is StepPhase.MOVING:
                 return self._quiet_turn_until_ns(armed_step, now_ns)
-            if armed_step.t0_host_ns - QUIET_BEFORE_T0_NS <= now_ns <= armed_step.t0_host_ns:
+            if armed_step.phase is StepPhase.LOADING:
+                until_ns = min(armed_step.t0_host_ns, self._quiet_loading_until_ns)
+            elif armed_step.t0_host_ns - QUIET_BEFORE_T0_NS <= now_ns <= armed_step.t0_host_ns:
                 until_ns = armed_step.t0_host_ns
         return until_ns if now_ns <= until_ns else None
+
+    @property
+    def _quiet_loading_until_ns(self) -> int:
+        return self.polled_ns + QUIET_LOADING_NS
 
     def _quiet_turn_until_ns(self, present: ArmedStep, now_ns: int) -> int | None:
         """Return until when a moving controller is not polled because the following step is near: it begins that by its
@@ -108,5 +121,7 @@ class LoadedSteps:
         if following is None:
             return None
         ends_ns = present.ends_host_ns
-        until_ns = min(ends_ns + QUIET_TURN_NS, following.t0_host_ns)
-        return until_ns if ends_ns - QUIET_TURN_NS <= now_ns <= until_ns else None
+        from_ns = ends_ns - QUIET_TURN_NS - self.poll_takes_ns
+        turn_ns = ends_ns + QUIET_TURN_NS if self.following.in_controller else self._quiet_loading_until_ns
+        until_ns = min(turn_ns, following.t0_host_ns)
+        return until_ns if from_ns <= now_ns <= until_ns else None

@@ -67,6 +67,11 @@ class NextStepSlot:
         if self._following is not None:
             self._following.armed_step = armed_step
 
+    @property
+    def in_controller(self) -> bool:
+        """Whether the controller holds the following step; without one, it is not."""
+        return self._following is not None and self._following.in_controller
+
     def require_slot(self) -> MoveSlot:
         """Return the slot of the controller for a move beside the present one. Raises `Refusal`."""
         if self._slots.following is None:

@@ -355,7 +355,8 @@ def test_a_controller_that_answers_while_it_is_being_connected_is_not_online_yet
             return ControllerReading(clock.now_ns(), {})
 
         unit = SimpleNamespace(
-            _context=SimpleNamespace(driver=SimpleNamespace(poll=poll)),
+            _context=SimpleNamespace(driver=SimpleNamespace(poll=poll), clock=clock),
+            _steps=SimpleNamespace(),
             is_connected=lost_ms > 0,
             listener=SimpleNamespace(handle_reading=lambda reading: taken.append(reading.at_ns)),
             _publisher=SimpleNamespace(publish_state=nothing),
