@@ -1,5 +1,6 @@
 """Loading of a step's part into the controller, without moving, and its verification."""
 
+from collections.abc import Sequence
 from fractions import Fraction
 
 from adapters.ppsmc import fleetaxes
@@ -110,9 +111,10 @@ def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
     return [first, *move_lines, "nl", "end"]
 
 
-async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLowered) -> None:
-    """Load speeds and the target buffer. Raises `Refusal` when the controller does not store them."""
-    commands = [*profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
+async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLowered, first: Sequence[str]) -> None:
+    """Load speeds and the target buffer, behind the `first` commands. Raises `Refusal` when the controller does not
+    store them."""
+    commands = [*first, *profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
     queries = [ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
     reply = await unit.session.send_repeatable(commands, *queries)
     if options.check_profile:

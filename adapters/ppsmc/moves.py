@@ -1,7 +1,8 @@
 """One move of a controller: loaded, checked, started by one command at an instant or by an input, followed to its
 end."""
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.ppsmc import loading
@@ -32,6 +33,17 @@ from adapters.toolkit.wired_points import WiredInput
 from orchestrator.model.errors import ControllerFault, Refusal
 
 
+@contextmanager
+def _blocked_as_refusal() -> Generator[None]:
+    """A blocked controller refuses; it has no fault."""
+    try:
+        yield
+    except ControllerFault as error:
+        if error.code == "blocked":
+            raise as_refusal(error) from None
+        raise
+
+
 class PpSmcMover:
     """Arm, start and follow the moves of one connection. settle_ns: how long axes may move after their planned end."""
 
@@ -50,15 +62,27 @@ class PpSmcMover:
 
     async def load_move(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load speeds and targets, or a program, and read everything back. Raises `Refusal`."""
+        return await self._load(lowered, t0_ns, behind=False)
+
+    async def load_behind(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
+        """The same where the last move has ended a moment ago, and was seen at rest: only the check before the commit,
+        which is next, reads the axes again. Raises `Refusal`."""
+        is_plain = lowered.wait is None and lowered.drive is None and not lowered.by_program
+        return await self._load(lowered, t0_ns, behind=is_plain)
+
+    async def _load(self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
         async with self._unit.loading:
             try:
-                return await self._load_and_verify(lowered, t0_ns)
+                with _blocked_as_refusal():
+                    return await self._load_and_verify(lowered, t0_ns, behind=behind)
             except ControllerFault as error:
-                if error.code == "blocked":
-                    raise as_refusal(error) from None
+                # Its settings are read only at rest (L3977), and another client may have moved it.
+                if behind and error.code == "garbage" and not (await self._unit.read_state()).is_idle:
+                    self.move = None
+                    raise Refusal("moving", "an axis of the controller moves", "wait for its end, or stop it") from None
                 raise
 
-    async def _load_and_verify(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
+    async def _load_and_verify(self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
         unit, began_ns = self._unit, self._clock.now_ns()
         if self.move is not None:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
@@ -66,19 +90,21 @@ class PpSmcMover:
         move = LoadedMove(lowered, t0_ns)
         unit.jogging_motors -= move.motor_numbers
         lock = ["remote"] if self._options.panel == "lock" else []
-        reply = await self._session.send_repeatable(lock, *loading.check_queries(lowered))
-        look = loading.require_rest(unit, lowered, reply)
-        # Without it `tbg` moves nothing while any switch is active (L2994); axes never move towards an active one.
-        move.ignore_limits = look.on_limit
-        if lowered.drive is not None:
-            move.output = self._output = DrivenOutput(self._clock, PpSmcOutput(unit, lowered.drive))
-            move.output.port.check_passive(int(reply.first_text(ASK_OUTPUTS)))
+        if not behind:
+            reply = await self._session.send_repeatable(lock, *loading.check_queries(lowered))
+            lock = []
+            look = loading.require_rest(unit, lowered, reply)
+            # Without it `tbg` moves nothing while any switch is active (L2994); axes never move towards an active one.
+            move.ignore_limits = look.on_limit
+            if lowered.drive is not None:
+                move.output = self._output = DrivenOutput(self._clock, PpSmcOutput(unit, lowered.drive))
+                move.output.port.check_passive(int(reply.first_text(ASK_OUTPUTS)))
         checked_ns = self._clock.now_ns()
         self.move = move
         if lowered.by_program:
             await loading.load_program(unit, lowered)
         elif lowered.moves:
-            await loading.load_targets(unit, self._options, lowered)
+            await loading.load_targets(unit, self._options, lowered, lock)
         if self.move is not move:
             raise Refusal("stopped", "a stop came while arming", "")
         return {"verify": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}
@@ -92,13 +118,11 @@ class PpSmcMover:
             queries.append(ASK_PROGRAM)
         elif lowered_step.moves:
             queries.append(ASK_TARGETS)
-        try:
+        with _blocked_as_refusal():
             reply = await self._session.send_queries(*queries)
-        except ControllerFault as error:
-            if error.code == "blocked":
-                raise as_refusal(error) from None
-            raise
         look = loading.require_rest(self._unit, lowered_step, reply)
+        if move.ignore_limits is None:
+            move.ignore_limits = look.on_limit
         if look.on_limit != move.ignore_limits:
             raise Refusal("limit", "a limit switch has changed since the move was armed", "arm it again")
         if move.output is not None:

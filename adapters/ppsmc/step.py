@@ -14,6 +14,7 @@ class LoadedMove:
     """A loaded move.
 
     output: the output that it switches.
+    ignore_limits: whether a switch is active that it does not move towards; None: not known yet.
     released: True from `go` on, with a timed write or a waiting program.
     pending: the expected answers after the timed write.
     started: interval of the start, when known."""
@@ -21,7 +22,7 @@ class LoadedMove:
     lowered: PpSmcLowered
     t0_ns: int
     output: DrivenOutput[PpSmcOutput] | None = None
-    ignore_limits: bool = False
+    ignore_limits: bool | None = None
     released: bool = False
     order: TimedWrite | None = None
     pending: PendingBatch | None = None

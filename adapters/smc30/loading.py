@@ -17,9 +17,12 @@ class ProgramLoader:
         self._clock = clock
         self._unit = unit
 
-    async def load_step(self, move: LoadedStep) -> Mapping[str, int]:
+    async def load_step(self, move: LoadedStep, *, behind: bool = False) -> Mapping[str, int]:
         """Load the program and read it back; a program that waits for a trigger line begins to wait. Return what took
-        how long, ns. Raises `Refusal`."""
+        how long, ns. Raises `Refusal`.
+
+        behind: the last step has just ended where this one begins. Then only the check before the commit, which is
+        next, reads the position: a controller that executes something refuses the program."""
         lowered_step, unit = move.lowered, self._unit
         if not lowered_step.program:
             return {}
@@ -31,15 +34,15 @@ class ProgramLoader:
         async with unit.loading:
             await unit.wait_for_stops()
             async with unit.exclusive_turn():
+                if not (behind and self._begins_here(lowered_step)):
+                    await self._require_start(lowered_step)
                 loaded_ns = await self._load_program(move, stop_count)
         unit.session.require_no_stop(stop_count)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
     async def _load_program(self, move: LoadedStep, since: int) -> int:
-        """Check the position, load the program and read it back, and start its wait if it has one; return when it was
-        loaded."""
+        """Load the program and read it back, and start its wait if it has one; return when it was loaded."""
         lowered_step, unit = move.lowered, self._unit
-        await self._require_start(lowered_step)
         await unit.load_program(lowered_step.program, since)
         loaded_ns = self._clock.now_ns()
         if lowered_step.wait is not None or lowered_step.drive is not None:
@@ -79,6 +82,11 @@ class ProgramLoader:
             is_loaded = False
         if not is_loaded:
             raise Refusal("not-loaded", f"{unit.session.name} has lost its program", "arm it again")
+
+    def _begins_here(self, lowered: Smc30Lowered) -> bool:
+        """Whether a step that starts by the host begins where the axis stood at the end of the last one."""
+        is_plain = lowered.wait is None and lowered.drive is None
+        return is_plain and not self._unit.programming and self._unit.rest_counts == lowered.start_counts
 
     async def _require_start(self, lowered: Smc30Lowered) -> None:
         counts = await self._unit.require_ready()

@@ -37,11 +37,18 @@ class Smc30Mover:
     async def load_move(self, lowered: Smc30Lowered, t0_ns: int) -> Mapping[str, int]:
         """Load the program and read it back; a program that waits for a trigger line begins to wait. Raises
         `Refusal`."""
+        return await self._load(lowered, t0_ns, behind=False)
+
+    async def load_behind(self, lowered: Smc30Lowered, t0_ns: int) -> Mapping[str, int]:
+        """The same right behind a step that has just ended. Raises `Refusal`."""
+        return await self._load(lowered, t0_ns, behind=True)
+
+    async def _load(self, lowered: Smc30Lowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
         if self.move is not None or self._unit.doing == "home":
             raise Refusal("busy", "a motion is loaded or in progress", "disarm or stop it")
         move = self.move = LoadedStep(lowered, t0_ns)
         try:
-            return await self._loader.load_step(move)
+            return await self._loader.load_step(move, behind=behind)
         except BaseException:
             if self.move is move and not move.running:
                 self.move = None

@@ -23,7 +23,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.examples import find_example
-from orchestrator.runtime.simulated_fleets import make_ppsmc, make_smc30, make_smc4000
+from orchestrator.runtime.simulated_fleets import make_ppsmc, make_shrc203, make_smc30, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 LIVE_MORE_MS = 5.0  # than in virtual time, of the median gap
@@ -89,6 +89,7 @@ def list_fleets() -> list[StepsFleet]:
             [NaiveMove(SMC4000, 2000), NaiveMove(SHRC203, 5000)],
             60.0,
         ),
+        _make_fleet("SHRC-203", [make_shrc203(0)], 5000, NaiveMove(SHRC203, 5000), None),
         _make_fleet("SMC30", [make_smc30(0, 1)], 2000, NaiveMove(SMC30, 2000), None),
         _make_fleet("pp-electronic SMC", [make_ppsmc(0)], 2000, NaiveMove(PPSMC, 2000), None),
     ]
