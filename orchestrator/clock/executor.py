@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import nullcontext
 from multiprocessing import active_children, get_context
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from orchestrator.clock.collection import CollectionPause
 from orchestrator.clock.parent import prepare_worker
@@ -61,9 +61,28 @@ class ThreadExecutor:
             return await asyncio.get_running_loop().run_in_executor(self._pool, lambda: function(*values))
 
 
-CALL_S = 20  # that a call may take; the longest path of a job takes two
 MAX_CALLS = 8  # that wait and run
-MAX_PROCESS_BYTES = 2_000_000_000  # of address space
+
+
+class WorkLimits(NamedTuple):
+    """The most that one call in another process may need. call_s: time; max_bytes: of address space. task: what is not
+    done beyond them, with its remedy, and what those are that wait."""
+
+    call_s: int
+    max_bytes: int
+    task: str
+    remedy: str
+    waiting: str
+
+
+READING = WorkLimits(
+    20, 2_000_000_000, "the request was not read", "send it in smaller parts", "large requests are being read"
+)
+"""Of a large request; the longest path of a job takes two seconds."""
+CHECKING = WorkLimits(
+    300, 6_000_000_000, "the job was not checked", "split its paths into several jobs", "long paths are being planned"
+)
+"""Of a job with a long path: its plan takes 50 s and 1.5 GB for 100,000 pieces."""
 
 
 class ProcessExecutor:
@@ -73,14 +92,16 @@ class ProcessExecutor:
     what the call raises, and `Refusal`, code `too-much-work`, for one that was ended or found no place.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limits: WorkLimits = READING) -> None:
+        self._limits = limits
         self._pool: ProcessPoolExecutor | None = None
         self._calls = 0
         self._turn = asyncio.Lock()
 
     async def __call__(self, function: Callable[..., T], *values: Any) -> T:
         if self._calls >= MAX_CALLS:
-            raise Refusal("too-much-work", f"{MAX_CALLS} large requests are being read", "send this one again later")
+            text = f"{MAX_CALLS} {self._limits.waiting}"
+            raise Refusal("too-much-work", text, "send this one again later")
         self._calls += 1
         try:
             async with self._turn:
@@ -90,15 +111,17 @@ class ProcessExecutor:
 
     async def _run(self, function: Callable[..., T], values: tuple[Any, ...]) -> T:
         pool = self._pool = self._pool or ProcessPoolExecutor(
-            1, get_context("spawn"), initializer=_prepare_process, initargs=(os.getpid(),)
+            1, get_context("spawn"), initializer=_prepare_process, initargs=(os.getpid(), self._limits.max_bytes)
         )
         try:
-            return await asyncio.get_running_loop().run_in_executor(pool, _run_in_time, function, values)
+            return await asyncio.get_running_loop().run_in_executor(
+                pool, _run_in_time, self._limits.call_s, function, values
+            )
         except MemoryError:
-            raise _too_much() from None
+            raise _too_much(self._limits) from None
         except BrokenProcessPool:
             self._pool = None
-            raise _too_much() from None
+            raise _too_much(self._limits) from None
 
     def close(self) -> None:
         """End the process, whatever it does. Without, the end of this program would wait for its call."""
@@ -109,22 +132,22 @@ class ProcessExecutor:
                 process.kill()
 
 
-def _too_much() -> Refusal:
-    text = f"the request was not read within {CALL_S} s and {MAX_PROCESS_BYTES // 1_000_000_000} GB of memory"
-    return Refusal("too-much-work", text, "send it in smaller parts")
+def _too_much(limits: WorkLimits) -> Refusal:
+    text = f"{limits.task} within {limits.call_s} s and {limits.max_bytes // 1_000_000_000} GB of memory"
+    return Refusal("too-much-work", text, limits.remedy)
 
 
-def _run_in_time(function: Callable[..., T], values: tuple[Any, ...]) -> T:
+def _run_in_time(call_s: int, function: Callable[..., T], values: tuple[Any, ...]) -> T:
     """A call in the process: the kernel ends it when it takes too long, whatever it does."""
-    signal.alarm(CALL_S)
+    signal.alarm(call_s)
     try:
         return function(*values)
     finally:
         signal.alarm(0)
 
 
-def _prepare_process(parent_pid: int) -> None:
+def _prepare_process(parent_pid: int, max_bytes: int) -> None:
     """It takes neither the priority of its parent nor all memory."""
     prepare_worker(parent_pid)
     reset_priority()
-    resource.setrlimit(resource.RLIMIT_AS, (MAX_PROCESS_BYTES, MAX_PROCESS_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))

@@ -100,6 +100,7 @@ class Coordinator:
             journal=environment.journal,
             execute=self._execute,
             decode=environment.decode,
+            check=environment.check,
             view=self._view,
             fleet=access,
             motion=motion,

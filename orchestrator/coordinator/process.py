@@ -24,7 +24,7 @@ from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
-from orchestrator.clock.executor import ProcessExecutor, ThreadExecutor
+from orchestrator.clock.executor import CHECKING, ProcessExecutor, ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import running, wait_for_first
 from orchestrator.clock.parent import die_with_parent
@@ -85,6 +85,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     if options.existing_journal:
         require_journal(options.journal)
     journal, runs, decode = SqliteJournal(options.journal), ThreadExecutor("journal"), ProcessExecutor()
+    check = ProcessExecutor(CHECKING)
     court = CoordinatorEnvironment(
         bus=bus,
         keys=FleetKeys(fleet.fleet),
@@ -93,6 +94,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         execute=runs,
         plan=ThreadExecutor("planning", many_objects=True),
         decode=decode,
+        check=check,
         new_id=lambda: uuid.uuid4().hex,
         sink=make_file_sink(options.log),
         save_fleet=lambda taken_fleet: save_fleet(options.fleet, taken_fleet),
@@ -129,6 +131,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         return 0
     finally:
         decode.close()
+        check.close()
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
 

@@ -6,8 +6,7 @@ import signal
 
 import pytest
 
-from orchestrator.clock import executor
-from orchestrator.clock.executor import MAX_CALLS, ProcessExecutor
+from orchestrator.clock.executor import MAX_CALLS, READING, ProcessExecutor
 from orchestrator.model.errors import Refusal
 
 pytestmark = pytest.mark.live
@@ -18,7 +17,7 @@ def refuse() -> None:
 
 
 def take_memory() -> int:
-    return len(bytearray(executor.MAX_PROCESS_BYTES))
+    return len(bytearray(READING.max_bytes))
 
 
 def reach_the_limit() -> None:

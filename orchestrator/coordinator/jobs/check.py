@@ -1,7 +1,7 @@
 """Check a job before it is accepted, wherever its axes will be then."""
 
 import asyncio
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor, run_inline
@@ -9,6 +9,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import StepForecast, StepProblem
 from orchestrator.model.jobs.files import format_place
+from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.order import RemainingStep
 from orchestrator.plan.forecast.job import JobForecaster
@@ -17,18 +18,34 @@ STEPS_AT_ONCE = 20  # that are checked before other work gets its turn
 MAX_LISTED = 10  # problems in one refusal
 
 
-async def check_job(fleet: Fleet, steps: Iterable[RemainingStep], plan: Executor) -> float:
+async def check_job(fleet: Fleet, steps: Sequence[RemainingStep], plan: Executor, check: Executor) -> float:
     """Run steps forward, from an unknown beginning; return how long they take at least, s. More passes and points cost
-    no more. plan: plans paths.
+    no more. plan: plans paths. check: checks all steps if one is a long path, whose plan takes a gigabyte.
 
     Raises `Refusal` for what cannot work wherever the axes are.
     """
+    if find_long_paths([step for _, _, step in steps]):
+        return await check(check_at_once, fleet, steps)
     forecaster, written_steps, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
     for count, (_, number, step) in enumerate(steps):
         if count and count % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
         written_steps[number] = step
         least_s += (await forecast_step(forecaster, number, step, plan)).least_s
+    if forecaster.problems:
+        raise _make_refusal(written_steps, forecaster.problems)
+    return least_s
+
+
+def check_at_once(fleet: Fleet, steps: Sequence[RemainingStep]) -> float:
+    """The same without a turn for other work, in a process of its own. Raises `Refusal`."""
+    forecaster, written_steps, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
+    for _, number, step in steps:
+        written_steps[number] = step
+        work = forecaster.take_in_parts(number, step)
+        while (forecast := _advance(work)) is None:
+            pass
+        least_s += forecast.least_s
     if forecaster.problems:
         raise _make_refusal(written_steps, forecaster.problems)
     return least_s

@@ -41,6 +41,7 @@ class JobServices:
     journal: JournalStore
     execute: Executor
     decode: Executor
+    check: Executor
     view: FleetView
     fleet: FleetAccess
     motion: MotionServices

@@ -45,9 +45,9 @@ def test_a_job_is_checked_by_that_executor_only_where_it_has_a_path() -> None:
     noted, fleet = NotedCalls(), gantries()
 
     async def main(_: VirtualFleet) -> None:
-        await check_job(fleet, StepOrder(prepare(fleet, ALONE).steps, 1).list_remaining(), noted)
+        await check_job(fleet, StepOrder(prepare(fleet, ALONE).steps, 1).list_remaining(), noted, run_inline)
         assert not noted.functions
-        await check_job(fleet, StepOrder(circle(ALONE, 1).steps, 1).list_remaining(), noted)
+        await check_job(fleet, StepOrder(circle(ALONE, 1).steps, 1).list_remaining(), noted, run_inline)
         assert noted.functions
 
     run_fleet(main, fleet)

@@ -101,7 +101,7 @@ class JobIntake:
     async def _check_steps(self, steps: list[RemainingStep], terms: QueueTerms) -> None:
         """Raises `Refusal` for steps that cannot work, and for those that would outlive a certificate."""
         services, fleet = self._services, self._services.view.fleet
-        least_s = await check_job(fleet, steps, services.motion.plan)
+        least_s = await check_job(fleet, steps, services.motion.plan, services.check)
         members = find_needed_controllers(fleet, [step.step for step in steps])
         services.fleet.certificates.require_until(members, least_s, terms.at)
 

@@ -54,7 +54,7 @@ class JobPreparation:
         self._take_positions()
         # Again, because the fleet may have changed since the job was accepted.
         remaining = self._steps.order.list_remaining(self._row.from_step)
-        least_s = await check_job(services.view.fleet, remaining, services.motion.plan)
+        least_s = await check_job(services.view.fleet, remaining, services.motion.plan, services.check)
         services.fleet.certificates.require_until(needs, least_s)
         axes = find_axes(services.view.fleet, self._steps.list_steps(self._row.from_step))
         since_ns = services.clock.now_ns()
