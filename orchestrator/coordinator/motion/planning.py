@@ -195,9 +195,7 @@ async def _query_controller(
     try:
         state, info = await view.query_state(controller, seen_ns), await view.query_info(controller)
     except BusError as error:
-        raise Refusal(
-            "absent", f"{controller}: {error}", "check that its adapter host is running", controller
-        ) from None
+        raise view.make_absence(controller, str(error)) from None
     if state.mode == "offline":
         fault = state.faults[0] if state.faults else None
         raise Refusal(
