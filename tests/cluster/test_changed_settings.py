@@ -4,11 +4,9 @@ import asyncio
 from dataclasses import dataclass
 
 import pytest
-from cluster.worlds import EXAMPLES, begin_ready, job, outcome, run_fleet
+from cluster.worlds import begin_ready, job, line_fleet, outcome, run_fleet
 
 from orchestrator.client.api import Tutti
-from orchestrator.model.fleet import Fleet
-from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES
@@ -33,18 +31,6 @@ CHANGES = {
     "ppsmc": Change("table.turn", "gnum1:2000", lost=True),
     "cia402": Change("arm.r", None, lost=True),
 }
-
-
-def _make_fleet(controller: str) -> Fleet:
-    """The controllers of one link of the example fleet."""
-    plain = load_fleet(EXAMPLES / "all.fleet.yaml").to_plain()
-    link = plain["controllers"][controller]["link"]
-    plain["controllers"] = {
-        name: config
-        for name, config in plain["controllers"].items()
-        if {**config["link"], "address": 0} == {**link, "address": 0}
-    }
-    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "one", "controllers": plain["controllers"]})
 
 
 async def _change_setting(fleet: VirtualFleet, change: Change) -> None:
@@ -94,7 +80,7 @@ def test_a_job_waits_for_a_setting_that_was_changed_since_the_last_one(make: str
         await begin_ready(client, job_id)
         assert (await client.wait_for_job(job_id)).state == "done"
 
-    run_fleet(main, _make_fleet(controller))
+    run_fleet(main, line_fleet(controller))
 
 
 @pytest.mark.parametrize("rest_s", [0, 15])
@@ -126,7 +112,7 @@ def test_a_job_waits_at_its_step_for_a_setting_that_was_changed_after_it_began(r
         assert report.state == "done" and [step.state for step in report.steps] == ["done", "done"]
         assert gantry.position("X") == begin_counts + 5000
 
-    run_fleet(main, _make_fleet("gantry"))
+    run_fleet(main, line_fleet("gantry"))
 
 
 @pytest.mark.parametrize("rest_s", [0, 15])
@@ -160,7 +146,7 @@ def test_a_job_waits_at_its_step_for_a_reference_that_a_changed_setting_has_lost
         report = await client.wait_for_job(job_id)
         assert report.state == "done" and [step.state for step in report.steps] == ["done", "done"]
 
-    run_fleet(main, _make_fleet(controller))
+    run_fleet(main, line_fleet(controller))
 
 
 def test_axes_that_a_waiting_job_lends_are_used_by_commands_only_and_come_back_behind_them() -> None:
@@ -186,7 +172,7 @@ def test_axes_that_a_waiting_job_lends_are_used_by_commands_only_and_come_back_b
         await client.resume_job(job_id)
         assert (await client.wait_for_job(job_id)).state == "done"
 
-    run_fleet(main, _make_fleet(controller))
+    run_fleet(main, line_fleet(controller))
 
 
 async def _change_beside(fleet: VirtualFleet, change: Change) -> None:
