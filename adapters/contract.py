@@ -107,6 +107,8 @@ class SettingDifference:
     def to_fault(self) -> FaultReport:
         """The fault that keeps the controller from moving until the setting is as expected."""
         remedy = "`tutti reset` writes it again; find out which client changed it" if self.repairable else self.remedy
+        if self.moves_reference:
+            remedy += "; then home again"
         text = f"{self.item} is {self.found}, expected {self.expected}: another client has changed it"
         return FaultReport(code=SETTING_CHANGED, text=text, remedy=remedy, axis=self.axis)
 

@@ -8,6 +8,7 @@ from contextlib import suppress
 
 from pydantic import ValidationError
 
+from adapters.controller.attempt_pauses import FIRST_NS, AttemptPauses
 from adapters.controller.commands import ControllerCommands
 from adapters.controller.components import build_components
 from adapters.controller.evaluation import ReadingEvaluation
@@ -15,14 +16,12 @@ from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.store import PersistentMemory
 from adapters.controller.stops import ControllerStops
 from orchestrator.bus.base import BusDeclaration, RequestHandler
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import KeptEstop
 from orchestrator.model.state import ControllerState, FaultReport
 
-BACKOFF_FIRST_NS = 200 * NS_PER_MS
-BACKOFF_LONGEST_NS = 5 * NS_PER_S
 HEARTBEAT_NS = 400 * NS_PER_MS  # an adapter that is silent for 0.7 s counts as dead
 
 
@@ -37,6 +36,7 @@ class ControllerSupervisor:
         self.stops = ControllerStops(context, parts)
         parts.polling.listener = ReadingEvaluation(context, parts, self.stops)
         self._commands = ControllerCommands(context, parts, self.stops)
+        self._pauses = AttemptPauses(context.clock)
         self._keeping: asyncio.Task[None] | None = None
         self._declared: list[BusDeclaration] = []
 
@@ -101,12 +101,11 @@ class ControllerSupervisor:
     async def _keep_connected(self) -> None:
         """Connect to the controller, serve it until the link breaks, and reconnect with growing back-off."""
         self._parts.tasks.spawn(self._publish_heartbeats())
-        pause_ns = BACKOFF_FIRST_NS
         while True:
+            is_defect = False
             try:
                 await self._parts.pending_stop.guard_attempt(self._set_up_connection())
                 await self._go_online()
-                pause_ns = 0
                 await self._poll_until_lost()
             except LinkRefused as error:
                 self._handle_offline(
@@ -124,12 +123,14 @@ class ControllerSupervisor:
                 self._handle_offline(FaultReport(code=error.code, text=error.text, remedy=error.remedy))
             except Exception as error:
                 # A defect: this task must not end, or nothing would ever connect to the controller again.
+                is_defect = True
                 self._handle_offline(self._parts.defects.note_defect(error))
             await self._close_driver()
+            pause_ns = self._pauses.pause_ns
             if pause_ns or not self._parts.pending_stop.is_pending:
                 # A step that was loaded when the link broke may be about to begin: its stop is sent without a pause.
-                await self._parts.pending_stop.pause_attempts(max(pause_ns, BACKOFF_FIRST_NS))
-            pause_ns = min(max(2 * pause_ns, BACKOFF_FIRST_NS), BACKOFF_LONGEST_NS)
+                await self._parts.pending_stop.pause_attempts(max(pause_ns, FIRST_NS))
+            self._pauses.prolong_pause(is_defect=is_defect)
 
     async def _close_driver(self) -> None:
         try:
@@ -204,6 +205,7 @@ class ControllerSupervisor:
         self._parts.jogging.drop_all("the link is lost")
         self._parts.withdrawal.drop_step(f"the link is lost: {fault.text}")
         if was_online:
+            self._pauses.note_lost()
             self._parts.publisher.emit_event("offline", fault.text, fault=fault)
             self._parts.publisher.publish_state()
         if not is_repeated:  # while a stop is pending, attempts are frequent

@@ -67,7 +67,8 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
         # Outlives a connection: the last token of the controller.
         self._token = 0
         self._restarted = False
-        # Outlives a connection as well: the crystal.
+        # These outlive a connection as well: the axes that a limit switch has stopped, and the crystal.
+        self._spoiled: set[int] = set()
         self._crystal = options.unread_clock()
 
     # Connection
@@ -85,7 +86,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
         session.log = self._log
         self._log.info("link opened", place=session.link.endpoint)
         stopper = StopConnection(self._setup.open_link, wanted=self._config.link.kind == "tcp")
-        unit = PpSmcState(session, stopper, self._config, slow_ns, enabled=self._enabled)
+        unit = PpSmcState(session, stopper, self._config, slow_ns, enabled=self._enabled, spoiled=self._spoiled)
         longest_s = max(axis.in_position_timeout_s for axis in self._config.axes.values())
         settle_ns = round(longest_s * NS_PER_S) + _STOP_RAMP_NS
         mover = PpSmcMover(options, MoverTools(self._clock, self._setup.timed_writer, self._crystal), unit, settle_ns)
@@ -263,5 +264,6 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
     def _save_token(self, session: PpSmcSession) -> None:
         if session.batches.restarted:
             self._restarted, session.batches.restarted = True, False
+            self._spoiled.clear()  # it has no reference any more, and will search for one
             self._log.warning("the controller was restarted: its volatile state is lost")
             self._crystal.discard_moves()

@@ -214,5 +214,6 @@ def _installed_already(search: _ReferenceSearch) -> Refusal:
         "already-referenced",
         f"axis {search.axis} was stopped by a limit switch, but the controller reports its reference as "
         f"installed, and `{search.command}` moves nothing then",
-        "use homing method switch or limit, or switch the controller off and on",
+        "send it `reset` as a raw command, or switch it off and on: it forgets the references of all its axes; then "
+        "home them. Homing methods switch and limit need neither",
     )

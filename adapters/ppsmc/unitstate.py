@@ -71,7 +71,7 @@ class PpSmcState:
     closed: axes in closed loop.
     enabled: names of the axes that the adapter may move.
     referenced: axes that have been seen with an installed reference since the last search.
-    spoiled: axes that a limit switch has stopped, whose position is not valid (L2546).
+    spoiled: axes that a limit switch has stopped, whose position is not valid (L2546); kept over connections.
     loading: lock for configuring the controller.
     output_lock: lock for changing outputs.
     untidy: a stop or a move may have left targets.

@@ -21,6 +21,7 @@ from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.identity import find_session_identity
 from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
+from orchestrator.client.slow_starts import explain_absence
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import Reply, Request
@@ -189,6 +190,8 @@ class FleetConnection:
         except BusError as error:
             failure = _explain_failure(error, absence_refusal(controller))
             if isinstance(error, NoReply):
+                if verb != "stop":  # that reports at once which controllers have it
+                    failure = await explain_absence(self.bus, self.keys, failure)
                 failure = await self._explain_silence(failure, verb, self.keys.state(controller))
             raise failure from None
         except Refusal as error:
@@ -200,7 +203,10 @@ class FleetConnection:
         try:
             return await self._ask(key, request, reply, timeout_s)
         except BusError as error:
-            raise _explain_failure(error, absent) from None
+            failure = _explain_failure(error, absent)
+            if isinstance(error, NoReply) and absent.controller is not None:
+                failure = await explain_absence(self.bus, self.keys, failure)
+            raise failure from None
 
     async def _ask(
         self, key: str, request: Request | bytes, reply: type[M], timeout_s: float, server: str | None = None

@@ -7,6 +7,8 @@ from typing import Any
 
 SETTING_CHANGED = "setting-changed"
 """Code of a controller whose settings another client has changed: what would move waits until they are as before."""
+NOT_REFERENCED = "not-referenced"
+"""Code of an axis whose position is not known: it must be homed before it moves to a position."""
 
 
 class TuttiError(Exception):

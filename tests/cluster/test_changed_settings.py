@@ -4,11 +4,9 @@ import asyncio
 from dataclasses import dataclass
 
 import pytest
-from cluster.worlds import EXAMPLES, begin_ready, job, outcome, run_fleet
+from cluster.worlds import begin_ready, job, line_fleet, outcome, run_fleet
 
 from orchestrator.client.api import Tutti
-from orchestrator.model.fleet import Fleet
-from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import FINISHED_STATES
@@ -33,18 +31,6 @@ CHANGES = {
     "ppsmc": Change("table.turn", "gnum1:2000", lost=True),
     "cia402": Change("arm.r", None, lost=True),
 }
-
-
-def _make_fleet(controller: str) -> Fleet:
-    """The controllers of one link of the example fleet."""
-    plain = load_fleet(EXAMPLES / "all.fleet.yaml").to_plain()
-    link = plain["controllers"][controller]["link"]
-    plain["controllers"] = {
-        name: config
-        for name, config in plain["controllers"].items()
-        if {**config["link"], "address": 0} == {**link, "address": 0}
-    }
-    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "one", "controllers": plain["controllers"]})
 
 
 async def _change_setting(fleet: VirtualFleet, change: Change) -> None:
@@ -94,7 +80,7 @@ def test_a_job_waits_for_a_setting_that_was_changed_since_the_last_one(make: str
         await begin_ready(client, job_id)
         assert (await client.wait_for_job(job_id)).state == "done"
 
-    run_fleet(main, _make_fleet(controller))
+    run_fleet(main, line_fleet(controller))
 
 
 @pytest.mark.parametrize("rest_s", [0, 15])
@@ -113,16 +99,12 @@ def test_a_job_waits_at_its_step_for_a_setting_that_was_changed_after_it_began(r
         await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         await client.pause_job(job_id)
         assert await _wait_for_pause(client, job_id) == "paused by anna after step 1"
-        link = await fleet.wires["gantry"].open_link()
-        link.write(b"ITX=0.02\r")
+        await _change_beside(fleet, CHANGES["smc4000"])
         await asyncio.sleep(rest_s)
         for _ in range(2):
-            await client.resume_job(job_id)
-            await asyncio.sleep(1.0)
-            reason = await _wait_for_pause(client, job_id)
+            reason = await _resume_in_vain(client, job_id)
             assert reason.startswith("waits after step 1 for: ")
             assert "another client has changed it; `tutti reset` writes it again" in reason
-            assert reason.endswith(f"then `tutti job resume {job_id}`")
         assert gantry.position("X") == begin_counts + 2000
         assert not any((await client.reset()).values())
         await client.resume_job(job_id)
@@ -130,7 +112,85 @@ def test_a_job_waits_at_its_step_for_a_setting_that_was_changed_after_it_began(r
         assert report.state == "done" and [step.state for step in report.steps] == ["done", "done"]
         assert gantry.position("X") == begin_counts + 5000
 
-    run_fleet(main, _make_fleet("gantry"))
+    run_fleet(main, line_fleet("gantry"))
+
+
+@pytest.mark.parametrize("rest_s", [0, 15])
+@pytest.mark.parametrize("make", ["cia402", "ppsmc"])
+def test_a_job_waits_at_its_step_for_a_reference_that_a_changed_setting_has_lost(make: str, rest_s: float) -> None:
+    """Its axes can be homed by a command meanwhile; until then the step is refused again, whatever is resumed.
+
+    rest_s: the change is found while the step is armed, or at rest before."""
+    change = CHANGES[make]
+    controller = change.axis.partition(".")[0]
+    steps = job(f"[{{do: move, to: {{{change.axis}: 2}}}}, {{do: move, to: {{{change.axis}: 5}}}}]")
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client("anna")
+        assert (await outcome(fleet, _prepare(controller))).state == "done"
+        job_id = await client.submit(steps)
+        await fleet.wait_until(lambda states: states[controller].mode == "moving")
+        await client.pause_job(job_id)
+        assert await _wait_for_pause(client, job_id) == "paused by anna after step 1"
+        motions = len(fleet.controllers[controller].commanded_motions)
+        await _change_beside(fleet, change)
+        await asyncio.sleep(rest_s)
+        for _ in range(2):
+            reason = await _resume_in_vain(client, job_id)
+            assert "another client has changed it; `tutti reset` writes it again" in reason and "home again" in reason
+        assert not any((await client.reset()).values())
+        assert f"{change.axis} is not referenced; home it before" in await _resume_in_vain(client, job_id)
+        assert len(fleet.controllers[controller].commanded_motions) == motions
+        await _home(client, change.axis)
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done" and [step.state for step in report.steps] == ["done", "done"]
+
+    run_fleet(main, line_fleet(controller))
+
+
+def test_axes_that_a_waiting_job_lends_are_used_by_commands_only_and_come_back_behind_them() -> None:
+    change = CHANGES["cia402"]
+    controller = change.axis.partition(".")[0]
+    move = job(f"[{{do: move, to: {{{change.axis}: 5}}}}]")
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client("anna")
+        assert (await outcome(fleet, _prepare(controller))).state == "done"
+        job_id = await client.submit(job(f"[{{do: dwell, duration: 1 s}}, {{do: move, to: {{{change.axis}: 2}}}}]"))
+        await asyncio.sleep(0.5)
+        await _change_beside(fleet, change)
+        assert "home again" in await _wait_for_pause(client, job_id)
+        assert not any((await client.reset()).values())
+        behind_id = await client.submit(move)
+        homing = asyncio.ensure_future(_home(client, change.axis))
+        await fleet.wait_until(lambda states: bool(states[controller].axes["r"].homing))
+        assert "is in use by anna" in await _resume_in_vain(client, job_id)
+        await homing
+        await asyncio.sleep(5)
+        assert (await client.show_job(behind_id)).entry.state == "queued"
+        await client.resume_job(job_id)
+        assert (await client.wait_for_job(job_id)).state == "done"
+
+    run_fleet(main, line_fleet(controller))
+
+
+async def _change_beside(fleet: VirtualFleet, change: Change) -> None:
+    """Change a setting as another client does, which asks no adapter."""
+    if change.command is None:
+        await _change_setting(fleet, change)
+        return
+    link = await fleet.wires[change.axis.partition(".")[0]].open_link()
+    link.write(change.command.encode() + b"\r")
+
+
+async def _resume_in_vain(client: Tutti, job_id: str) -> str:
+    """Resume a job; return why it waits again."""
+    await client.resume_job(job_id)
+    await asyncio.sleep(1.0)
+    reason = await _wait_for_pause(client, job_id)
+    assert reason.startswith("waits ") and reason.endswith(f"then `tutti job resume {job_id}`")
+    return reason
 
 
 async def _wait_for_pause(client: Tutti, job_id: str) -> str:

@@ -30,6 +30,18 @@ def demo_fleet() -> Fleet:
     return load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"positions": {}})
 
 
+def line_fleet(controller: str) -> Fleet:
+    """The controllers of one link of the example fleet with all makes."""
+    plain = load_fleet(EXAMPLES / "all.fleet.yaml").to_plain()
+    link = plain["controllers"][controller]["link"]
+    plain["controllers"] = {
+        name: config
+        for name, config in plain["controllers"].items()
+        if {**config["link"], "address": 0} == {**link, "address": 0}
+    }
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "one", "controllers": plain["controllers"]})
+
+
 def demo_job() -> Job:
     return load_job(EXAMPLES / "demo.job.yaml")
 

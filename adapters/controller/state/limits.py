@@ -4,7 +4,7 @@ the allowed ranges."""
 from collections.abc import Mapping
 
 from adapters.controller.state.status import ControllerStatus
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis
 from orchestrator.model.profile import Profile
 
@@ -28,7 +28,7 @@ def check_profiles(status: ControllerStatus, profiles: Mapping[str, Profile], *,
         axis, axis_reading = status.config.axes[name], reading.axes[name]
         if not status.referenced[name]:
             raise Refusal(
-                "not-referenced", f"axis {name} is not referenced", f"home it first: a step `do: home` for {name}"
+                NOT_REFERENCED, f"axis {name} is not referenced", f"home it first: a step `do: home` for {name}"
             )
         if axis_reading.moving:
             raise Refusal("moving", f"axis {name} is moving", "wait for its end, or stop it")

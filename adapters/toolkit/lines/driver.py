@@ -1,6 +1,7 @@
 """The driver of a controller with text lines."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from adapters.abilities import ManualDriver, OutputDriver
@@ -64,7 +65,7 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         self._char_ns = 10 * NS_PER_S // link.baud if link.kind == "serial" else 0
         # These outlive a connection.
         self._enabled = set(setup.config.axes)
-        self._number = 0
+        self._number = 0  # that the controller held when its connection was closed; 0: none
         self._restarted = False
         self._jogging = LineJogging(setup.config, dialect, scales)
         self._reader = LineReader(setup.config, dialect)
@@ -122,16 +123,10 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             return
         self._restarted = self._restarted or self._number != 0
         unit.number = number % _MOST_NUMBERS + 1
-        try:
+        unit.must_number = True
+        with suppress(Refusal):  # in an alarm: it is numbered when that is cleared
             await unit.write_number()
-        except Refusal:  # in an alarm: it is numbered when that is cleared
-            unit.must_number = True
         unit.has_lost_session = False
-        self._note_number(unit)
-
-    def _note_number(self, unit: LineUnit) -> None:
-        """Note the number that the controller holds now; 0 if it holds none."""
-        self._number = 0 if unit.must_number else unit.number
 
     async def configure(self) -> None:
         """Compare the stored settings."""
@@ -203,7 +198,6 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
                 motors = [self._config.axes[name].motors[0] for name in axes]
                 await unit.session.run_procedure(self._dialect.switch_motors(motors, on=on))
                 await unit.number_again()
-                self._note_number(unit)
         self._enabled.update(axes) if on else self._enabled.difference_update(axes)
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
@@ -261,7 +255,6 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
                 raise Refusal("moving", "faults cannot be cleared while an axis moves", "wait for its end, or stop it")
             if state.status.state == "alarm":
                 await unit.clear_alarm()
-                self._note_number(unit)
 
     async def send_raw(self, command: str) -> str:
         if not command.isascii() or not command.isprintable():
@@ -280,10 +273,12 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
             move.running.cancel()
             if move.order is not None:
                 move.order.cancel_write()
-        old_connection.unit.cancel()
-        if old_connection.unit.session.restarted or old_connection.unit.has_lost_session:
+        unit = old_connection.unit
+        unit.cancel()
+        self._number = 0 if unit.must_number else unit.number
+        if unit.session.restarted or unit.has_lost_session:
             self._restarted = self._restarted or self._number != 0
-        await old_connection.unit.session.close()
+        await unit.session.close()
 
     def _require_free(self) -> None:
         if self.connection.mover.move is not None:

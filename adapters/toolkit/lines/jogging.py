@@ -44,6 +44,7 @@ class LineJogging:
             state = await self._wait_for_rest(unit, motor)
         if axis not in unit.enabled:
             raise Refusal("not-enabled", f"axis {axis} is not enabled", f"enable {axis} first")
+        await unit.number_again()
         if state.status.state in ("held", "alarm") or await unit.is_restarted(state):
             raise Refusal("not-ready", f"the controller is {state.status.state}", "see `tutti status`")
         target = self._make_jog_target(axis, move, state.counts[axis])

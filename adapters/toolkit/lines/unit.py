@@ -58,7 +58,8 @@ class LineUnit:
         self._tidying: asyncio.Task[None] | None = None
         self._untidy: ControllerFault | None = None
         self.must_number = False
-        """The controller must get its session number as soon as it accepts it."""
+        """The controller must get its session number as soon as it accepts it, and before it moves: in an alarm it
+        takes none, and another client may clear the alarm."""
         self._followers: set[asyncio.Task[None]] = set()
 
     async def read_state(self) -> LineUnitState:
@@ -97,6 +98,7 @@ class LineUnit:
                 + f" ({source})" * bool(source),
                 "is it the right make? if so, another value must be the session number: a volatile one that lasts",
             )
+        self.must_number = False
 
     async def is_restarted(self, state: LineUnitState) -> bool:
         """Return whether the controller has lost the session number. It is read at rest only."""
@@ -118,6 +120,7 @@ class LineUnit:
             raise Refusal("alarm", f"the controller reports {state.status.alarm}", "clear it with `tutti reset`")
         if state.status.state != "idle":
             raise Refusal("moving", f"the controller is {state.status.state}", "wait for its end, or stop it")
+        await self.number_again()
         if await self.is_restarted(state):
             raise Refusal("restarted", "the controller has restarted", "home it again")
 
@@ -224,10 +227,9 @@ class LineUnit:
         await self.number_again()
 
     async def number_again(self) -> None:
-        """Write the session number if it could not be written before."""
-        if self.must_number and (await self.read_state()).status.state != "alarm":
+        """Write the session number if it could not be written before. Raises `Refusal`, `ControllerFault`."""
+        if self.must_number and (await self.read_state()).status.state == "idle":
             await self.write_number()
-            self.must_number = False
 
     def cancel(self) -> None:
         """End what runs by itself."""

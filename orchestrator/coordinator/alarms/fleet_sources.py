@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from orchestrator.clock.base import Clock
 from orchestrator.coordinator.alarms.conditions import AlarmConditions
-from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.view import SLOW_REMEDY, FleetView
 from orchestrator.model.duration import format_ns
 from orchestrator.model.names import controller_of
 from orchestrator.model.operation.alarms import MAX_SUBJECT, AlarmCause, AlarmRecord
@@ -93,7 +93,7 @@ class FleetAlarms:
         if faults:
             reason, remedy = faults[0].text, faults[0].remedy
         elif (slow_start := self._view.describe_slow_start(controller)) is not None:
-            reason, remedy = slow_start, "wait; its computer is slow, or overloaded"
+            reason, remedy = slow_start, SLOW_REMEDY
         text = f"{controller} is offline: {reason}"
         action = remedy or "check power and cable of the controller"
         self._conditions.report(AlarmCause("disconnected", controller, text, action), holds=absent)

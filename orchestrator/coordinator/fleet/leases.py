@@ -206,7 +206,7 @@ class LeaseRegistry:
             try:
                 info = await self._fleet.view.query_info(controller)
             except BusError as error:
-                raise Refusal("absent", f"{controller}: {error}", "is its adapter host running?", controller) from None
+                raise self._fleet.view.make_absence(controller, str(error)) from None
             digest = self._fleet.view.fleet.controllers[controller].digest
             if info.digest != digest:
                 raise Refusal(

@@ -66,7 +66,7 @@ class MemberRequests:
         try:
             return await self._request_reply(member, verb, request, reply, timeout_s)
         except (BusError, ValidationError) as error:
-            return reply(refused=_make_refusal(member, verb, error, timeout_s))
+            return reply(refused=self._make_refusal(member, verb, error, timeout_s))
 
     async def repeat_request(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
         """Repeat `request` for `timeout_s`: where something moves, a bus that was away for a moment (its router
@@ -83,7 +83,7 @@ class MemberRequests:
                 unheard = isinstance(error, NoReply | RequestTimeout)
                 longest_s = ABSENT_S if isinstance(error, NoReply) else timeout_s
                 if not unheard or loop.time() - begun_s >= longest_s:
-                    return reply(refused=_make_refusal(member, verb, error, timeout_s))
+                    return reply(refused=self._make_refusal(member, verb, error, timeout_s))
             await asyncio.sleep(RETRY_PAUSE_S)
 
     async def request_all(
@@ -152,13 +152,20 @@ class MemberRequests:
                     raise RequestTimeout(key)
                 return reply.read_message(batch.replies[member])
             except (BusError, ValidationError) as error:
-                return reply(refused=_make_refusal(member, verb, error, timeout_s))
+                return reply(refused=self._make_refusal(member, verb, error, timeout_s))
 
         return {member: (of(member), batch.took_ns.get(member, took_ns) + both_ways_ns) for member in requests}
 
     async def _request_reply(self, member: str, verb: str, request: Request, reply: type[R], timeout_s: float) -> R:
         key, server = self.keys.command(member, verb), self.view.servers.get(member)
         return reply.read_message(await self.bus.request(key, request.to_json(), timeout_s, server))
+
+    def _make_refusal(
+        self, member: str, verb: str, error: BusError | ValidationError, timeout_s: float
+    ) -> RefusalDetails:
+        if isinstance(error, NoReply) and self.view.describe_slow_start(member) is not None:
+            return RefusalDetails.of(self.view.make_absence(member, str(error)))
+        return _make_refusal(member, verb, error, timeout_s)
 
     def _host_of(self, member: str) -> str:
         return self.view.fleet.controllers[member].host

@@ -35,6 +35,8 @@ OVERTAKEN_NS = 30 * NS_PER_MS  # a state may arrive this much before an event th
 
 QUERY_S = 1.0  # for an adapter to answer a query
 
+SLOW_REMEDY = "wait; its computer is slow, or overloaded"
+
 EventListener = Callable[[ControllerEvent], None]
 
 
@@ -131,6 +133,13 @@ class FleetView:
         if begun_ns is None or not self.is_silent(controller):
             return None
         return f"its adapter is starting slowly ({(self._clock.now_ns() - begun_ns) // (10 * NS_PER_S) * 10} s)"
+
+    def make_absence(self, controller: str, reason: str) -> Refusal:
+        """The refusal for a controller whose adapter does not answer. reason: as far as the bus knows it."""
+        slow_start = self.describe_slow_start(controller)
+        if slow_start is not None:
+            return Refusal("absent", f"{controller}: {slow_start}", SLOW_REMEDY, controller)
+        return Refusal("absent", f"{controller}: {reason}", "is its adapter host running?", controller)
 
     async def bind_server(self, controller: str) -> None:
         """Find the process that answers for the controller: from now on only its replies count. Raises `DoubleServer`,

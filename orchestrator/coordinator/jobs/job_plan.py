@@ -130,7 +130,7 @@ async def _query_states(view: FleetView, names: list[str], since_ns: int | None)
         try:
             state = await view.query_state(name, since_ns)
         except BusError as error:
-            raise Refusal("absent", f"{name}: {error}", "is its adapter host running?", name) from None
+            raise view.make_absence(name, str(error)) from None
         if state.mode == "offline":
             raise Refusal("offline", f"{name} is offline", "check power and cable", name)
         return state

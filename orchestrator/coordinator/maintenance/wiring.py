@@ -107,7 +107,7 @@ class WiringCheck:
         try:
             state = await self._fleet.view.query_state(name)
         except BusError as error:
-            raise Refusal("absent", f"{name}: {error}", "check that its adapter host is running", name) from None
+            raise self._fleet.view.make_absence(name, str(error)) from None
         if state.mode == "offline":
             raise Refusal("offline", f"{name} is offline", "check its link", name)
         return state

@@ -9,7 +9,7 @@ from orchestrator.bus.base import BusError
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
@@ -195,9 +195,7 @@ async def _query_controller(
     try:
         state, info = await view.query_state(controller, seen_ns), await view.query_info(controller)
     except BusError as error:
-        raise Refusal(
-            "absent", f"{controller}: {error}", "check that its adapter host is running", controller
-        ) from None
+        raise view.make_absence(controller, str(error)) from None
     if state.mode == "offline":
         fault = state.faults[0] if state.faults else None
         raise Refusal(
@@ -206,4 +204,7 @@ async def _query_controller(
             fault.remedy if fault else "check its link",
             controller,
         )
+    for fault in state.faults:
+        if fault.code == SETTING_CHANGED:  # it may have cost a reference, which would be refused without its cause
+            raise Refusal(fault.code, f"{controller}: {fault.text}", fault.remedy, controller)
     return state, info

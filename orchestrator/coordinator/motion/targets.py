@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo
@@ -98,4 +98,4 @@ def _require_ready(name: str, state: AxisState, controller: str) -> None:
         raise Refusal("not-enabled", f"axis {name} is not enabled", remedy, controller)
     if not state.referenced:
         remedy = f"home it before: a step `do: home`, or `tutti axis home {name}`"
-        raise Refusal("not-referenced", f"axis {name} is not referenced", remedy, controller)
+        raise Refusal(NOT_REFERENCED, f"axis {name} is not referenced", remedy, controller)

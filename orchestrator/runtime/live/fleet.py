@@ -29,6 +29,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
 from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.live.bridge import bridge_baud
+from orchestrator.runtime.live.killing import kill_process
 from orchestrator.runtime.live.leader_probe import find_leader
 from orchestrator.runtime.live.router_watch import watch_live_router
 from orchestrator.runtime.live.run import FleetRun
@@ -322,11 +323,10 @@ class LiveFleet:
         self.say(f"router on {endpoint}")
 
     async def _restart_router(self) -> None:
-        """Kill the router; it is started again. One that hangs does not end by itself."""
+        """Kill the router; it is started again as soon as it has ended. One that hangs does not end by itself."""
         process = self.children["router"].process
         if process is not None and process.returncode is None:
-            process.kill()
-            await process.wait()
+            await kill_process("router", process, self.say)
 
     def _choose_endpoint(self) -> str:
         """Where the router listens. Raises `UpFailed`."""
@@ -552,8 +552,7 @@ class LiveFleet:
                     await process.wait()
             except TimeoutError:
                 self.say(f"{child.name} did not end within {END_TIMEOUT_S:g} s and is killed")
-                process.kill()
-                await process.wait()
+                await kill_process(child.name, process, self.say)
         if child.keeper is not None:
             child.keeper.cancel()
 

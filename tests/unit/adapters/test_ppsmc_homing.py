@@ -118,6 +118,56 @@ def test_a_limit_stop_loses_the_reference_and_homing_restores_it(clears: bool) -
         run(case, simulate={**SWITCHES, "limit_clears_reference": clears}, config=config(method))
 
 
+async def _run_into_limit(bench: Bench) -> None:
+    """Home, run into the forward limit switch, clear its error, and come off it again."""
+    await bench.ready()
+    assert await bench.driver.home_axes(["x"], lambda _: None) == {}
+    await bench.driver.poll()
+    await bench.start({"x": 60_000})
+    await bench.driver.slots.present.wait_for_start()
+    assert (await bench.driver.slots.present.wait_for_end()).state == "fault"
+    counts = (await bench.driver.poll()).axes["x"].commanded_counts
+    await bench.driver.clear_faults()
+    assert (await bench.move({"x": counts - 5000})).state == "done"
+
+
+@pytest.mark.parametrize("reconnects", [False, True])
+@pytest.mark.parametrize("ends_by", ["reset", "power"])
+def test_a_reference_that_the_controller_keeps_after_a_limit_stop_is_forgotten_by_a_restart(
+    reconnects: bool, ends_by: str
+) -> None:
+    """The position is not valid (L2546), also after a new connection, and `org` moves nothing while the controller
+    reports a reference (L2333): a search was taken for done after a new connection. A restart ends both (L2648)."""
+
+    async def case(bench: Bench) -> None:
+        await _run_into_limit(bench)
+        if reconnects:
+            await bench.reached_again()
+        with pytest.raises(Refusal) as refused:
+            await bench.driver.home_axes(["x"], lambda _: None)
+        assert refused.value.code == "already-referenced" and "reset" in refused.value.remedy
+        assert (await bench.driver.poll()).axes["x"].position_lost
+        if ends_by == "reset":
+            with contextlib.suppress(ControllerFault):
+                await bench.driver.send_raw("reset")
+        else:
+            bench.unit.set_power(on=False)
+            bench.unit.set_power(on=True)
+        await sleep_ns(bench.clock, 5 * NS_PER_S)
+        with contextlib.suppress(ControllerFault, LinkClosed):
+            await bench.driver.poll()
+        await bench.driver.connect()
+        await bench.driver.configure()
+        assert (await bench.driver.poll()).restarted
+        place = bench.unit.find_axis("1").steps - bench.unit.find_axis("1").origin
+        assert await bench.driver.home_axes(["x"], lambda _: None) == {}
+        assert not (await bench.driver.poll()).axes["x"].position_lost
+        axis = bench.unit.find_axis("1")
+        assert place != axis.steps - axis.origin == PLACES["default", "negative"]
+
+    run(case, simulate={**SWITCHES, "limit_clears_reference": False}, config=config("org"))
+
+
 @pytest.mark.parametrize("after_ms", [300, 1500])
 @pytest.mark.parametrize("how", ["stop", "abort", "axis", "power", "cancel"])
 def test_an_interrupted_homing_is_no_success(how: str, after_ms: int) -> None:

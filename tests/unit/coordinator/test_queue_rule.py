@@ -6,7 +6,13 @@ import pytest
 from unit.random_rounds import share_with_nightly
 
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
-from orchestrator.coordinator.jobs.queue.queue_order import WITHOUT_AXES_REASON, WaitingJob, choose_jobs, sort_waiting
+from orchestrator.coordinator.jobs.queue.queue_order import (
+    WITHOUT_AXES_REASON,
+    QueueLimits,
+    WaitingJob,
+    choose_jobs,
+    sort_waiting,
+)
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import parse_document
@@ -64,7 +70,7 @@ def test_a_held_job_blocks_no_other() -> None:
 def test_jobs_without_axes_begin_only_in_free_places() -> None:
     a, b, c, d = (waiting(name, place) for place, name in enumerate("abcd"))
     queue = [(a, frozenset[str]()), (b, frozenset("x")), (c, frozenset[str]()), (d, frozenset[str]())]
-    choice = choose_jobs(queue, {}, free_places=2)
+    choice = choose_jobs(queue, {}, limits=QueueLimits(free_places=2))
     assert ids(choice.begin) == ["a", "b", "c"]
     assert choice.reasons == {"d": WITHOUT_AXES_REASON}
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.view import SLOW_REMEDY
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
@@ -123,7 +124,7 @@ class WorldConditions:
         state = self._view.last_state(controller)
         slow_start = self._view.describe_slow_start(controller)
         if slow_start is not None:
-            return Obstacle("absent", f"{controller}: {slow_start}", "wait; its computer is slow, or overloaded")
+            return Obstacle("absent", f"{controller}: {slow_start}", SLOW_REMEDY)
         if state is None or self._view.is_silent(controller):
             return Obstacle("absent", f"{controller}: its adapter does not answer", "is its adapter host running?")
         if moves and state.estop is not None:

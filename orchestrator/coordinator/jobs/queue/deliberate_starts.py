@@ -9,7 +9,7 @@ from dataclasses import replace
 from orchestrator.clock.base import sleep_ns
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle, WorldConditions
 from orchestrator.coordinator.jobs.queue.ends import RETRY_NS
-from orchestrator.coordinator.jobs.queue.queue_order import Condition, Schedule, WaitingJob, choose_jobs
+from orchestrator.coordinator.jobs.queue.queue_order import Condition, QueueLimits, Schedule, WaitingJob, choose_jobs
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
@@ -35,7 +35,8 @@ class DeliberateStarts:
     def _choose_from(self, order: Iterable[WaitingJob], stopped: str) -> Schedule:
         register = self._register
         queue = ((job, register.find_needs(job).controllers) for job in order)
-        return choose_jobs(queue, register.find_busy(), self._find_condition, stopped, register.count_free_places())
+        limits = QueueLimits(stopped, register.count_free_places(), register.find_lent())
+        return choose_jobs(queue, register.find_busy(), self._find_condition, limits)
 
     def _find_condition(self, waiting: WaitingJob) -> Condition | None:
         obstacle = self._conditions.find_obstacle(self._register.find_needs(waiting))

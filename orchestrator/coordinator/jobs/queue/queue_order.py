@@ -7,7 +7,7 @@ controller that is off); it keeps its place. Once such a cause is gone, it and t
 a word (`deliberate_starts`). So jobs without a common controller run at the same time, and a job that needs many
 controllers is not starved by small ones: what becomes free is kept for it. Jobs that are held, not due, or waiting for
 the end of another job block no other job. Manual control has priority: a waiting job does not keep axes from an
-operator.
+operator, nor does one that waits at a step for a person.
 
 A controller is loaded with one step at a time, so jobs need whole controllers, also where axes can be leased
 separately.
@@ -106,21 +106,31 @@ class Condition(NamedTuple):
     asks: bool
 
 
+class QueueLimits(NamedTuple):
+    """stopped: why the queue is stopped; empty: it is not. free_places: how many more jobs without axes may run. lent:
+    controllers of jobs that wait for a person."""
+
+    stopped: str = ""
+    free_places: int = MAX_JOBS_WITHOUT_AXES
+    lent: frozenset[str] = frozenset()
+
+
+UNLIMITED = QueueLimits()
+
+
 def choose_jobs(
     waiting: Iterable[tuple[WaitingJob, frozenset[str]]],
     busy: Mapping[str, str],
     find_condition: Callable[[WaitingJob], Condition | None] = lambda _: None,
-    stopped: str = "",
-    free_places: int = MAX_JOBS_WITHOUT_AXES,
+    limits: QueueLimits = UNLIMITED,
 ) -> Schedule:
     """Choose the jobs of `waiting` that may begin now. waiting: in the queue's order, each with the controllers that
     it needs. busy: by controller, its present user in words. find_condition: returns what a job on free controllers
-    still waits for; None: nothing. stopped: why the queue is stopped; empty: it is not. free_places: how many more
-    jobs without axes may run.
+    still waits for; None: nothing.
     """
-    schedule, claims = Schedule([], {}, set(), {}), _Claims(busy)
+    schedule, claims, free_places = Schedule([], {}, set(), {}), _Claims(busy, limits.lent), limits.free_places
     for job, needs in waiting:
-        reason = job.blocking_reason or ("" if job.is_attended else stopped)
+        reason = job.blocking_reason or ("" if job.is_attended else limits.stopped)
         if reason:
             schedule.reasons[job.row.id] = reason
             continue
@@ -143,11 +153,11 @@ def choose_jobs(
 class _Claims:
     """What keeps jobs from controllers. users: by controller, its user or the job that waits for it, in words."""
 
-    def __init__(self, busy: Mapping[str, str]) -> None:
+    def __init__(self, busy: Mapping[str, str], lent: frozenset[str]) -> None:
         self.users = dict(busy)
         self._causes: dict[str, str] = {}
         """The cause of a job that keeps its claim."""
-        self._of_world: set[str] = set()
+        self._of_world = set(lent)
         """Claimed by jobs that wait for the world: a person may be about to change that, and is not kept from it."""
 
     def find_in_the_way(self, job: WaitingJob, needs: frozenset[str]) -> list[str]:

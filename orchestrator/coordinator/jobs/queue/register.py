@@ -53,6 +53,15 @@ class JobRegister:
                     busy.setdefault(controller, self._services.leases.describe_use(held_lease))
         return busy
 
+    def find_lent(self) -> frozenset[str]:
+        """The controllers that only jobs use which wait for a person, so that commands of persons may use them."""
+        lent, used = set[str](), set[str]()
+        for run in self.running.values():
+            (lent if run.lends_axes else used).update(run.needs)
+        for held_lease in self._services.leases.all_leases:
+            used.update(group_by_controller(held_lease.axes))
+        return frozenset(lent - used)
+
     def find_needs(self, waiting: WaitingJob) -> JobNeeds:
         """Cached, because the queue may be long; names that the fleet file no longer has are refused at the start."""
         known_needs = self._needs.get(waiting.row.id)

@@ -166,7 +166,8 @@ class Scheduler:
         busy = register.find_busy()
         if not needs.controllers and not register.count_free_places():
             return Obstacle("busy", WITHOUT_AXES_REASON, "wait for the end of one of them")
-        in_use = min(needs.controllers & busy.keys(), default=None)
+        lent = register.find_lent() if is_attended else frozenset[str]()
+        in_use = min(needs.controllers & busy.keys() - lent, default=None)
         if in_use is not None:
             return Obstacle("leased", f"{in_use} is in use: {busy[in_use]}", "wait for the end of that use")
         for waiting_job in [] if is_attended else self.register.list_waiting():

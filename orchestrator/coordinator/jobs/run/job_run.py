@@ -6,6 +6,7 @@ from contextlib import suppress
 
 from orchestrator.clock.owner import running
 from orchestrator.coordinator.fleet.leases import AxesInUse
+from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.motors import JobMotors
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
@@ -42,10 +43,11 @@ class JobRun:
         self._state = RunState(services, row, self._steps, needs)
         self._rest = RestMonitor(services, self._steps, row.from_step)
         self._motors = JobMotors(services, row, self._steps)
-        self._preparation = JobPreparation(services, row, job, self._steps, self._rest)
+        axes = JobAxes(services, row, self._steps, self._rest)
+        self._preparation = JobPreparation(services, row, job, self._steps, axes)
         self._chain = MotionChain(services.motion, row.id, job, self._steps)
         self._context = StepContext(services.fleet, services.motion.targets, row.id, row.actor, self._state.note_part)
-        self._step_run = StepRun(services, self._context, self._state, self._chain, self._rest)
+        self._step_run = StepRun(services, self._context, self._state, self._chain, axes)
         self._interrupt: JobInterrupted | None = None
         self._over = False
         self._report = report
@@ -61,6 +63,11 @@ class JobRun:
     def needs(self) -> frozenset[str]:
         """Controllers that no other job may use meanwhile."""
         return self._state.needs
+
+    @property
+    def lends_axes(self) -> bool:
+        """Whether it waits for a person, whose commands may use its axes meanwhile."""
+        return self._state.pause.lends_axes
 
     @property
     def description(self) -> str:
@@ -81,7 +88,8 @@ class JobRun:
         if self._over or self._interrupt is not None or self.task is None:
             return
         self._interrupt = interrupt
-        await self._services.fleet.stop_members(self._rest.members, mode, interrupt.actor, interrupt.reason)
+        if not self.lends_axes:  # what moves them now is not the job
+            await self._services.fleet.stop_members(self._rest.members, mode, interrupt.actor, interrupt.reason)
         if not self._over:
             self.task.cancel()
 

@@ -5,13 +5,12 @@ from contextlib import suppress
 
 from orchestrator.bus.base import BusError, Priority
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.fleet.lease_states import LeaseUser
 from orchestrator.coordinator.fleet.leases import AxesInUse
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.job_plan import PlannedJob, list_written, make_plan
 from orchestrator.coordinator.jobs.needs import find_axes
-from orchestrator.coordinator.jobs.run.rest import RestMonitor
+from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
@@ -39,13 +38,13 @@ class SettingsDiffer(Refusal):
 class JobPreparation:
     """Prepares job `row`. positions_used: the named positions of its targets, as they were when it was prepared."""
 
-    def __init__(self, services: JobServices, row: JobRecord, job: Job, steps: StepSequence, rest: RestMonitor) -> None:
+    def __init__(self, services: JobServices, row: JobRecord, job: Job, steps: StepSequence, axes: JobAxes) -> None:
         self.positions_used: dict[str, dict[str, str]] = {}
         self._services = services
         self._row = row
         self._job = job
         self._steps = steps
-        self._rest = rest
+        self._axes = axes
 
     async def prepare(self, needs: frozenset[str]) -> int:
         """Take positions and axes, and check the job; return when the axes were asked for. needs: its controllers.
@@ -56,10 +55,8 @@ class JobPreparation:
         remaining = self._steps.order.list_remaining(self._row.from_step)
         least_s = await check_job(services.view.fleet, remaining, services.motion.plan, services.check)
         services.fleet.certificates.require_until(needs, least_s)
-        axes = find_axes(services.view.fleet, self._steps.list_steps(self._row.from_step))
         since_ns = services.clock.now_ns()
-        user = LeaseUser(self._row.id, self._row.actor, f"job {self._row.name!r}", self._row.session or "")
-        await services.leases.acquire(user, axes)
+        await self._axes.take()
         return since_ns
 
     async def prepare_approved(self, needs: frozenset[str]) -> int:
@@ -67,14 +64,14 @@ class JobPreparation:
         nothing else can move them from then on. Raises `PlanDeviates`, `AxesInUse`, `JournalError`."""
         try:
             since_ns = await self.prepare(needs)
-            await self._rest.wait_for_rest(since_ns)
+            await self._axes.rest.wait_for_rest(since_ns)
             changes = await self._find_deviation(since_ns)
             if changes:
                 raise PlanDeviates(changes)
         except AxesInUse:
             raise
         except (Refusal, UnknownName) as error:
-            await self._services.leases.release(self._row.id)
+            await self._axes.give_back()
             # A part of the plan may be one that cannot even be determined any more.
             raise error if isinstance(error, PlanDeviates) else PlanDeviates(str(error)) from None
         return since_ns
@@ -115,7 +112,7 @@ class JobPreparation:
         for state in changed_states:
             services.view.note_answer(state, asked_ns)
         if changed_states:
-            await services.leases.release(row.id)
+            await self._axes.give_back()
             first = changed_states[0].faults[0]
             raise SettingsDiffer(first.code, f"{changed_states[0].controller}: {first.text}", first.remedy)
 

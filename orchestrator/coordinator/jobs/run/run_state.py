@@ -16,12 +16,13 @@ PROGRESS_NS = NS_PER_S // 5
 
 class JobPause:
     """Whether a job is to pause. paused_by: the originator of the pause, or of a requested one. braked: by a feed hold,
-    inside a motion step. cause: what a refused step waits for; empty: a user has paused the job. given_up: why the job
-    begins no further step."""
+    inside a motion step. cause: what a refused step waits for; empty: a user has paused the job. lends_axes: commands
+    of persons may use its axes, to end that cause. given_up: why the job begins no further step."""
 
     def __init__(self) -> None:
         self.paused_by: str | None = None
         self.cause = ""
+        self.lends_axes = False
         self.resumed_by = ""
         self.braked = False
         self.resumed = asyncio.Event()
@@ -29,7 +30,7 @@ class JobPause:
 
     def request_pause(self, actor: str, cause: str = "") -> None:
         """Pause after the present step, or before it for a cause."""
-        self.paused_by, self.cause = actor, cause
+        self.paused_by, self.cause, self.lends_axes = actor, cause, bool(cause)
         self.resumed.clear()
 
     def give_up(self, interrupt: JobInterrupted) -> None:
@@ -39,7 +40,7 @@ class JobPause:
 
     def resume(self, actor: str) -> None:
         """Continue, or cancel a requested pause."""
-        self.paused_by, self.resumed_by, self.braked = None, actor, False
+        self.paused_by, self.resumed_by, self.braked, self.lends_axes = None, actor, False, False
         self.resumed.set()
 
 

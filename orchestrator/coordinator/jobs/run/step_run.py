@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.jobs.check import predict_s
+from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
-from orchestrator.coordinator.jobs.run.rest import RestMonitor
 from orchestrator.coordinator.jobs.run.run_state import JobPause, RunState
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.coordinator.steps.context import StepContext
 from orchestrator.coordinator.steps.kinds import run_step
-from orchestrator.model.errors import SETTING_CHANGED, Refusal
+from orchestrator.model.errors import NOT_REFERENCED, SETTING_CHANGED, Refusal
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import FeedHold, JobState, StepReport
 from orchestrator.model.steps.base import Step
@@ -32,14 +32,15 @@ class StepRun:
     """Runs the steps of a job one after the other. context: what the steps that do not move use."""
 
     def __init__(
-        self, services: JobServices, context: StepContext, state: RunState, chain: MotionChain, rest: RestMonitor
+        self, services: JobServices, context: StepContext, state: RunState, chain: MotionChain, axes: JobAxes
     ) -> None:
         self._services = services
         self._context = context
         self._state = state
         self._pause = state.pause
         self._chain = chain
-        self._rest = rest
+        self._axes = axes
+        self._rest = axes.rest
 
     async def wait_while_paused(self) -> None:
         """Wait until the job is resumed, if it is paused. Raises `JobInterrupted` when it is ended."""
@@ -61,6 +62,7 @@ class StepRun:
     async def run_step(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
         holds: list[FeedHold] = []
+        waited_codes = {SETTING_CHANGED}
         motion = as_motion(step)
         if motion is not None:
             self._state.motion_step = self._chain.begin_step(index, motion)
@@ -68,8 +70,9 @@ class StepRun:
             while True:
                 report = await self._run_once(index, step)
                 refused_code = None if report.refused is None else report.refused.code
-                if refused_code == SETTING_CHANGED and report.state == "failed":
-                    await self._wait_for_settings(report.reason)
+                if refused_code in waited_codes and report.state == "failed":
+                    waited_codes.add(NOT_REFERENCED)  # by the change, if not by what ends it
+                    await self._wait_for_cause(report.reason)
                     continue
                 if refused_code != FEED_HOLD:
                     return report.model_copy(update={"feed_holds": holds})
@@ -83,13 +86,21 @@ class StepRun:
         finally:
             self._state.motion_step = None
 
-    async def _wait_for_settings(self, cause: str) -> None:
+    async def _wait_for_cause(self, cause: str) -> None:
         """Wait at a step that was refused because another client has changed a setting: nothing of it has moved, and a
-        person resumes the job once the setting is as before. Raises `JobInterrupted`."""
+        person resumes the job once the setting is as before, and the axis homed where its reference was lost. Until
+        then commands of persons may use the axes. Raises `JobInterrupted`."""
         job_id = self._context.holder
         await self._chain.drop("a setting was changed", self._context.actor)
-        self._pause.request_pause("coordinator", f"{cause}; then `tutti job resume {job_id}`")
-        await self.wait_while_paused()
+        while cause:
+            self._pause.request_pause("coordinator", f"{cause}; then `tutti job resume {job_id}`")
+            await self._axes.give_back()
+            await self.wait_while_paused()
+            try:
+                await self._axes.take()
+                cause = ""
+            except Refusal as refusal:
+                cause = f"{refusal.text}; {refusal.remedy}" if refusal.remedy else refusal.text
         await self._rest.wait_for_rest()
 
     async def _run_once(self, index: int, step: Step) -> StepReport:
