@@ -276,6 +276,7 @@ def test_a_stop_is_pending_when_the_link_breaks_before_its_effect_is_observed(
         setattr(steps, member, True)
     unit = SimpleNamespace(
         controller="c",
+        _pauses=SimpleNamespace(note_lost=lambda: None),
         _log=SimpleNamespace(warning=nothing),
         _parts=SimpleNamespace(
             status=condition,

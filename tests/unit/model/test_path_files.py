@@ -85,7 +85,7 @@ def test_a_full_circle_and_a_helix_are_helices() -> None:
 @pytest.mark.parametrize(
     ("text", "line", "column", "words"),
     [
-        ("G1 F60 X1\nM3 S1000\n", 2, "column 1", "M3 needs `gcode: {spindle: none}`"),
+        ("G1 F60 X1\nM3 S1000\n", 2, "column 4", "S needs `gcode: {spindle: none}`"),
         ("G1 F60 X1\nG43.1 Z1\n", 2, "column 7", "no axis is named for Z"),
         ("G1 F60 X1\n  G28\n", 2, "column 3", "where G28 goes is not known"),
         ("F60 G1 X1 Z3\n", 1, "column 11", "no axis is named for Z"),
@@ -96,7 +96,7 @@ def test_a_full_circle_and_a_helix_are_helices() -> None:
         ("G1 X1\n", 1, "", "no feed is chosen"),
         ("F60 X1\n", 1, "", "no motion is chosen"),
         ("F0 G1 X1\n", 1, "column 1", "a feed must be above 0"),
-        ("F60 G64 G1 X1\n", 1, "", "G64 needs a tolerance"),
+        ("F60 G64 Q1 G1 X1\n", 1, "", "G64 needs a tolerance"),
         ("G4\n", 1, "", "G4 needs a time"),
         ("F60 G2 X10 Y0\n", 1, "", "needs its centre"),
         ("F60 G2 X10 Y0 I4\n", 1, "", "the end of the arc is 6 mm from its centre"),
