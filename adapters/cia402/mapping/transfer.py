@@ -29,7 +29,7 @@ class _OtherTraits(TuttiError):
 
 def parameter_values(pdo: PdoMapping, node: int) -> list[tuple[DictionaryObject, int]]:
     """Return the objects that describe a PDO, each with its required value."""
-    times = [(_parameter_object(pdo, sub, 16), value) for sub, value in ((3, pdo.inhibit), (5, pdo.timer)) if value]
+    times = [(obj, value) for obj, value in _list_times(pdo) if value]
     return [
         (_parameter_object(pdo, 1, 32), pdo.function + node),
         (_parameter_object(pdo, 2, 8), pdo.kind),
@@ -123,20 +123,25 @@ async def _is_mapped(sdo: SdoClient, node: int, pdo: PdoMapping) -> bool:
         if error.abort not in NOT_THERE:
             raise
         return False
-    return await _set_times(sdo, pdo)
+    return await _has_times(sdo, pdo)
 
 
-async def _set_times(sdo: SdoClient, pdo: PdoMapping) -> bool:
-    """Set its times, which a drive need not support."""
-    for sub, value in ((3, pdo.inhibit), (5, pdo.timer)):
-        if value is not None:
-            try:
-                if await sdo.read_value(_parameter_object(pdo, sub, 16)) != value:
-                    return False
-            except SdoAborted as error:
-                if error.abort not in NOT_THERE:
-                    raise
+async def _has_times(sdo: SdoClient, pdo: PdoMapping) -> bool:
+    """Return whether it has its times, which a drive need not support."""
+    for obj, value in _list_times(pdo):
+        try:
+            if await sdo.read_value(obj) != value:
+                return False
+        except SdoAborted as error:
+            if error.abort not in NOT_THERE:
+                raise
     return True
+
+
+def _list_times(pdo: PdoMapping) -> list[tuple[DictionaryObject, int]]:
+    """Return the objects of its times that are required, each with its value."""
+    times = ((3, pdo.inhibit), (5, pdo.timer))
+    return [(_parameter_object(pdo, sub, 16), value) for sub, value in times if value is not None]
 
 
 class _PdoWriter:
@@ -155,9 +160,8 @@ class _PdoWriter:
         try:
             await self._switch(pdo, cob | _OFF)
             await self._write_kind(pdo)
-            for sub, value in ((3, pdo.inhibit), (5, pdo.timer)):
-                if value is not None:
-                    await _write_if_there(self._sdo, _parameter_object(pdo, sub, 16), value)
+            for obj, value in _list_times(pdo):
+                await _write_if_there(self._sdo, obj, value)
             if not pdo.is_fixed:
                 await self._write_objects(pdo)
             await self._switch(pdo, cob)

@@ -26,28 +26,24 @@ async def check_job(fleet: Fleet, steps: Sequence[RemainingStep], plan: Executor
     """
     if find_long_paths([step for _, _, step in steps]):
         return await check(check_at_once, fleet, steps)
-    forecaster, written_steps, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
+    forecaster, least_s = JobForecaster(fleet), 0.0
     for count, (_, number, step) in enumerate(steps):
         if count and count % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)
-        written_steps[number] = step
         least_s += (await forecast_step(forecaster, number, step, plan)).least_s
-    if forecaster.problems:
-        raise _make_refusal(written_steps, forecaster.problems)
+    _require_no_problems(steps, forecaster.problems)
     return least_s
 
 
 def check_at_once(fleet: Fleet, steps: Sequence[RemainingStep]) -> float:
     """The same without a turn for other work, in a process of its own. Raises `Refusal`."""
-    forecaster, written_steps, least_s = JobForecaster(fleet), dict[int, Step](), 0.0
+    forecaster, least_s = JobForecaster(fleet), 0.0
     for _, number, step in steps:
-        written_steps[number] = step
         work = forecaster.take_in_parts(number, step)
         while (forecast := _advance(work)) is None:
             pass
         least_s += forecast.least_s
-    if forecaster.problems:
-        raise _make_refusal(written_steps, forecaster.problems)
+    _require_no_problems(steps, forecaster.problems)
     return least_s
 
 
@@ -81,12 +77,15 @@ def _advance(work: Generator[None, None, StepForecast]) -> StepForecast | None:
     return None
 
 
-def _make_refusal(steps: Mapping[int, Step], problems: list[StepProblem]) -> Refusal:
-    first = problems[0]
+def _require_no_problems(remaining: Sequence[RemainingStep], problems: list[StepProblem]) -> None:
+    """Raise `Refusal` with the first problems."""
+    if not problems:
+        return
+    first, steps = problems[0], {number: step for _, number, step in remaining}
     lines = [f"{_describe_place(steps, problem.place)}: {problem.text}" for problem in problems[:MAX_LISTED]]
     if len(problems) > MAX_LISTED:
         lines.append(f"and {len(problems) - MAX_LISTED} more; see `tutti job check`")
-    return Refusal(first.code, "\n".join(lines), first.remedy, first.controller)
+    raise Refusal(first.code, "\n".join(lines), first.remedy, first.controller)
 
 
 def _describe_place(steps: Mapping[int, Step], place: Sequence[str | int]) -> str:

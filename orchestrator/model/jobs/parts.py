@@ -10,13 +10,11 @@ from typing import Any, cast
 
 from orchestrator.model.base import Model
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.paths.packed import PackedPieces
+from orchestrator.model.paths.packed import PART_ITEMS, PackedPieces
 from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.tree import find_paths
-
-PART_ITEMS = 500  # of a list, some 4 ms of work
 
 
 class _PartPickler(pickle.Pickler):

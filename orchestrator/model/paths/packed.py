@@ -8,7 +8,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from orchestrator.model.paths.pieces import MAX_PIECES, Piece
 
-PART_ITEMS = 500  # pieces that are read at once, some 4 ms of work
+PART_ITEMS = 500  # of a list that are read at once, some 4 ms of work
 
 _PIECES: TypeAdapter[list[Piece]] = TypeAdapter(list[Piece])
 

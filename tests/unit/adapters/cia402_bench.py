@@ -8,7 +8,7 @@ from typing import Any
 
 from adapters.cia402 import MAKE
 from adapters.cia402.driver import Cia402Driver
-from adapters.contract import DriverSetup, Lowered
+from adapters.contract import AxisReading, DriverSetup, Lowered
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -104,6 +104,22 @@ class Drives:
         await self.arm(0, target, t0_ns)
         await self.driver.slots.present.release()
         return t0_ns
+
+    async def stop_in_motion(self, distance: int, *, abort: bool, rest_ms: float) -> tuple[int, AxisReading]:
+        """Stop the first drive in the middle of a move; return where that began, and the axis at rest."""
+        driver = self.driver
+        here = (await driver.poll()).axes["a"].commanded_counts
+        t0_ns = self.clock.now_ns() + 200 * NS_PER_MS
+        await self.arm(0, here + distance, t0_ns, begin=here)
+        await driver.slots.present.release()
+        await driver.slots.present.wait_for_start()
+        await self.until(t0_ns + 300 * NS_PER_MS)
+        await driver.stop(abort=abort)
+        assert (await driver.slots.present.wait_for_end()).state == "stopped"
+        await self.rest(rest_ms)
+        axis = (await driver.poll()).axes["a"]
+        assert axis.enabled and not axis.moving and not self.unit.is_moving("1")
+        return here, axis
 
     def fresh(self) -> Cia402Driver:
         """A driver of the first drive without a connection to the others: that of a restarted process."""

@@ -29,18 +29,8 @@ def test_a_drive_without_optional_objects_is_homed_moved_and_stopped(without: tu
         await driver.slots.present.wait_for_start()
         assert (await driver.slots.present.wait_for_end()).state == "done"
         for abort in (False, True):
-            here = (await driver.poll()).axes["a"].commanded_counts
-            t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
-            await world.arm(0, here + 20_000, t0_ns, begin=here)
-            await driver.slots.present.release()
-            await driver.slots.present.wait_for_start()
-            await world.until(t0_ns + 300 * NS_PER_MS)
-            await driver.stop(abort=abort)
-            assert (await driver.slots.present.wait_for_end()).state == "stopped"
-            await world.rest(200)
             # Its quick stop has switched it off (605Ah = 2): it is enabled again.
-            axis = (await driver.poll()).axes["a"]
-            assert axis.enabled and not axis.moving and not world.unit.is_moving("1")
+            await world.stop_in_motion(20_000, abort=abort, rest_ms=200)
         # The rest of the cancelled target is not moved to.
         position = world.unit.position("1")
         await world.rest(500)

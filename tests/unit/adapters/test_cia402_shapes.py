@@ -38,18 +38,7 @@ async def start_together(world: Drives, targets: tuple[int, ...]) -> list[int]:
 
 
 async def stop_in_motion(world: Drives, abort: bool) -> None:
-    driver = world.driver
-    here = (await driver.poll()).axes["a"].commanded_counts
-    t0_ns = world.clock.now_ns() + 200 * NS_PER_MS
-    await world.arm(0, here + 40_000, t0_ns, begin=here)
-    await driver.slots.present.release()
-    await driver.slots.present.wait_for_start()
-    await world.until(t0_ns + 300 * NS_PER_MS)
-    await driver.stop(abort=abort)
-    assert (await driver.slots.present.wait_for_end()).state == "stopped"
-    await world.rest(300)
-    axis = (await driver.poll()).axes["a"]
-    assert axis.enabled and not axis.moving and not world.unit.is_moving("1")
+    here, axis = await world.stop_in_motion(40_000, abort=abort, rest_ms=300)
     assert here < world.unit.position("1") < here + 40_000
     assert axis.commanded_counts == round(world.unit.position("1"))
 

@@ -9,8 +9,9 @@ from orchestrator.bus.base import BusSample
 from orchestrator.bus.decoding import read_request_parts
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.jobs.parts import PART_ITEMS, dump_long, has_long_path, join_value, split_value
+from orchestrator.model.jobs.parts import dump_long, has_long_path, join_value, split_value
 from orchestrator.model.jobs.service import SubmitJob
+from orchestrator.model.paths.packed import PART_ITEMS
 
 
 def make_job(pieces: int, repeats: int = 1) -> Job:

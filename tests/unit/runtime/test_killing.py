@@ -1,4 +1,4 @@
-"""A process that was killed and does not end: nothing waits for it without a limit, and a person is told which it is."""
+"""A process that was killed and does not end: nothing waits for it without a limit, and a message names it."""
 
 import asyncio
 from pathlib import Path

@@ -56,9 +56,7 @@ class OutputRunner:
 
     def list_active(self) -> list[dict[str, Any]]:
         """The steps that switch on what is on now."""
-        steps: list[dict[str, Any]] = [
-            {"do": "output", "output": output, "value": True} for output in dict.fromkeys(self._active)
-        ]
+        steps: list[dict[str, Any]] = [{"do": "output", "output": output, "value": True} for output in self._active]
         wait_ns = max(self._active.values(), default=0)
         return [*steps, {"do": "dwell", "duration": f"{wait_ns} ns"}] if wait_ns else steps
 
