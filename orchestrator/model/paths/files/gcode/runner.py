@@ -93,6 +93,7 @@ class LineRunner:
             if group in line.codes:
                 code, word = line.codes[group]
                 self.notes.require_entry(self._settings, code.meaning, code.name, word)
+        self._modes.spindle = line.find_code("spindle") or self._modes.spindle
 
     def _change_feed(self, line: CodeLine) -> None:
         modes = self._modes
