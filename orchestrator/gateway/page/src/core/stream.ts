@@ -4,7 +4,7 @@ import { computed, effect, signal, untracked } from "@preact/signals";
 import type { Answer, Refusal, Session, State, Stopped, Work } from "./model.ts";
 import type { JsonObject } from "./patch.ts";
 import { takePatch, takeSnapshot } from "./store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const FIRST_PAUSE_MS = 200;
 const LONGEST_PAUSE_MS = 3000;

@@ -96,6 +96,7 @@ class LineRunner:
         for group in _SKIPPED_GROUPS:
             if group in line.codes:
                 self.notes.skip(line.codes[group][0].name)
+        self._modes.spindle = line.find_code("spindle") or self._modes.spindle
 
     def _change_feed(self, line: CodeLine) -> None:
         modes = self._modes
