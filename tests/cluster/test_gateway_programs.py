@@ -40,7 +40,7 @@ def test_a_program_is_checked_drawn_and_run(tmp_path: Path) -> None:
         gateway = await open_gateway(fleet, tmp_path)
         refused = await check(gateway)
         assert [(each["line"], each["place"]) for each in refused["problems"]] == [
-            *((4, "column 1"), (5, "column 7"), (11, "column 1"))
+            *((4, "column 1"), (5, "column 1"), (11, "column 1"))
         ]
         assert [field["name"] for field in refused["parameters"]][:3] == ["X", "Y", "from line"]
         assert [field["default"] for field in refused["parameters"]][:2] == ["gantry.x", "gantry.y"]
@@ -53,6 +53,8 @@ def test_a_program_is_checked_drawn_and_run(tmp_path: Path) -> None:
         assert checked["preview"]["duration_s"] > 2
         assert checked["job"]["steps"][0]["name"] == "lines 7 to 10"
         await run(fleet, gateway, checked)
+        absent = await check(gateway, **CHOSEN, X="gantry.q")
+        assert "is 'gantry.q'; choose one of: not chosen, gantry.x" in absent["problems"][0]["text"]
         far = await check(gateway, "G0 X10\nG0 X10 Y320")
         assert far["program"]["extents"][1]["over"] == 20
         assert (far["problems"][0]["line"], "soft limit" in far["problems"][0]["text"]) == (2, True)

@@ -107,6 +107,11 @@ def read_settings(
     elsewhere. Raises `FileError` with every mistake."""
     texts = {str(field["name"]): values.get(field["name"]) or field["default"] or UNSET for field in fields}
     mistakes = [(name, "is no value of this program") for name in values.keys() - texts.keys()]
+    mistakes += [
+        (str(field["name"]), f"is {texts[field['name']][:40]!r}; choose one of: {', '.join(field['choices'])}")
+        for field in fields
+        if "choices" in field and texts[field["name"]] not in field["choices"]
+    ]
     mistakes += _list_mistakes(texts, letters := find_letters(program))
     start = _read_start(texts[START], letters)
     if start is None:
