@@ -85,6 +85,10 @@ def test_a_program_runs_and_goes_on_where_an_e_stop_has_stopped_it(
     assert page.evaluate("document.documentElement.scrollWidth") <= SMALL["width"]
     confirm(dialog, "First to the start of line 4", "Move to line 4")
     expect(dialog.get_by_role("group", name="Before it runs")).to_contain_text("line 4 begins with work offset G54")
+    dialog.get_by_label("from line").fill("5")  # another line needs another move
+    expect(dialog.get_by_role("button", name="Move to line 5")).to_be_visible()
+    expect(dialog.get_by_text("confirm what is written above first")).to_be_visible()
+    dialog.get_by_label("from line").fill("4")
     confirm(dialog, "Before it runs", "Submit")
     expect(panel).to_contain_text("lines 4 to 6")
     wait_until(lambda: (page.wait_for_timeout(50), find_position(ready, "x") < 10.1)[1], "the program ends")

@@ -53,6 +53,8 @@ def test_a_program_is_checked_drawn_and_run(tmp_path: Path) -> None:
         assert checked["preview"]["duration_s"] > 2
         assert checked["job"]["steps"][0]["name"] == "lines 7 to 10"
         await run(fleet, gateway, checked)
+        absent = await check(gateway, **CHOSEN, X="gantry.q")
+        assert "is 'gantry.q'; choose one of: not chosen, gantry.x" in absent["problems"][0]["text"]
         far = await check(gateway, "G0 X10\nG0 X10 Y320")
         assert far["program"]["extents"][1]["over"] == 20
         assert (far["problems"][0]["line"], "soft limit" in far["problems"][0]["text"]) == (2, True)

@@ -166,6 +166,10 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
     const timer = setTimeout(() => setWaiting(away + 1), 1000);
     return () => clearTimeout(timer);
   }, [away, checked]);
+  const choose = (next: Record<string, string>): void => {
+    setValues(next);
+    setWaiting(0); // the move under way, if there is one, is no longer the one to wait for
+  };
   const problems = checked?.problems ?? [];
   const why = firstOf(
     whyNot("submit"),
@@ -203,7 +207,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
               onValue={(value) => {
                 const next = { ...values, [parameter.name]: value };
                 if (value === "") delete next[parameter.name];
-                setValues(next);
+                choose(next);
                 setChecked(checked ? { ...checked, job: null } : null);
               }}
             />
@@ -223,7 +227,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
       ) : null}
       {checked === null && refused === null ? <Empty text={T.submit.checking} /> : null}
       {program ? <ProgramParts program={program} sure={sure === toConfirm} onSure={(on) => setSure(on ? toConfirm : "")} /> : null}
-      {"program" in source ? <ProgramText text={source.program.text} onStart={(line) => setValues({ ...values, "from line": String(line) })} /> : null}
+      {"program" in source ? <ProgramText text={source.program.text} onStart={(line) => choose({ ...values, "from line": String(line) })} /> : null}
       {checked?.preview && problems.length === 0 ? <PreviewPlots preview={checked.preview} drawn={program !== undefined} /> : null}
       {problems.length === 0 ? <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} /> : null}
       <TermsForm terms={terms} onTerms={setTerms} />
