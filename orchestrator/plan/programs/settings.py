@@ -106,12 +106,7 @@ def read_settings(
     """The settings of a form. zeros: user minus motor position, by axis: a work piece that is touched off anew is
     elsewhere. Raises `FileError` with every mistake."""
     texts = {str(field["name"]): values.get(field["name"]) or field["default"] or UNSET for field in fields}
-    mistakes = [(name, "is no value of this program") for name in values.keys() - texts.keys()]
-    mistakes += [
-        (str(field["name"]), f"is {texts[field['name']][:40]!r}; choose one of: {', '.join(field['choices'])}")
-        for field in fields
-        if "choices" in field and texts[field["name"]] not in field["choices"]
-    ]
+    mistakes = _list_strange_values(fields, values, texts)
     mistakes += _list_mistakes(texts, letters := find_letters(program))
     start = _read_start(texts[START], letters)
     if start is None:
@@ -124,6 +119,18 @@ def read_settings(
     zero_text = " ".join(f"{letter}{zeros.get(axis, 0.0):.9g}" for letter, axis in axes.items())
     texts[ZEROS] = zero_text
     return ProgramSettings(axes, start, texts[TOLERANCE], texts[CORNER], settings, int(texts[FROM_LINE]), texts)
+
+
+def _list_strange_values(
+    fields: Sequence[Mapping[str, Any]], values: Mapping[str, str], texts: Mapping[str, str]
+) -> list[tuple[str, str]]:
+    """What is no field, or none of its choices."""
+    mistakes = [(name, "is no value of this program") for name in values.keys() - texts.keys()]
+    return mistakes + [
+        (str(field["name"]), f"is {texts[field['name']][:40]!r}; choose one of: {', '.join(field['choices'])}")
+        for field in fields
+        if "choices" in field and texts[field["name"]] not in field["choices"]
+    ]
 
 
 def _list_mistakes(texts: Mapping[str, str], letters: Sequence[str]) -> list[tuple[str, str]]:
