@@ -1,12 +1,14 @@
 """Job files that arrive as text, or are templates of the fleet: their parameters, mistakes, forecast and drawing."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.preview import draw_job, look_at_axes
+from orchestrator.gateway.program_files import check_program, locate_in_program
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import JobForecast, StepProblem
@@ -21,6 +23,8 @@ MAX_CHECKED_STEPS = 10_000
 MAX_DRY_RUN_STEPS = 200  # written ones; more are planned without asking the controllers: that takes 3 ms each
 NAME = "job file"
 
+LocateProblem = Callable[[StepProblem], FileProblem]
+
 
 class JobFiles:
     """The job files in `folder`, and those that arrive. folder: None: there are none."""
@@ -34,22 +38,42 @@ class JobFiles:
         return [_describe_template(path) for path in paths[:MAX_TEMPLATES]]
 
     async def check_job(self, tutti: Tutti, body: Mapping[str, Any]) -> dict[str, Any]:
-        """Check a job file: problems with their lines, parameters, the job, what it will do, and its drawing.
+        """Check a job file or a program: problems with their lines, parameters, the job, what it will do, and its
+        drawing.
 
         Raises `Refusal` for a body that is not as it should be, and a template that is not there.
         """
         answer: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
+        if "program" in body:
+            return answer | await self._check_program(tutti, body)
         parameters, problems, filled_job = await self._execute(self._fill_job, body)
         answer |= {"parameters": parameters, "problems": describe_problems(problems)}
-        return answer if filled_job is None else answer | await self.forecast_job(tutti, filled_job.job, filled_job)
+        if filled_job is None:
+            return answer
+        locate = partial(_locate_problem, filled_job)
+        return answer | await self.forecast_job(tutti, filled_job.job, locate)
 
-    async def forecast_job(self, tutti: Tutti, job: Job, filled: FilledJob | None = None) -> dict[str, Any]:
+    async def _check_program(self, tutti: Tutti, body: Mapping[str, Any]) -> dict[str, Any]:
+        settings = _read_values(body.get("values", {}))
+        values = {name: str(setting.value) for name, setting in settings.items()}
+        answer, checked_program = await check_program(tutti, self._execute, body, values)
+        if checked_program is None:
+            return answer
+        program = checked_program.program
+        forecast = await self.forecast_job(
+            tutti,
+            checked_program.whole,
+            lambda problem: locate_in_program(program, problem.place, _join_remedy(problem)),
+        )
+        return {**answer, **forecast, "job": checked_program.job.to_plain(), "program": checked_program.plain}
+
+    async def forecast_job(self, tutti: Tutti, job: Job, locate: LocateProblem | None = None) -> dict[str, Any]:
         """What a job will do now: its forecast, with what each controller would be sent if it is not too long, and its
-        drawing. filled: where its values stand in a file, for problems."""
+        drawing. locate: where a problem stands in a file; None: there is none."""
         forecast, problems = JobForecast(), list[FileProblem]()
         if len(job.steps) <= MAX_DRY_RUN_STEPS:
             forecast = await tutti.dry_run(job)
-            problems = [_locate_problem(problem, filled) for problem in forecast.problems]
+            problems = [(locate or _place_problem)(problem) for problem in forecast.problems]
         fleet, positions = await tutti.load_fleet(), await tutti.list_positions()
         axes = look_at_axes(fleet, await tutti.status())
         return {
@@ -124,8 +148,13 @@ def _refuse_files(filled: FilledJob) -> None:
         raise FileError(problems)
 
 
-def _locate_problem(problem: StepProblem, filled: FilledJob | None) -> FileProblem:
-    text = f"{problem.text}; {problem.remedy}" if problem.remedy else problem.text
-    if filled is None:
-        return FileProblem(NAME, 0, ".".join(map(str, problem.place)), text)
-    return filled.problem(problem.place, text)
+def _locate_problem(filled: FilledJob, problem: StepProblem) -> FileProblem:
+    return filled.problem(problem.place, _join_remedy(problem))
+
+
+def _place_problem(problem: StepProblem) -> FileProblem:
+    return FileProblem(NAME, 0, ".".join(map(str, problem.place)), _join_remedy(problem))
+
+
+def _join_remedy(problem: StepProblem) -> str:
+    return f"{problem.text}; {problem.remedy}" if problem.remedy else problem.text

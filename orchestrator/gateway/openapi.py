@@ -50,7 +50,7 @@ _OWN = {
     "/v1/logout": "End the session.",
     "/v1/estop": 'E-stop of all controllers: {"reason"}. Needs no coordinator.',
     "/v1/reset": "Release the e-stop latch of all controllers, and clear faults.",
-    "/v1/check-job": 'Check a job file: {"text" or "template", "values"}. Nothing moves.',
+    "/v1/check-job": 'Check a job file: {"text", "template" or "program", "values"}. Nothing moves.',
     "/v1/check-fleet": 'Compare a fleet file with the running fleet: {"text"}.',
 }
 

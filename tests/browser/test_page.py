@@ -263,6 +263,14 @@ def test_a_proposal_is_released_as_exactly_the_plan_that_was_seen(
     context.close()
 
 
+def test_the_sign_in_page_goes_when_the_last_user_is_removed(page: Page, ready: RunningFleet, users: UserFile) -> None:
+    page.goto(find_address(ready))
+    page.get_by_label("Password").wait_for()
+    for name in users.load().users:
+        users.remove_user(name)
+    page.get_by_role("region", name="Axes", exact=True).wait_for()
+
+
 # Jobs
 
 

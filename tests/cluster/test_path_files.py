@@ -206,7 +206,9 @@ def test_an_imported_job_is_one_that_the_check_takes(tmp_path: Path) -> None:
     code, text = invoke(
         "path", "import", tmp_path / "part.ngc", *AXES, *more, "--from-line", 7, "--to", target, "--force"
     )
-    assert code == 0 and "from line 7: work offset G54, tool 1, feed 600 mm/min" in " ".join(text.split())
+    assert code == 0 and "from line 7: work offset G54, tool 1, spindle M3 S5000, feed 600 mm/min" in " ".join(
+        text.split()
+    )
     steps = load_job(target).steps
     assert [step.do for step in steps] == ["move", "path"]
 

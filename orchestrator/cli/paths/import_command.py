@@ -78,8 +78,8 @@ def import_path(
     What is refused is named with its line and column, and then nothing is written. With --from-line, the modes that the
     lines before leave are printed, and the job begins with a move to where the program stands then.
     """
-    from orchestrator.cli.paths.imported_job import make_checked_job
     from orchestrator.model.paths.files.reading import GcodeStart, read_path_file
+    from orchestrator.plan.programs.imported_job import make_checked_job
     from orchestrator.runtime.checked import load_checked_fleet
 
     if target.exists() and not force:

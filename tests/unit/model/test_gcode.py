@@ -306,9 +306,10 @@ def test_a_part_of_a_program() -> None:
     assert move == {"do": "move", "to": {"gantry.x": "50.8 mm", "gantry.y": "0 mm", "gantry.z": "0 mm"}}
     assert path["start"][0] == "50.8 mm" and path["pieces"][0]["to"][0] == "101.6 mm"
     assert imported.modes == [
-        *("work offset G55", "tool 3", "feed 254 mm/min", "plane G18", "units inch (G20)", "increments (G91)"),
-        "motion G1",
+        *("work offset G55", "tool 3", "spindle off", "feed 254 mm/min", "plane G18", "units inch (G20)"),
+        *("increments (G91)", "motion G1"),
     ]
+    assert "spindle M3 S5000" in read("S5000 M3\nG0 X1\nG0 X2", 3, spindle="none").modes
     with pytest.raises(FileError, match="5: the program ends at line 2, before it"):
         read("G0 X1\nM2\n", 5)
 

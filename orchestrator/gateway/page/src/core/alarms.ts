@@ -5,7 +5,7 @@ import { soundOn } from "./look.ts";
 import type { Alarm } from "./model.ts";
 import { alarms, fleetName } from "./store.ts";
 import { connection } from "./stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const ORDER = ["urgent", "critical", "high", "medium", "low"];
 const REPEAT_MS = 8000;

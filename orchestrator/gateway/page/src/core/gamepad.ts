@@ -10,7 +10,7 @@ import { openCount } from "./keys.ts";
 import { beginJog, changeJog, endJog, isPressed, jogging, type Press } from "./manual.ts";
 import { showNote } from "./notices.ts";
 import { isFlag, remembered } from "./remember.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const POLL_MS = 20;
 /** Parts of the deflection, in steps that are worth a new velocity. */

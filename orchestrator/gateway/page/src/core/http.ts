@@ -2,7 +2,7 @@
 
 import type { Answer, Refusal } from "./model.ts";
 import { noConnection, session } from "./stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 export async function get<R>(path: string): Promise<Answer<R>> {
   return request<R>(path, { method: "GET" });

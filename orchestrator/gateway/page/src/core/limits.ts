@@ -2,7 +2,7 @@
 
 import { formatQuantity, formatUnit } from "./format.ts";
 import { findAxis, type AxisStore } from "./store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 /** Why a position is no target of an axis; empty: it is one, as far as this page knows. */
 export function whyBeyond(axis: AxisStore, value: number | null): string {

@@ -4,7 +4,7 @@ import { effect, signal } from "@preact/signals";
 import { isBusy } from "./manual.ts";
 import { showNote } from "./notices.ts";
 import { isFlag, isTexts, remembered } from "./remember.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 export type View = "run" | "setup" | "service";
 export const VIEWS: View[] = ["run", "setup", "service"];

@@ -4,7 +4,7 @@ import { computed, signal } from "@preact/signals";
 import type { Refusal, Work } from "./model.ts";
 import { accept, showNote, showRefusal } from "./notices.ts";
 import { ask, listen, send, takeId } from "./stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const RENEW_MS = 100;
 const FRESH_MS = 200; // an answer older than this is no sign that the gateway still passes jogs on

@@ -346,6 +346,7 @@ export interface StepReport {
 
 export interface JobReport {
   job_id: string;
+  parameters_used?: Record<string, string>;
   name: string;
   actor: string;
   state: string;
@@ -446,7 +447,20 @@ export interface Template {
   problem?: string | null;
 }
 
+export interface CheckedProgram {
+  from_line: number;
+  /** What was chosen, as it is to stay after the way to its first line. */
+  values: Record<string, string>;
+  /** The move to its first line, in words, while the axes are not there. */
+  approach: string;
+  confirm: string[];
+  notes: string[];
+  extents: { axis: string; unit: string; min: number; max: number; limits: number[] | null; over: number }[];
+  drawing: { axes: string[]; rapid: string; feed: string; start: number[] | null };
+}
+
 export interface Checked {
+  program?: CheckedProgram;
   problems?: { line?: number | null; place?: string; text: string }[];
   parameters?: Parameter[];
   job?: Record<string, unknown> | null;

@@ -3,7 +3,8 @@
 import { withoutAddress } from "./format.ts";
 import type { ControllerRest } from "./store.ts";
 import type { AxisState, Permit } from "./model.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 
 /** ok: it is ready; busy: it does something; off: it needs a command first; bad: it is abnormal. */
 export type Level = "ok" | "busy" | "off" | "bad";

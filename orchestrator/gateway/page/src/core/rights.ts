@@ -2,7 +2,7 @@
 
 import { connection, isStale, pageAge, session } from "./stream.ts";
 import { coordinator, findController } from "./store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 /** Verbs that the gateway does by itself, without a coordinator. */
 const WITHOUT_COORDINATOR = new Set(["reset", "check-job", "check-fleet", "forget"]);

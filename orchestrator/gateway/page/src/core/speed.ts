@@ -2,7 +2,7 @@
 
 import { formatUnit } from "./format.ts";
 import type { AxisState } from "./model.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const MANUAL = 0.2; // of an axis whose fleet file is not known to the gateway
 

@@ -6,7 +6,7 @@ import { cancelWork, endJog } from "./manual.ts";
 import type { Answer, Stopped } from "./model.ts";
 import { showNote, showRefusal } from "./notices.ts";
 import { ask, isOpen, listen, noConnection } from "./stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 export type StopKind = "stop" | "estop";
 

@@ -4,7 +4,7 @@ import { computed, effect, signal, untracked } from "@preact/signals";
 import type { Answer, Refusal, Session, State, Stopped, Work } from "./model.ts";
 import type { JsonObject } from "./patch.ts";
 import { takePatch, takeSnapshot } from "./store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const FIRST_PAUSE_MS = 200;
 const LONGEST_PAUSE_MS = 3000;
@@ -179,13 +179,16 @@ function handleClosed(): void {
   else retryLater();
 }
 
-/** The socket does not say why it was refused; the session does. */
+/** The socket does not say why it was refused; the session does. A fleet whose last user was removed needs no sign-in
+ * any more: it is asked again. */
 async function askForSession(): Promise<void> {
   try {
     const answer = await fetch("v1/session", { headers: { Accept: "application/json" } });
+    if (socket !== null) return; // signed in meanwhile
     if (answer.status === 401) {
       session.value = null;
       connection.value = "signed-out";
+      timer = setTimeout(askForSession, LONGEST_PAUSE_MS);
       return;
     }
   } catch {

@@ -9,7 +9,8 @@ import { isFlag, remembered } from "../core/remember.ts";
 import type { Alarm } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Panel } from "./parts.tsx";
 
 const showAside = remembered("alarms.aside", true, isFlag);

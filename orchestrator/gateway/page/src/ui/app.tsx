@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import { stacked, view } from "../core/look.ts";
 import { connection } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { AlarmsPanel } from "./alarmlist.tsx";
 import { AxisTable } from "./axes.tsx";
 import { ButtonsPanel } from "./buttons.tsx";

@@ -7,7 +7,8 @@ import { get, post } from "../core/http.ts";
 import type { JobForecast, JobPlan, Preview, QueueEntry, Refusal } from "../core/model.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, closeDialog, Empty } from "./parts.tsx";
 import { ForecastSteps, PreviewPlots } from "./preview.tsx";
 

@@ -10,7 +10,7 @@ import { plotted } from "../core/look.ts";
 import { readinessOf } from "../core/ready.ts";
 import { allAxes, controllers, jobs, leases, permits, queue, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { AxisMenu } from "./axismenu.tsx";
 import { GetReady, unready } from "./getready.tsx";
 import { MoveDialog } from "./movedialog.tsx";

@@ -7,7 +7,7 @@ import { beginWork, working } from "../core/manual.ts";
 import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { permits, type AxisStore, type ControllerStore } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, closeDialog, Field, Mark } from "./parts.tsx";
 
 export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element {

@@ -10,7 +10,7 @@ import { useEffect, useLayoutEffect, useRef, useState } from "preact/hooks";
 import type { WebView } from "../core/model.ts";
 import { isFlag, isText, remembered } from "../core/remember.ts";
 import { views } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Panel } from "./parts.tsx";
 
 const PATIENCE_MS = 10_000;

@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { formatNs } from "../core/format.ts";
 import { controllers } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Empty, Panel } from "./parts.tsx";
 import { Plot } from "./plot.tsx";
 import { usePolled } from "./polled.ts";

@@ -6,7 +6,8 @@ import { dayAndTime } from "../core/format.ts";
 import { get, post } from "../core/http.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 import { usePolled } from "./polled.ts";
 

@@ -7,7 +7,7 @@ import { explain } from "../core/format.ts";
 import { post } from "../core/http.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { controllers } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Field, Panel } from "./parts.tsx";
 import { Trace } from "./links.tsx";
 

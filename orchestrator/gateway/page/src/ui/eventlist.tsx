@@ -4,7 +4,8 @@ import type { JSX } from "preact";
 import { useState } from "preact/hooks";
 import { eventLog } from "../core/eventlog.ts";
 import { dayAndTime, shortId } from "../core/format.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Empty, Panel } from "./parts.tsx";
 
 const MOST_ROWS = 200;

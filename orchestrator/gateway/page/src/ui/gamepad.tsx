@@ -6,7 +6,7 @@ import type { Signal } from "@preact/signals";
 import { percent } from "../core/format.ts";
 import { DEAD_ZONES, deadMan, deadZone, hasGamepads, isArmed, MOST_INPUTS, padOn, reading, reversed, setDrives, sticks, switchOff, switchOn, type Drive, type PadReading, type Way } from "../core/gamepad.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Field, Mark } from "./parts.tsx";
 
 /** With its velocity in words, at a part of the deflection. */

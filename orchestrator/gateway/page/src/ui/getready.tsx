@@ -7,7 +7,7 @@ import { get } from "../core/http.ts";
 import { beginWork, working } from "../core/manual.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { allAxes, type AxisStore } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
 
 /** The axes whose motor is off, or whose reference is missing. */

@@ -9,7 +9,7 @@ import { isBusy } from "../core/manual.ts";
 import type { Level } from "../core/ready.ts";
 import { controllers, coordinator, fleetName, jobs, loaded, permits, queue, utc } from "../core/store.ts";
 import { connection, pageAge, session } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { AlarmList } from "./alarmlist.tsx";
 import { signOut } from "./login.tsx";
 import { Act, Field, Mark, openDialog } from "./parts.tsx";

@@ -8,13 +8,15 @@ import { FINISHED, lastReport } from "../core/lastreport.ts";
 import type { JobReport, JobShown, QueueEntry, QueueState, Recording, ScanSummary, StepReport } from "../core/model.ts";
 import { accept, showNote } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { PlotJob, RecordingPlot } from "./jobplot.tsx";
 import { Act, closeDialog, Empty, openDialog, Panel } from "./parts.tsx";
 import { PathFacts } from "./pathbound.tsx";
 import { usePolled } from "./polled.ts";
 import { ScanPoints } from "./scanpoints.tsx";
 import { StartStrip } from "./strip.tsx";
+import { GoOn } from "./submit.tsx";
 import { BudgetTable, BudgetTerms, VerdictMark } from "./verdict.tsx";
 
 const REFRESH_MS = 5000;
@@ -86,6 +88,7 @@ function JobDetails({ job }: { job: QueueEntry }): JSX.Element {
           {T.history.export}
         </a>
         <PlotJob id={job.id} name={job.name} />
+        {report.state === "done" ? null : <GoOn id={job.id} program={report.parameters_used?.["program"]} />}
         <Retry job={job} steps={report.steps?.length ?? 1} />
       </div>
       {report.steps?.map((step) => (

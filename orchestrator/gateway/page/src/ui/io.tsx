@@ -9,7 +9,8 @@ import { accept } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { controllers, type ControllerStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 
 const wires = signal<WireFinding[] | null>(null);

@@ -11,12 +11,14 @@ import type { JobProgress } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { jobs, members } from "../core/store.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { RunAgain } from "./history.tsx";
 import { PlotJob } from "./jobplot.tsx";
 import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Panel, Progress } from "./parts.tsx";
 import { StartStrip } from "./strip.tsx";
+import { GoOn } from "./submit.tsx";
 import { BudgetTable, VerdictMark } from "./verdict.tsx";
 
 export const runningJobs = computed(() => Object.values(jobs.value).filter((job) => !FINISHED.has(job.state) && job.state !== "queued"));
@@ -147,6 +149,7 @@ function LastVerdict(): JSX.Element | null {
         <span>{step ? T.job.lastStep(report.name, step.index + 1, step.name) : T.job.lastJob(report.name)}</span>
         {step ? <VerdictMark step={step} job={report.state} /> : null}
         {ended ? <PlotJob id={report.id} name={report.name} /> : null}
+        {ended && !good ? <GoOn id={report.id} program={report.program} /> : null}
         {ended ? <RunAgain id={report.id} name={report.name} /> : null}
       </div>
       {good ? null : (

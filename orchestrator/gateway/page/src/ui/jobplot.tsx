@@ -5,7 +5,8 @@ import { useEffect, useMemo, useState } from "preact/hooks";
 import { explain } from "../core/format.ts";
 import { get } from "../core/http.ts";
 import type { Curve, JobCurves, Recording } from "../core/model.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, openDialog } from "./parts.tsx";
 import { alignCurves, Plot, type PlotSeries } from "./plot.tsx";
 

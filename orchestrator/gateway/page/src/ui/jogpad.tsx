@@ -18,7 +18,7 @@ import { readinessOf } from "../core/ready.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { allAxes, findAxis, findController, jobs, leases, permits, queue, type AxisStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { holderOf } from "./axes.tsx";
 import { type AxisDrive, GamepadForm } from "./gamepad.tsx";
 import { Act, Empty, Mark, Panel, Progress } from "./parts.tsx";

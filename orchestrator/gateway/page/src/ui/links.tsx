@@ -8,7 +8,7 @@ import type { Refusal } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { controllers } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 
 interface TraceFrame {

@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { effect } from "@preact/signals";
 import { plotted } from "../core/look.ts";
 import { allAxes, findAxis, samples, type AxisStore } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { togglePlot } from "./axes.tsx";
 import { Act, Panel } from "./parts.tsx";
 import { Plot, type PlotData } from "./plot.tsx";

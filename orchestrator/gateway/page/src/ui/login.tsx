@@ -6,7 +6,7 @@ import { explain } from "../core/format.ts";
 import { get, post } from "../core/http.ts";
 import type { Refusal, Session } from "../core/model.ts";
 import { reconnect, session } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 export function Login(): JSX.Element {
   const [user, setUser] = useState("");

@@ -13,7 +13,7 @@ import { whyNot } from "../core/rights.ts";
 import { resetFleet, stoppedBy } from "../core/stop.ts";
 import { controllers, coordinator, lastStop, loaded, queue } from "../core/store.ts";
 import { connection, pageAge, session } from "../core/stream.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, openDialog } from "./parts.tsx";
 import { askStart, readyJobs } from "./start.tsx";
 

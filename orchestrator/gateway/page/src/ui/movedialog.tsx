@@ -9,7 +9,7 @@ import { isNumber, remembered } from "../core/remember.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { manualSpeed, readSpeed } from "../core/speed.ts";
 import type { AxisStore, ControllerStore } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { ReadyLine } from "./axismenu.tsx";
 import { STEPS, WorkLine } from "./jogpad.tsx";
 import { Act, closeDialog, Field } from "./parts.tsx";

@@ -6,7 +6,7 @@ import { signal } from "@preact/signals";
 import { noteOpen, stopKey } from "../core/keys.ts";
 import { showNote } from "../core/notices.ts";
 import type { Level } from "../core/ready.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 /** A state's shape: what it means is never told by colour alone. */
 export const MARK: Record<Level, string> = { ok: "○", busy: "▶", off: "◇", bad: "▲" };

@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import { formatSeconds, formatUnit } from "../core/format.ts";
 import type { PathReport } from "../core/model.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const TERMS = ["profile-fit", "execution", "start", "clock"] as const;
 

@@ -13,7 +13,7 @@ import { plane } from "../core/look.ts";
 import type { Preview } from "../core/model.ts";
 import { isFlag, remembered } from "../core/remember.ts";
 import { allAxes, findAxis, paths, samples, type AxisStore } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Panel } from "./parts.tsx";
 import { sampleCurves } from "./preview.tsx";
 

@@ -3,7 +3,6 @@
 import type { JSX } from "preact";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
-import "uplot/dist/uPlot.min.css";
 import { formatUnit, placesOf } from "../core/format.ts";
 import { theme } from "../core/look.ts";
 

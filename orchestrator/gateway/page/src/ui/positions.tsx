@@ -11,7 +11,8 @@ import { accept } from "../core/notices.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
 import { controllers } from "../core/store.ts";
 import { connection } from "../core/stream.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty, Field, Panel } from "./parts.tsx";
 
 const positions = signal<NamedPosition[] | null>(null);

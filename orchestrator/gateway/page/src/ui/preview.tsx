@@ -4,11 +4,12 @@ import type { JSX } from "preact";
 import { useMemo, useState } from "preact/hooks";
 import { explain, formatNs, formatSeconds, formatUnit } from "../core/format.ts";
 import type { Curve, JobForecast, Preview } from "../core/model.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { PathFacts } from "./pathbound.tsx";
 import { alignCurves, Plot } from "./plot.tsx";
 
-export function PreviewPlots({ preview }: { preview: Preview }): JSX.Element {
+export function PreviewPlots({ preview, drawn = false }: { preview: Preview; drawn?: boolean }): JSX.Element {
   const axes = Object.entries(preview.axes).filter(([, curve]) => curve.t.length > 0);
   const data = useMemo(() => alignCurves(axes.map(([, curve]) => curve)), [preview]);
   return (
@@ -20,7 +21,7 @@ export function PreviewPlots({ preview }: { preview: Preview }): JSX.Element {
       {axes.length > 0 ? (
         <div class="previewplots">
           <Plot series={axes.map(([axis, curve]) => ({ label: axis, unit: curve.unit }))} data={data} height={240} name={T.preview.overTime} />
-          {axes.length >= 2 ? <PathView preview={preview} /> : null}
+          {axes.length >= 2 && !drawn ? <PathView preview={preview} /> : null}
         </div>
       ) : null}
     </div>

@@ -6,7 +6,7 @@ import { explain, formatNs, formatQuantity } from "../core/format.ts";
 import { get } from "../core/http.ts";
 import type { ScanPoint, ScanSummary } from "../core/model.ts";
 import { findAxis } from "../core/store.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, Empty } from "./parts.tsx";
 import { Plot, type PlotData } from "./plot.tsx";
 import { PointMark } from "./verdict.tsx";

@@ -9,7 +9,8 @@ import type { Answer, FirstMotion, StartPreview } from "../core/model.ts";
 import { accept } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
 import { jobs, queue } from "../core/store.ts";
-import { onPage, T } from "../texts.ts";
+import { onPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { GetReady, unready } from "./getready.tsx";
 import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
 

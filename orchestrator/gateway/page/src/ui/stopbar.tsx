@@ -2,7 +2,7 @@
 
 import type { JSX } from "preact";
 import { pendingStop, stopFleet, type StopKind } from "../core/stop.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 /** It acts when it is pressed, not when it is let go; keys press it by `click`. */
 function StopButton({ kind }: { kind: StopKind }): JSX.Element {

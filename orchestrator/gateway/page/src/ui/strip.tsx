@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import { formatNs } from "../core/format.ts";
 import type { StepReport } from "../core/model.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 interface Line {
   name: string;

@@ -9,15 +9,19 @@ import { view } from "../core/look.ts";
 import type { Checked, Parameter, QueueTerms, Refusal, Template } from "../core/model.ts";
 import { accept, showNote, showRefusal } from "../core/notices.ts";
 import { firstOf, proposes, whyNot } from "../core/rights.ts";
-import { onPage, placeOnPage, T } from "../texts.ts";
+import { onPage, placeOnPage } from "../texts.ts";
+import * as T from "../texts.ts";
 import { Act, closeDialog, Empty, Field, openDialog } from "./parts.tsx";
 import { ForecastSteps, PreviewPlots } from "./preview.tsx";
+import { ProgramParts, ProgramText } from "./program.tsx";
 
 /** Larger job files are for the command line: `tutti submit`. */
 const LARGEST_FILE = 1_000_000;
 const CHECK_MS = 400;
 
-type Source = { text: string } | { template: string };
+type Source = { text: string } | { template: string } | { program: { name: string; text: string }; continues?: string };
+
+const PROGRAM = /\.(ngc|nc|gcode|tap)$/i;
 
 /** The templates, and a place for a file. */
 export function NewJob(): JSX.Element {
@@ -31,14 +35,7 @@ export function NewJob(): JSX.Element {
         <p>{T.submit.drop}</p>
         <label class="act file">
           {T.submit.choose}
-          <input
-            type="file"
-            accept=".yaml,.yml,.json"
-            onChange={(event) => {
-              const file = event.currentTarget.files?.[0];
-              if (file) void openFile(file);
-            }}
-          />
+          <FileInput onFile={(file) => void openFile(file)} />
         </label>
       </div>
       <h3>{T.submit.templates}</h3>
@@ -60,6 +57,32 @@ export function NewJob(): JSX.Element {
   );
 }
 
+/** A choice of a file: a job file or a program. The same one can be chosen again, after it was mended. */
+function FileInput({ onFile }: { onFile: (file: File) => void }): JSX.Element {
+  return (
+    <input
+      type="file"
+      accept=".yaml,.yml,.json,.ngc,.nc,.gcode,.tap"
+      onChange={(event) => {
+        const file = event.currentTarget.files?.[0];
+        if (file) onFile(file);
+        event.currentTarget.value = "";
+      }}
+    />
+  );
+}
+
+/** The program of a job that was not done goes on where it stood. Its file is chosen again: it may have changed. */
+export function GoOn({ id, program }: { id: string; program: string | undefined }): JSX.Element | null {
+  if (!program) return null;
+  return (
+    <label class="act small file">
+      {T.program.goOn(program)}
+      <FileInput onFile={(file) => void openFile(file, id)} />
+    </label>
+  );
+}
+
 /** The form of a template, with its check and its drawing. */
 export function openForm({ name, file, parameters }: Template): void {
   openDialog(T.submit.of(name), <JobForm key={file} source={{ template: file }} parameters={parameters} name={name} />, true);
@@ -71,14 +94,15 @@ export async function submitJob(name: string, job: Checked["job"], terms: QueueT
   return accept(T.submit.of(name), answer) !== null;
 }
 
-/** Read a job file that was dropped or chosen. */
-export async function openFile(file: File): Promise<void> {
+/** Read a job file or a program that was dropped or chosen. `continues`: the job of the program, which goes on. */
+export async function openFile(file: File, continues?: string): Promise<void> {
   if (file.size > LARGEST_FILE) {
     showRefusal(file.name, { code: "too-large", text: T.submit.tooLarge, remedy: T.submit.tooLargeRemedy });
     return;
   }
   const text = await file.text();
-  openDialog(T.submit.of(file.name), <JobForm key={newKey()} source={{ text }} parameters={[]} name={file.name} />, true);
+  const source = continues || PROGRAM.test(file.name) ? { program: { name: file.name, text }, ...(continues ? { continues } : {}) } : { text };
+  openDialog(T.submit.of(file.name), <JobForm key={newKey()} source={source} parameters={[]} name={file.name} />, true);
 }
 
 /** Whether a file is being dragged over the page. */
@@ -115,6 +139,8 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
   const [refused, setRefused] = useState<Refusal | null>(null);
   const [terms, setTerms] = useState<QueueTerms>({});
   const [busy, setBusy] = useState(false);
+  const [sure, setSure] = useState("");
+  const [waiting, setWaiting] = useState(0);
   const key = useRef(newKey());
   const round = useRef(0);
   const declared = parameters.length > 0 ? parameters : (checked?.parameters ?? []);
@@ -130,19 +156,40 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
       checked === null && refused === null ? 0 : CHECK_MS,
     );
     return () => clearTimeout(timer);
-  }, [values]);
+  }, [values, waiting]);
+  const program = checked?.program;
+  // Each confirmation is one of what is shown: the way to a line, then what runs from there.
+  const toConfirm = program ? program.approach || program.confirm.join() : "";
+  const away = program?.approach ? waiting : 0;
+  useEffect(() => {
+    if (!away) return;
+    const timer = setTimeout(() => setWaiting(away + 1), 1000);
+    return () => clearTimeout(timer);
+  }, [away, checked]);
+  const choose = (next: Record<string, string>): void => {
+    setValues(next);
+    setWaiting(0); // the move under way, if there is one, is no longer the one to wait for
+  };
   const problems = checked?.problems ?? [];
   const why = firstOf(
     whyNot("submit"),
     problems.length > 0 || refused ? T.submit.hasProblems : "",
     checked?.job ? "" : T.submit.notChecked,
-    busy ? T.submit.underWay : "",
+    busy ? T.submit.underWay : away ? T.program.going : "",
+    sure === toConfirm ? "" : T.program.unsure,
   );
   const submit = async (): Promise<void> => {
     setBusy(true);
     const done = await submitJob(name, checked?.job, terms, key.current);
     setBusy(false);
     if (!done) return;
+    if (program?.approach) {
+      key.current = newKey();
+      setSure("");
+      setValues(program.values);
+      setWaiting(1);
+      return;
+    }
     closeDialog();
     if (proposes()) showNote(T.submit.proposed(name));
     else if (view.value !== "run") showNote(T.submit.submitted(name)); // there the queue shows it
@@ -160,7 +207,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
               onValue={(value) => {
                 const next = { ...values, [parameter.name]: value };
                 if (value === "") delete next[parameter.name];
-                setValues(next);
+                choose(next);
                 setChecked(checked ? { ...checked, job: null } : null);
               }}
             />
@@ -179,11 +226,13 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
         </ul>
       ) : null}
       {checked === null && refused === null ? <Empty text={T.submit.checking} /> : null}
-      {checked?.preview && problems.length === 0 ? <PreviewPlots preview={checked.preview} /> : null}
+      {program ? <ProgramParts program={program} sure={sure === toConfirm} onSure={(on) => setSure(on ? toConfirm : "")} /> : null}
+      {"program" in source ? <ProgramText text={source.program.text} onStart={(line) => choose({ ...values, "from line": String(line) })} /> : null}
+      {checked?.preview && problems.length === 0 ? <PreviewPlots preview={checked.preview} drawn={program !== undefined} /> : null}
       {problems.length === 0 ? <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} /> : null}
       <TermsForm terms={terms} onTerms={setTerms} />
       <div class="row finish">
-        <Act label={proposes() ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
+        <Act label={program?.approach ? T.program.move(program.from_line) : proposes() ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
         {why ? <span class="hint">{why}</span> : null}
       </div>
     </div>

@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import { formatNs, formatSeconds } from "../core/format.ts";
 import type { PredictedSkew, Skew, StepReport, SyncBudget } from "../core/model.ts";
-import { T } from "../texts.ts";
+import * as T from "../texts.ts";
 
 const SIGNS = { green: "✓", amber: "◆", red: "✕", none: "–" };
 

@@ -27,7 +27,7 @@ PLANES: Mapping[str, Plane] = {
 @dataclass(slots=True)
 class Modes:
     """All modes. scale: mm of a unit of the program. feed: a number of F in mm, or passes per minute with G93, mm per
-    turn with G95. corner: None: the program has not chosen."""
+    turn with G95. spindle: the last of M3, M4 and M5. corner: None: the program has not chosen."""
 
     motion: str = ""
     plane: str = "G17"
@@ -36,6 +36,7 @@ class Modes:
     has_absolute_centres: bool = False
     feed_mode: str = "G94"
     feed: float | None = None
+    spindle: str = "M5"
     spindle_speed: float | None = None
     corner: str | dict[str, str] | None = None
     returns_to_r: bool = False
@@ -49,6 +50,7 @@ class Modes:
         return [
             f"work offset {system}",
             f"tool {self.tool or 'none'}{'' if self.tool_length == 'G49' else ', with its length'}",
+            "spindle off" if self.spindle == "M5" else f"spindle {self.spindle} S{self.spindle_speed or 0:g}",
             "no feed" if self.feed is None else f"feed {self.feed:g} {feed_unit}",
             f"plane {self.plane}",
             f"units {'inch (G20)' if self.scale != 1.0 else 'mm (G21)'}",

@@ -106,6 +106,7 @@ class LineRunner:
             self.notes.skip("G94")
         elif modes.feed_mode == "G93":
             modes.feed = None  # for one motion
+        modes.spindle = line.find_code("spindle") or modes.spindle
         speed = None if "dwell" in line.codes and "S" in self._dialect.dwell else line.take("S", "the spindle")
         if speed is not None:
             self._outputs.check_speed(speed)

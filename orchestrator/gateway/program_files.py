@@ -1,0 +1,179 @@
+"""Programs in G-code that arrive as text: what has to be chosen for them, their mistakes, their job and its drawing."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+from orchestrator.client import Tutti
+from orchestrator.clock.executor import Executor
+from orchestrator.gateway.preview import look_at_axes
+from orchestrator.gateway.program_drawing import draw_program, list_extents
+from orchestrator.gateway.replies import describe_problems
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.files import FileError, FileProblem
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.units import Unit, convert_units, find_dimension, parse_quantity
+from orchestrator.plan.programs.program_job import ProgramJob, make_program_job, require_unchanged
+from orchestrator.plan.programs.settings import (
+    FROM_LINE,
+    PROGRAM,
+    ZEROS,
+    ProgramText,
+    describe_fields,
+    read_settings,
+)
+from orchestrator.plan.programs.standing import LastMotion, find_standing_line
+from orchestrator.plan.programs.traces import trace_paths
+
+MAX_SHOWN_PROBLEMS = 50
+BY_PLACE = "by where the axes stand now, as the job kept no record of its last move: see whether it is right"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedProgram:
+    """job: what would be submitted next; whole: what is forecast. plain: what the page shows beside it."""
+
+    job: Job
+    whole: Job
+    plain: dict[str, Any]
+    program: ProgramJob
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramCheck:
+    """What a program is checked with."""
+
+    program: ProgramText
+    values: Mapping[str, str]
+    fleet: Fleet
+    axes: Mapping[str, AxisForecast]
+    end: LastMotion | None
+
+
+async def check_program(
+    tutti: Tutti, execute: Executor, body: Mapping[str, Any], values: Mapping[str, str]
+) -> tuple[dict[str, Any], CheckedProgram | None]:
+    """Parameters and problems of a program, and without any, its job. Raises `Refusal`."""
+    program = _read_program(body)
+    fleet = await tutti.load_fleet()
+    axes = look_at_axes(fleet, await tutti.status())
+    end = await _load_end(tutti, body.get("continues"), axes)
+    return await execute(_check, ProgramCheck(program, values, fleet, axes, end))
+
+
+def locate_in_program(program: ProgramJob, place: list[str | int], text: str) -> FileProblem:
+    """A problem of a forecast, at the lines of the step that it is in."""
+    number = next((part for part in place if isinstance(part, int)), 0)
+    places = program.imported.places
+    if number >= len(places) or not places[number]:
+        return FileProblem(program.program.name, 0, "", text)
+    lines = places[number]
+    piece = _find_piece(text)
+    line = lines[piece - 1].line if 0 < piece <= len(lines) else min(lines).line
+    return FileProblem(program.program.name, line, "", text)
+
+
+def _find_piece(text: str) -> int:
+    """The number of the piece that a refusal of the planner names; 0: it names none."""
+    _, word, remaining_job = text.partition("piece ")
+    digits = remaining_job.split(" ")[0].rstrip(":,;")
+    return int(digits) if word and digits.isdecimal() else 0
+
+
+def _read_program(body: Mapping[str, Any]) -> ProgramText:
+    program = body.get("program")
+    fields = cast(dict[str, object], program) if isinstance(program, dict) else {}
+    name, text = fields.get("name"), fields.get("text")
+    if not isinstance(name, str) or not name or not isinstance(text, str) or "text" in body or "template" in body:
+        raise Refusal("bad-request", "`program` must be an object with `name` and `text`", "give no job file beside it")
+    return ProgramText(name[:100], text)
+
+
+async def _load_end(tutti: Tutti, job_id: object, axes: Mapping[str, AxisForecast]) -> LastMotion | None:
+    if job_id is None:
+        return None
+    if not isinstance(job_id, str):
+        raise Refusal("bad-request", "`continues` must be the id of a job", "see /v1/jobs")
+    report = (await tutti.show_job(job_id)).report
+    if report is None or PROGRAM not in report.parameters_used:
+        text = f"job {job_id[:80]} has not ended, or was not made of a program"
+        raise Refusal("bad-request", text, "choose a job with `program` in its parameters")
+    recording = await tutti.load_recording(job_id, report.steps[-1].index) if report.steps else None
+    return LastMotion(report, recording, axes)
+
+
+def _check(check: ProgramCheck) -> tuple[dict[str, Any], CheckedProgram | None]:
+    """In a thread: a long program takes seconds."""
+    fields = describe_fields(check.program, check.fleet, _list_places(check), check.values)
+    try:
+        if check.end is not None:
+            fields = _take_over(check, fields, check.end)
+        settings = read_settings(check.program, fields, check.values, _list_zeros(check))
+        if check.end is not None:
+            require_unchanged(check.program, settings, check.end.report.parameters_used)
+        program = make_program_job(check.program, settings, check.fleet)
+    except FileError as error:
+        problems = describe_problems(error.problems[:MAX_SHOWN_PROBLEMS])
+        return {"parameters": fields, "problems": problems}, None
+    return {"parameters": fields, "problems": []}, _describe(check, program)
+
+
+def _take_over(check: ProgramCheck, fields: list[dict[str, Any]], end: LastMotion) -> list[dict[str, Any]]:
+    """The fields with the values of the job that has stopped, and the line at which it stood. Raises `FileError`."""
+    used = end.report.parameters_used
+    fields = [{**field, "default": used.get(field["name"], field["default"])} for field in fields]
+    settings = read_settings(check.program, fields, {}, _list_zeros(check))
+    require_unchanged(check.program, settings, used)
+    program = make_program_job(check.program, settings, check.fleet)
+    standing = find_standing_line(program, end, check.fleet)
+    text = "where it stood" if standing.is_recorded else BY_PLACE
+    line = {"default": str(standing.line), "description": text}
+    return [{**field, **line} if field["name"] == FROM_LINE else field for field in fields]
+
+
+def _list_places(check: ProgramCheck) -> dict[str, float]:
+    """Where the linear axes stand, mm."""
+    units = {name: Unit(check.fleet.axis(name).unit) for name in check.axes}
+    return {
+        name: float(convert_units(axis.motor + axis.offset, units[name], Unit.MM))
+        for name, axis in check.axes.items()
+        if find_dimension(units[name]) == "length"
+    }
+
+
+def _list_zeros(check: ProgramCheck) -> dict[str, float]:
+    return {name: float(axis.offset) for name, axis in check.axes.items()}
+
+
+def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
+    traces = trace_paths(program.job, program.paths)
+    plain: dict[str, Any] = {
+        "lines": len(check.program.lines),
+        "from_line": program.settings.from_line,
+        "values": {name: text for name, text in program.settings.texts.items() if name != ZEROS},
+        "approach": "",
+        "confirm": program.list_confirmations(),
+        "notes": program.imported.notes,
+        "extents": list_extents(traces, list(program.settings.axes.values()), check.fleet, check.axes),
+        "drawing": draw_program(traces, list(program.settings.axes)),
+    }
+    if not program.approach:
+        return CheckedProgram(program.job, program.job, plain, program)
+    move, remaining_job = program.split_approach()
+    if _stands_at(check, program.approach):
+        return CheckedProgram(remaining_job, remaining_job, plain, program)
+    places = ", ".join(f"{name} to {target}" for name, target in program.approach.items())
+    plain["approach"] = f"all axes go straight and together: {places}"
+    return CheckedProgram(move, program.job, plain, program)
+
+
+def _stands_at(check: ProgramCheck, places: Mapping[str, str]) -> bool:
+    """Whether all axes are where a move would take them, to a count."""
+    for name, target in places.items():
+        axis, forecast = check.fleet.axis(name), check.axes.get(name)
+        goal = parse_quantity(target, axis.unit, name)
+        if forecast is None or abs(goal - forecast.motor - forecast.offset) * axis.counts_per_unit > 1:
+            return False
+    return True

@@ -1,0 +1,118 @@
+"""A program in G-code on the page: from its upload over its preview to its rest after an e-stop."""
+
+from pathlib import Path
+
+import pytest
+from browser.conftest import SMALL
+from browser.test_page import open_page
+from browser.test_rules import wait_for
+from fleet import EXAMPLES, RunningFleet
+from playwright.sync_api import Locator, Page, expect
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.live import raw_ns
+from orchestrator.coordinator.jobs.queue.conditions import ESTOP_VISIBLE_NS
+
+SLOW = "G21 G90 F600\nG0 X10 Y5\nG1 X40 Y5\nG1 X40 Y25\nG1 X10 Y25\nG1 X10 Y5\nM5\nM30\n"  # 10 mm/s: 10 s
+
+
+@pytest.fixture(scope="module")
+def ready(fleet: RunningFleet) -> RunningFleet:
+    fleet.ready()
+    return fleet
+
+
+def upload(page: Page, path: Path) -> Locator:
+    page.get_by_role("button", name="New job").click()
+    page.get_by_role("dialog").get_by_label("Choose a file").set_input_files(path)
+    return page.get_by_role("dialog", name=f"Job {path.name}")
+
+
+def confirm(dialog: Locator, words: str, press: str) -> None:
+    """Tick what is written there, and press."""
+    button = dialog.get_by_role("button", name=press)
+    expect(button).to_have_attribute("aria-disabled", "true")
+    dialog.get_by_role("group", name=words).get_by_role("checkbox").check()
+    button.click()
+
+
+def test_what_a_program_needs_is_asked_with_its_line(page: Page, ready: RunningFleet) -> None:
+    open_page(page, ready)
+    dialog = upload(page, EXAMPLES / "part.ngc")
+    problems = dialog.get_by_role("alert", name="Problems")
+    expect(problems).to_contain_text("line 5:")
+    expect(problems).to_contain_text("column 1")
+    dialog.get_by_label("spindle").select_option("none")
+    dialog.get_by_label("tools").select_option("none")
+    expect(problems).to_have_count(0)
+    expect(dialog.get_by_role("group", name="Before it runs")).to_contain_text("M5 and S switch nothing")
+    reach = dialog.get_by_role("table", name="Reach of the program")
+    expect(reach).to_contain_text("limits -10 … 400")
+    drawing = dialog.get_by_role("img", name="Path of X, Y")
+    colours = drawing.locator("path").evaluate_all("paths => paths.map(path => getComputedStyle(path).stroke)")
+    assert len(set(colours)) == 2
+    assert all(drawing.locator("path").evaluate_all("paths => paths.map(path => path.getTotalLength() > 10)"))
+    dialog.get_by_label("G54").fill("380, 0")
+    expect(reach).to_contain_text("20 mm too far")
+    expect(problems).to_contain_text("line 8:")
+
+
+def test_a_program_runs_and_goes_on_where_an_e_stop_has_stopped_it(
+    page: Page, ready: RunningFleet, tmp_path: Path
+) -> None:
+    open_page(page, ready)
+    path = tmp_path / "slow.ngc"
+    path.write_text(SLOW)
+    dialog = upload(page, path)
+    dialog.get_by_label("spindle").select_option("none")
+    confirm(dialog, "Before it runs", "Submit")
+    panel = page.get_by_role("region", name="Running job")
+    expect(panel).to_contain_text("lines 2 to 6")
+    wait_for(page, lambda: find_position(ready, "y") > 15)
+    page.get_by_role("button", name="E-stop", exact=True).click()
+    pressed_ns = raw_ns()
+    expect(panel.get_by_text("aborted").first).to_be_visible()
+    page.get_by_role("button", name="Reset").click()
+    expect(page.get_by_role("button", name="Reset")).to_have_count(0)
+    ready.works()
+    page.get_by_role("button", name="Start queue").first.click()
+    # A job that comes sooner after an e-stop is taken for one that waits for its end.
+    wait_for(page, lambda: raw_ns() > pressed_ns + ESTOP_VISIBLE_NS + NS_PER_S)
+    path.write_text(SLOW.replace("X40", "X41"))
+    panel.get_by_label("Go on with slow.ngc").set_input_files(path)
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_role("alert")).to_contain_text("the text is not that of 'slow.ngc' as it ran")
+    dialog.get_by_role("button", name="Close").click()
+    path.write_text(SLOW)
+    panel.get_by_label("Go on with slow.ngc").set_input_files(path)
+    back = dialog.get_by_role("group", name="First to the start of line 4")
+    expect(back).to_contain_text("gantry.x to 40 mm, gantry.y to 5 mm")
+    page.set_viewport_size(SMALL)
+    assert page.evaluate("document.documentElement.scrollWidth") <= SMALL["width"]
+    confirm(dialog, "First to the start of line 4", "Move to line 4")
+    expect(dialog.get_by_role("group", name="Before it runs")).to_contain_text("line 4 begins with work offset G54")
+    dialog.get_by_label("from line").fill("5")  # another line needs another move
+    expect(dialog.get_by_role("button", name="Move to line 5")).to_be_visible()
+    expect(dialog.get_by_text("confirm what is written above first")).to_be_visible()
+    dialog.get_by_label("from line").fill("4")
+    confirm(dialog, "Before it runs", "Submit")
+    expect(panel).to_contain_text("lines 4 to 6")
+    wait_for(page, lambda: find_position(ready, "x") < 10.1)
+
+
+def test_a_program_starts_at_a_line_of_its_text(page: Page, ready: RunningFleet, tmp_path: Path) -> None:
+    open_page(page, ready)
+    path = tmp_path / "slow.ngc"
+    path.write_text(SLOW)
+    dialog = upload(page, path)
+    dialog.get_by_label("spindle").select_option("none")
+    dialog.get_by_text("Program", exact=True).click()
+    text = dialog.get_by_role("textbox", name="Program")
+    text.click(position={"x": 20, "y": 4 + 4.5 * text.evaluate("box => (box.clientHeight - 8) / box.rows")})
+    dialog.get_by_role("button", name="Start here: line 5").click()
+    expect(dialog.get_by_label("from line")).to_have_value("5")
+    expect(dialog.get_by_role("group", name="First to the start of line 5")).to_contain_text("gantry.y to 25 mm")
+
+
+def find_position(fleet: RunningFleet, axis: str) -> float:
+    return float(fleet.status()["gantry"].axes[axis].raw_counts) / 1000

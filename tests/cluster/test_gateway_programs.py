@@ -1,0 +1,148 @@
+"""Programs in G-code by the gateway: what is chosen, seen and confirmed, and how one goes on from where it stood."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cluster.gateway_client import VirtualGateway, run_with_gateway
+from cluster.worlds import EXAMPLES, PREPARE, outcome
+
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+
+PART = (EXAMPLES / "part.ngc").read_text()
+CHOSEN = {"spindle": "none", "tools": "none"}
+
+
+async def check(gateway: VirtualGateway, text: str = PART, continues: str = "", **values: str) -> dict[str, Any]:
+    body = {"program": {"name": "part.ngc", "text": text}, "values": values}
+    answer = await gateway.post("/v1/check-job", body | ({"continues": continues} if continues else {}))
+    assert answer.status == 200, answer.json
+    return answer.json
+
+
+async def run(fleet: VirtualFleet, gateway: VirtualGateway, checked: dict[str, Any]) -> None:
+    assert checked["problems"] == []
+    job_id = (await gateway.post("/v1/submit", {"job": checked["job"]})).json["job_id"]
+    report = await fleet.make_client().wait_for_job(job_id)
+    assert report.state == "done", report.reason
+
+
+async def open_gateway(fleet: VirtualFleet, folder: Path) -> VirtualGateway:
+    gateway = VirtualGateway(fleet, folder, {})
+    await gateway.start()
+    await outcome(fleet, PREPARE)
+    return gateway
+
+
+def test_a_program_is_checked_drawn_and_run(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        refused = await check(gateway)
+        assert [(each["line"], each["place"]) for each in refused["problems"]] == [
+            *((4, "column 1"), (5, "column 1"), (11, "column 1"))
+        ]
+        assert [field["name"] for field in refused["parameters"]][:3] == ["X", "Y", "from line"]
+        assert [field["default"] for field in refused["parameters"]][:2] == ["gantry.x", "gantry.y"]
+        checked = await check(gateway, **CHOSEN)
+        program = checked["program"]
+        assert [text.partition(":")[0] for text in program["confirm"]] == ["spindle", "tools"]
+        x, y = program["extents"]
+        assert (x["min"], x["max"], x["limits"], x["over"]) == (0, 40, [-10, 400], 0) and y["max"] == 30
+        assert program["drawing"]["rapid"].count("L") == 1 and program["drawing"]["feed"].count("L") > 20
+        assert checked["preview"]["duration_s"] > 2
+        assert checked["job"]["steps"][0]["name"] == "lines 7 to 10"
+        await run(fleet, gateway, checked)
+        absent = await check(gateway, **CHOSEN, X="gantry.q")
+        assert "is 'gantry.q'; choose one of: not chosen, gantry.x" in absent["problems"][0]["text"]
+        far = await check(gateway, "G0 X10\nG0 X10 Y320")
+        assert far["program"]["extents"][1]["over"] == 20
+        assert (far["problems"][0]["line"], "soft limit" in far["problems"][0]["text"]) == (2, True)
+
+    run_with_gateway(main)
+
+
+def test_a_program_begins_at_a_line_after_a_move_to_it(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        checked = await check(gateway, **CHOSEN, **{"from line": "9"})
+        program = checked["program"]
+        assert program["approach"] == "all axes go straight and together: gantry.x to 30 mm, gantry.y to 10 mm"
+        assert "line 9 begins with work offset G54, tool 1, spindle M3 S5000" in program["confirm"][-1]
+        assert [step["do"] for step in checked["job"]["steps"]] == ["move"]
+        assert [step["do"] for step in checked["forecast"]["steps"]] == ["move", "path"]
+        await run(fleet, gateway, checked)
+        checked = await check(gateway, **program["values"])
+        assert checked["program"]["approach"] == ""
+        assert [step["do"] for step in checked["job"]["steps"]] == ["path"]
+        await run(fleet, gateway, checked)
+
+    run_with_gateway(main)
+
+
+LAPS = "G21 G90 F3000\nG1 X40 Y0\nG1 X40 Y40\nG1 X0 Y40\nG1 X0 Y0\n" * 2
+
+
+async def stop_midway(fleet: VirtualFleet, gateway: VirtualGateway, verb: str, part: float) -> str:
+    """Run the laps, and stop them after a part of their time; the id of the job."""
+    checked = await check(gateway, LAPS)
+    job_id = (await gateway.post("/v1/submit", {"job": checked["job"]})).json["job_id"]
+    while not fleet.controllers["gantry"].is_moving("X"):
+        await asyncio.sleep(0.01)
+    await asyncio.sleep(checked["preview"]["duration_s"] * part)
+    await gateway.post(f"/v1/{verb}", {"job_id": job_id} if verb == "cancel" else {})
+    report = await fleet.make_client().wait_for_job(job_id)
+    assert report.state != "done" and report.parameters_used["program"] == "part.ngc"
+    await asyncio.sleep(1)
+    await gateway.post("/v1/reset", {})
+    return job_id
+
+
+def test_a_program_goes_on_from_the_line_where_it_stood(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        job_id = await stop_midway(fleet, gateway, "estop", 0.7)  # on the second lap, in line 8
+        await outcome(fleet, PREPARE)  # the axes are somewhere else then
+        changed = await check(gateway, LAPS + "G0 X1\n", job_id)
+        assert "the text is not that of 'part.ngc' as it ran" in changed["problems"][0]["text"]
+        moved = await check(gateway, LAPS, job_id, G54="1, 0")
+        assert "'G54' is '1, 0' and was '0, 0'" in moved["problems"][0]["text"]
+        back = await check(gateway, LAPS, job_id)
+        assert back["program"]["from_line"] == 8 and "gantry.x to 40 mm" in back["program"]["approach"]
+        await run(fleet, gateway, back)
+        rest = await check(gateway, LAPS, job_id)
+        assert rest["program"]["approach"] == "" and rest["job"]["steps"][0]["name"] == "lines 8 to 10"
+        await run(fleet, gateway, rest)
+
+    run_with_gateway(main)
+
+
+def test_a_cancelled_program_goes_on_by_where_its_axes_stand(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        job_id = await stop_midway(fleet, gateway, "cancel", 0.2)
+        back = await check(gateway, LAPS, job_id)
+        assert back["program"]["from_line"] == 3
+        assert "as the job kept no record" in back["parameters"][2]["description"]
+
+    run_with_gateway(main)
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"program": "G0 X1"},
+        {"program": {"name": "a.ngc"}},
+        {"program": {"name": "a.ngc", "text": "G0 X1"}, "text": "a"},
+        {"program": {"name": "a.ngc", "text": "G0 X1"}, "continues": 3},
+        {"program": {"name": "a.ngc", "text": "G0 X1"}, "continues": "none"},
+        {"program": {"name": "a.ngc", "text": "G0 X1"}, "values": []},
+    ],
+)
+def test_what_is_no_program_is_refused(tmp_path: Path, body: dict[str, Any]) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = VirtualGateway(fleet, tmp_path, {})
+        await gateway.start()
+        assert (await gateway.post("/v1/check-job", body)).status in (400, 404, 409)
+
+    run_with_gateway(main)
