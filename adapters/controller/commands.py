@@ -62,6 +62,8 @@ from orchestrator.model.messages import (
     SamplingBegun,
     SetPositionRequest,
     SettingsChecked,
+    StartAtOnceRequest,
+    StartedReply,
     StopRequest,
     TakeSamples,
     TakeTriggers,
@@ -94,6 +96,7 @@ class ControllerCommands:
             "arm": (ArmRequest, ArmedReply, components.participant.arm_step),
             "commit": (CommitRequest, CommittedReply, self._handle_commit),
             "go": (GoRequest, Reply, self._handle_go),
+            "start-at-once": (StartAtOnceRequest, StartedReply, self._handle_start_at_once),
             "load-chunk": (LoadChunkRequest, ChunkReply, components.chunks.load),
             "release-chunk": (ReleaseChunkRequest, Reply, components.chunks.release),
             "disarm": (DisarmRequest, DisarmedReply, components.withdrawal.disarm_step),
@@ -193,6 +196,12 @@ class ControllerCommands:
             clock = self._context.clock
             starts_later = armed_step.t0_host_ns - clock.now_ns() > NEAR_START_NS
             clock.call_at_ns(clock.now_ns() if starts_later else armed_step.t0_host_ns, self._components.timer.wake_up)
+        return reply
+
+    async def _handle_start_at_once(self, request: StartAtOnceRequest) -> StartedReply:
+        self._fence.require_no_estop()
+        reply = await self._components.participant.start_at_once(request)
+        self._components.timer.wake_up()  # polled at the rate of a moving controller from here on
         return reply
 
     async def _handle_stop(self, request: StopRequest) -> Reply:

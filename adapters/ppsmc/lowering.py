@@ -10,7 +10,7 @@ from adapters.ppsmc.fleetaxes import axis_bounds, axis_number
 from adapters.ppsmc.lines import LOWEST_POINT, edge_terms, starting_terms, switch_text, wait_text
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.trapezoid import POSITION_MAX, PpSmcTrapezoid, fit_trapezoid
-from adapters.toolkit.host_start import withdrawable_costs
+from adapters.toolkit.host_start import ORDER_NS, withdrawable_costs
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (
     WiredInput,
@@ -30,6 +30,7 @@ _START_CLASS_REASONS = {
     "line": "the i/o port is an option of the controller, and `options.io_port` is not set; or no input was named",
     "clock": "the SMC has no readable clock to start by",
 }
+_START_CHARACTERS = len("tbg") + 2  # with its end of line
 _ALIKE_S = 0.001
 _MOST_SEARCHES = 24  # number of searches beyond the first ones; some milliseconds each
 
@@ -129,6 +130,7 @@ def lower_step(
         edge=() if drive is None else edge_terms(options, start),
         can_advance=True,
         lead_ns=start.usual_ns,
+        release_ns=None if wait or drive else start.usual_ns + _START_CHARACTERS * traits.char_ns + ORDER_NS,
         moves=real_moves,
         wait=wait,
         drive=drive,

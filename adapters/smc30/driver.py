@@ -172,7 +172,7 @@ class Smc30Driver(
     ) -> Smc30Lowered:
         ramp_s = max([self._ramp_s, *(max(profile.durations_s, default=0.0) for profile in profiles.values())])
         estimate = self._crystal.estimate_at(self._clock.now_ns())
-        traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, estimate)
+        traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, estimate, self._char_ns)
         return lower_step(self._config, self._options, traits, dict(profiles), start)
 
     async def stop(self, *, abort: bool) -> None:

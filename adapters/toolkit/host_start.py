@@ -10,6 +10,7 @@ from orchestrator.clock.inferred import InferredClock
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.state import StepCosts
 
+ORDER_NS = 3 * NS_PER_MS  # from the order of a timed write to its instant, which is not missed then
 WITHDRAW_NS = 10 * NS_PER_MS  # a request that comes this long before the start is still executed in time
 
 

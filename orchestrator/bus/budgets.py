@@ -79,6 +79,7 @@ SERVICE_BUDGETS: dict[str, WorkBudget] = {
 COMMAND_BUDGETS: dict[str, WorkBudget] = {
     "propose": MOTION,
     "arm": MOTION,
+    "start-at-once": MOTION,
     "load-chunk": MOTION,
     "configure": CONTROLLER,
     "lease": AXES,

@@ -304,6 +304,10 @@ class Proposal(Reply):
         "the promised end of that it can begin. Without it, the member loads the move then.",
     )
     commands: list[str] = Field(default=[], description="The commands that the controller would receive, for people.")
+    starts_at_once: bool = Field(
+        default=False,
+        description="Whether one request can load the step and start it, at a T0 that the member chooses.",
+    )
 
 
 class ArmRequest(StepRequest):
@@ -363,6 +367,30 @@ class GoRequest(StepRequest):
     t0_fleet_ns: Int53
     advance_ns: Int53 = 0
     start_tolerance_ns: Int53 = 0
+
+
+class StartAtOnceRequest(StepRequest):
+    """Load a step that no other member takes part in, and start it as soon as the controller can. Its decision is
+    recorded.
+
+    after_step: as of an arming; the step starts as soon as that one has ended as planned. lead_ns: for what T0 it is
+    loaded, before that is brought forward: arming, and what the start needs. not_before_fleet_ns: the earliest start
+    behind a step beside which the controller can hold this one.
+    """
+
+    digest: str
+    after_step: int | None = None
+    lead_ns: Int53
+    not_before_fleet_ns: Int53 = 0
+    start_tolerance_ns: Int53 = 0
+    profiles: dict[str, Profile]
+    start: StartOptions = StartOptions()
+
+
+class StartedReply(ArmedReply):
+    """The step is loaded and released. t0_fleet_ns: the T0 that the member has chosen."""
+
+    t0_fleet_ns: Int53 = 0
 
 
 class LoadChunkRequest(StepRequest):

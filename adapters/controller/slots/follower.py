@@ -6,14 +6,16 @@ from dataclasses import replace
 from adapters.contract import MoveOutcome
 from adapters.controller.monitoring.settling import SettlingResult
 from adapters.controller.slots.loader import StepLoader
+from adapters.controller.slots.lowering import StepLowering
 from adapters.controller.slots.parts import StepParts
 from adapters.controller.slots.step_end import MotionEnd, MotionStart
 from adapters.controller.state.armed_step import ArmedStep, PastStep, StepPhase
 from adapters.controller.state.context import ControllerContext
-from adapters.controller.state.next_step import FollowingStep
+from adapters.controller.state.next_step import FollowingStep, PreparedMove
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.messages import ArmedReply, StartedReply
 
 READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller is read at rest
 
@@ -21,8 +23,11 @@ READING_ROOM_NS = 100 * NS_PER_MS  # between two steps, in which the controller 
 class StepFollower:
     """Follows the steps of one controller."""
 
-    def __init__(self, context: ControllerContext, parts: StepParts, loader: StepLoader) -> None:
+    def __init__(
+        self, context: ControllerContext, parts: StepParts, loader: StepLoader, lowering: StepLowering
+    ) -> None:
         self._context = context
+        self._lowering = lowering
         self._steps = parts.steps
         self._withdrawal = parts.withdrawal
         self._settling = parts.settling
@@ -30,6 +35,35 @@ class StepFollower:
         self._events = parts.events
         self._tasks = parts.tasks
         self._loader = loader
+
+    async def release_present(self, released: ArmedStep, start_tolerance_ns: int, advance_ns: int) -> None:
+        """Release the loaded move of the present step, and follow it. `released`: the step in that phase. Raises
+        `Refusal`, `ControllerFault`: it is unloaded, and was stopped if it may have begun."""
+        steps = self._steps
+        interruptions = steps.interruptions
+        steps.present = released
+        try:
+            await steps.slots.present.release(start_tolerance_ns, advance_ns)
+        except (Refusal, ControllerFault):
+            steps.present = None
+            # The controller may have released the move all the same: a lost reply must not let it run.
+            await self._withdrawal.stop_driver()
+            await steps.slots.unload()
+            raise
+        if interruptions != steps.interruptions or steps.present is not released:
+            await steps.slots.unload()
+            raise Refusal("stopped", "a stop came before the start", "")
+        self._tasks.spawn(self.follow_step(released))
+
+    async def start_loaded(self, move: PreparedMove, armed: ArmedReply, start_tolerance_ns: int) -> StartedReply:
+        """Release the move that was just loaded for the present step, for the earliest T0. Raises `Refusal`,
+        `ControllerFault`."""
+        if not move.armed_step.is_same(self._steps.present):
+            raise Refusal("stopped", "a stop came before the start", "")
+        earliest_ns = self._context.clock.now_ns() + (move.lowered.release_ns or 0)
+        released, advance_ns = move.bring_forward(earliest_ns)
+        await self.release_present(released, start_tolerance_ns, advance_ns)
+        return StartedReply(**dict(armed), t0_fleet_ns=released.t0_fleet_ns)
 
     async def follow_step(self, armed_step: ArmedStep) -> None:
         self._steps.followed_steps += 1
@@ -133,9 +167,7 @@ class StepFollower:
                 )
                 return
             try:
-                reply = await self._loader.load_at_rest(
-                    replace(following.move, began_ns=self._steps.ended_ns), following
-                )
+                reply = await self._load_behind(following)
             except (Refusal, ControllerFault, LinkClosed) as error:
                 if following.armed_step.is_same(self._steps.present):
                     self._steps.present = None
@@ -144,3 +176,11 @@ class StepFollower:
                     raise
             else:
                 self._steps.following.finish_loading(following, reply)
+
+    async def _load_behind(self, following: FollowingStep) -> ArmedReply:
+        move, request = following.move, following.at_once
+        if request is not None:
+            move = await self._lowering.prepare_at_once(request, follows=True)  # its T0 counts from now on
+            self._steps.present = replace(move.armed_step, phase=StepPhase.LOADING)
+        reply = await self._loader.load_at_rest(replace(move, began_ns=self._steps.ended_ns), following)
+        return reply if request is None else await self.start_loaded(move, reply, request.start_tolerance_ns)

@@ -10,7 +10,7 @@ from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.next_step import PreparedMove
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import ArmRequest, Proposal, ProposeRequest
+from orchestrator.model.messages import ArmRequest, Proposal, ProposeRequest, StartAtOnceRequest
 
 
 class StepLowering:
@@ -53,7 +53,15 @@ class StepLowering:
             can_advance=lowered_step.can_advance,
             gap_ns=lowered_step.gap_ns if request.start.follows else None,
             commands=list(lowered_step.commands),
+            starts_at_once=lowered_step.release_ns is not None,
         )
+
+    async def prepare_at_once(self, request: StartAtOnceRequest, *, follows: bool) -> PreparedMove:
+        """Lower a move that starts as soon as it can, for a T0 that loading it does not miss. Raises `Refusal`."""
+        fields = {name: value for name, value in request if name in ArmRequest.model_fields}
+        t0_fleet_ns = self._context.require_scale().to_fleet_ns(self._context.clock.now_ns() + request.lead_ns)
+        t0_fleet_ns = max(t0_fleet_ns, request.not_before_fleet_ns)
+        return await self.prepare_move(ArmRequest(**fields, t0_fleet_ns=t0_fleet_ns), follows=follows)
 
     async def prepare_move(self, request: ArmRequest, *, follows: bool) -> PreparedMove:
         """Lower the move for T0. Raises `Refusal`."""

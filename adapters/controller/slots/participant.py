@@ -26,6 +26,8 @@ from orchestrator.model.messages import (
     Proposal,
     ProposeRequest,
     Reply,
+    StartAtOnceRequest,
+    StartedReply,
     StepRequest,
 )
 from orchestrator.model.steps.numbers import name_step
@@ -43,7 +45,7 @@ class StepParticipant:
         self._tasks = parts.tasks
         self._lowering = StepLowering(context, parts.steps, checks)
         self._loader = StepLoader(context, parts)
-        self._follower = StepFollower(context, parts, self._loader)
+        self._follower = StepFollower(context, parts, self._loader, self._lowering)
 
     async def propose_step(self, request: ProposeRequest) -> Proposal:
         """Lower the profiles without accessing the controller."""
@@ -64,7 +66,7 @@ class StepParticipant:
                 return await self._loader.load_at_rest(move)
             return await self._load_behind(move)
 
-    def _may_follow(self, request: ArmRequest, present: ArmedStep) -> bool:
+    def _may_follow(self, request: ArmRequest | StartAtOnceRequest, present: ArmedStep) -> bool:
         """Whether the step may be loaded behind the present one."""
         is_behind = (present.job, present.step) == (request.job, request.after_step)
         return (
@@ -79,13 +81,8 @@ class StepParticipant:
         present = self._steps.present
         must_settle = present is not None and self._settling.must_settle(present.axes)
         if move.lowered.gap_ns is None or must_settle:
-            is_checked = self._context.driver.capabilities.checks_while_moving
-            if is_checked:
-                await self._surveillance.require_settings()
-            self._steps.following.hold_back(move, checked=is_checked)
+            await self._keep_until_end(move)
             self._tasks.spawn(self._withdrawal.unload_at_t0(move.armed_step))
-            if self._steps.present is None:
-                self._follower.begin_next()
             return self._loader.make_armed_reply(move, {}).model_copy(update={"waits": True})
         stages = await self._loader.load(move, self._steps.following.require_slot(), "beside")
         self._steps.stop_ns = max(self._steps.stop_ns, move.lowered.costs.stop_ns)
@@ -94,6 +91,16 @@ class StepParticipant:
         if self._steps.present is None:
             self._follower.begin_next()  # the present move has ended meanwhile
         return self._loader.make_armed_reply(move, stages)
+
+    async def _keep_until_end(self, move: PreparedMove, at_once: StartAtOnceRequest | None = None) -> FollowingStep:
+        """Keep the move until the present one has ended."""
+        is_checked = self._context.driver.capabilities.checks_while_moving
+        if is_checked:
+            await self._surveillance.require_settings()
+        following = self._steps.following.hold_back(move, checked=is_checked, at_once=at_once)
+        if self._steps.present is None:
+            self._follower.begin_next()  # the present move has ended meanwhile
+        return following
 
     async def commit_step(self, request: CommitRequest) -> CommittedReply:
         """Commit to the step after a final check of the controller."""
@@ -138,23 +145,47 @@ class StepParticipant:
             released_step = replace(
                 armed_step, phase=StepPhase.RELEASED, t0_fleet_ns=request.t0_fleet_ns, t0_host_ns=t0_ns
             )
-            interruptions = self._steps.interruptions
             if armed_step is self._steps.following.armed_step:
                 return await self._release_following(released_step, advance_ns)
-            self._steps.present = released_step
-            try:
-                await self._steps.slots.present.release(request.start_tolerance_ns, advance_ns)
-            except (Refusal, ControllerFault):
-                self._steps.present = None
-                # The controller may have released the move all the same: a lost reply must not let it run.
-                await self._withdrawal.stop_driver()
-                await self._steps.slots.unload()
-                raise
-            if interruptions != self._steps.interruptions or self._steps.present is not released_step:
-                await self._steps.slots.unload()
-                raise Refusal("stopped", "a stop came before the start", "")
-            self._tasks.spawn(self._follower.follow_step(released_step))
+            await self._follower.release_present(released_step, request.start_tolerance_ns, advance_ns)
             return Reply()
+
+    async def start_at_once(self, request: StartAtOnceRequest) -> StartedReply:
+        """Load the move, and start it as soon as the controller can: now, or when the present one, which it follows,
+        has ended as planned. The answer comes once it is released."""
+        async with self._steps.transition_lock:
+            present = self._steps.present
+            if present is not None and not self._may_follow(request, present):
+                raise Refusal("busy", f"already {present.phase.value} for job {present.job}", "disarm it first")
+            interruptions = self._steps.interruptions
+            move = await self._lowering.prepare_at_once(request, follows=present is not None)
+            if move.lowered.release_ns is None:
+                raise Refusal("start-class", "the controller cannot start this move at once", "use `start: agreed`")
+            if interruptions != self._steps.interruptions:
+                raise Refusal("stopped", "a stop came before arming", "")
+            if self._steps.present is None:
+                reply = await self._loader.load_at_rest(move)
+                await self._steps.slots.present.verify()
+                return await self._follower.start_loaded(move, reply, request.start_tolerance_ns)
+            if move.lowered.gap_ns is not None and not self._settling.must_settle(move.armed_step.axes):
+                return await self._start_beside(move, request)
+            following = await self._keep_until_end(move, request)
+        reply = await asyncio.shield(following.loaded)
+        if not isinstance(reply, StartedReply):
+            raise Refusal("stopped", "the step was unloaded meanwhile", "")
+        return reply
+
+    async def _start_beside(self, move: PreparedMove, request: StartAtOnceRequest) -> StartedReply:
+        """Load the move beside the present one, and release it for the earliest start behind that."""
+        reply = await self._load_behind(move)
+        following = self._steps.following.armed_step
+        if following is None:  # it has become the present one meanwhile, which is at rest
+            return await self._follower.start_loaded(move, reply, request.start_tolerance_ns)
+        earliest_ns = self._context.clock.now_ns() + move.lowered.costs.disarm_ns
+        not_before_ns = move.armed_step.scale.to_host_ns(request.not_before_fleet_ns)
+        released_step, advance_ns = move.bring_forward(max(earliest_ns, not_before_ns))
+        await self._release_following(released_step, advance_ns)
+        return StartedReply(**dict(reply), t0_fleet_ns=released_step.t0_fleet_ns)
 
     async def _release_following(self, released: ArmedStep, advance_ns: int) -> Reply:
         """Release the step that the controller holds beside the present one."""

@@ -43,6 +43,8 @@ class StepWithdrawal:
             self._steps.interruptions += 1
             has_begun = self._context.clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
             await self.stop_driver()
+        elif armed_step is not None and armed_step.phase is StepPhase.LOADING:
+            self._steps.interruptions += 1  # one that starts at once is not released any more
         async with self._steps.transition_lock:
             armed_step = self._steps.present
             if armed_step is None:

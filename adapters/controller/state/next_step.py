@@ -6,14 +6,14 @@ adapter as soon as the present move has ended; the promise is made after that.
 """
 
 import asyncio
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from adapters.contract import Lowered, MoveSlot, MoveSlots
-from adapters.controller.state.armed_step import ArmedStep
+from adapters.controller.state.armed_step import ArmedStep, StepPhase
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest
+from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest, StartAtOnceRequest
 
 NEVER_NS = 3600 * NS_PER_S
 
@@ -29,13 +29,24 @@ class PreparedMove:
     mapping: TickMapping | None
     began_ns: int
 
+    def bring_forward(self, earliest_ns: int) -> tuple[ArmedStep, int]:
+        """The step as it is released for the earliest T0 from `earliest_ns` on, host time, and by how much that is
+        sooner than it was loaded for: whole ticks of the controller, if it has any."""
+        lowered, step = self.lowered, self.armed_step
+        spare_ns = max(0, step.t0_host_ns - earliest_ns) if lowered.can_advance else 0
+        advance_ns = round(spare_ns // lowered.tick_ns * lowered.tick_ns) if lowered.tick_ns else spare_ns
+        t0_ns = step.t0_host_ns - advance_ns
+        t0_fleet_ns = step.scale.to_fleet_ns(t0_ns) if advance_ns else step.t0_fleet_ns
+        return replace(step, phase=StepPhase.RELEASED, t0_host_ns=t0_ns, t0_fleet_ns=t0_fleet_ns), advance_ns
+
 
 @dataclass(slots=True)
 class FollowingStep:
     """The step behind the present one.
 
     in_controller: the controller holds it beside the present move; otherwise the adapter loads it after that.
-    checked: settings were compared while the present move runs.
+    checked: settings were compared while the present move runs. at_once: the request by which it starts as soon
+    as it is loaded; None: it starts by an agreement.
     unloading: it is being unloaded, and does not become the present one any more.
     loaded: the result of loading, once there is one.
     """
@@ -44,6 +55,7 @@ class FollowingStep:
     armed_step: ArmedStep
     in_controller: bool
     checked: bool = False
+    at_once: StartAtOnceRequest | None = None
     unloading: bool = False
     loaded: "asyncio.Future[ArmedReply]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
@@ -83,6 +95,8 @@ class NextStepSlot:
         following = self._following
         if following is None:
             return NEVER_NS
+        if following.at_once is not None:
+            return 0
         loading_ns = 0 if following.in_controller else following.move.lowered.costs.arm_ns
         return following.armed_step.t0_host_ns - loading_ns - now_ns
 
@@ -97,9 +111,13 @@ class NextStepSlot:
                 return waiting_move
         return None
 
-    def hold_back(self, move: PreparedMove, *, checked: bool) -> None:
+    def hold_back(
+        self, move: PreparedMove, *, checked: bool, at_once: StartAtOnceRequest | None = None
+    ) -> FollowingStep:
         """Keep a move until the present one has ended."""
-        self._following = FollowingStep(move, move.armed_step, in_controller=False, checked=checked)
+        following = FollowingStep(move, move.armed_step, in_controller=False, checked=checked, at_once=at_once)
+        self._following = following
+        return following
 
     def note_loaded(self, move: PreparedMove) -> None:
         """The controller holds the move beside the present one."""

@@ -48,6 +48,7 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.state import StartClass, StepCosts
 
 START_CLASSES: tuple[StartClass, ...] = ("clock", "line")
+RELEASE_SPARE_TICKS = 2  # of a start at once: from the choice of its T0 to the release
 STOP_EXCHANGES = 3  # a stop of motion is three commands
 DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's duration from the plan
 STRETCH = 1e-3  # or longer by this fraction, where a limit restricts it: the plan is stretched to it
@@ -375,6 +376,9 @@ def _make_lowered(
         # T0 of both steps is rounded to a sample.
         gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
         disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + context.release_ns
+    release_ns = None
+    if context.gate is not None and waits is None and drives is None and not start.triggers:
+        release_ns = math.ceil((context.gate.release_before + RELEASE_SPARE_TICKS) * tick_ns)
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: timing.length * tick_ns * 1e-9 for axis, timing in timings.items()},
@@ -390,6 +394,7 @@ def _make_lowered(
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
         gap_ns=gap_ns,
+        release_ns=release_ns,
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,

@@ -76,6 +76,7 @@ class StepAhead:
         if self._stage == "releasing" and motion is not None:
             # The exchange under way must not be cut off: it ends with a release, or with all members unloaded.
             self.prevent_release(reason)
+            await motion.start.cut_release()
             with suppress(Refusal):
                 await asyncio.shield(self._task)
         self._task.cancel()

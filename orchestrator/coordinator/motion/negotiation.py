@@ -1,6 +1,7 @@
 """Negotiation of a start: what the members can make of a plan, how they start together, and the budget of that."""
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
 
@@ -312,6 +313,17 @@ class StartNegotiation:
             require_tolerance(bound, agreement.movers)
             duration_s = agreement.plan.duration_s if first is None else first.course.duration_s
             agreement.path = path.make_report(duration_s, bound)
+
+    def judge_started(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply]) -> None:
+        """Compute the budget of a step that has been started, by the clock mapping with which it was loaded: a start
+        outside what is allowed is part of its verdict."""
+        with suppress(Refusal):
+            self.judge(agreement, armed)
+
+    def loading_beside_ns(self, agreement: StartAgreement) -> int:
+        """The time that loading beside the present step takes, as measured."""
+        shares = {name: self._estimator.arming_share(name, "beside") for name in agreement.proposals}
+        return round(self._arming_ns(agreement.proposals, shares))
 
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the

@@ -41,7 +41,7 @@ LEAD_GROWTH = (None, 1, 2, 4)  # factors on the declared lead time for later arm
 StateCallback = Callable[[JobState, str], Coroutine[Any, Any, None]]
 
 
-async def _ignore_state(state: JobState, reason: str) -> None:
+async def ignore_state(state: JobState, reason: str) -> None:
     """Of a step that follows: its job is running already."""
     del state, reason
 
@@ -155,13 +155,16 @@ class StartSequence:
             await self.disarm()
             self.require_not_paused()
         try:
-            await self._release(_ignore_state, 1)
+            await self._release(ignore_state, 1)
         except Refusal as refusal:
             if refusal.code in LATE:
                 self._estimator.record_late_loading(self._agreement.loads_later)
                 if self.state.decided and self.state.unloaded:
                     await self._withdraw_decision()
             raise
+
+    async def cut_release(self) -> None:
+        """End a release that waits for the end of the present step; any other one ends soon by itself."""
 
     def require_not_paused(self) -> None:
         """Raises `Refusal` when the step was paused or withdrawn before its motion."""

@@ -11,6 +11,7 @@ from orchestrator.clock.executor import run_while_recording
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
+from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.planning import PathRest, PlannedStep, StepRequest, plan_request, plan_resumed
@@ -73,7 +74,8 @@ class PlannedMotion:
         services.stop_times_ns.update(stop_times_ns)
         # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
         permit_watch = services.fleet.permits.watch_losses(agreement.plan.profiles)
-        start = StartSequence(services, planned.request, negotiation, agreement, permit_watch)
+        make_start = ImmediateStart if can_start_at_once(planned, agreement) else StartSequence
+        start = make_start(services, planned.request, negotiation, agreement, permit_watch)
         feed = PathFeed(services, planned.request, agreement, start.state) if agreement.first is not None else None
         watch = StepWatch(services, planned, agreement, start.state, permit_watch)
         watch.feed = feed
@@ -110,6 +112,27 @@ class PlannedMotion:
                 await self.feed.hold(actor)
             elif begun:
                 await fleet.stop_members(self.agreement.actors, "feed-hold", actor, f"paused by {actor}")
+
+
+def can_start_at_once(planned: PlannedStep, agreement: StartAgreement) -> bool:
+    """Whether a step starts as soon as its controller can. Raises `Refusal` for one that shall, and cannot."""
+    move, present = planned.request.move, agreement.present
+    if not move.wants_start_at_once:
+        return False
+    members = agreement.members
+    text, remedy = "", "use `start: agreed`, or leave it out"
+    if len(members) != 1:
+        text = f"it has {len(members)} controllers ({', '.join(members)}), which start together"
+    elif agreement.triggers.owners:
+        text = "outputs are switched on its way (`triggers`), at instants that are agreed ahead"
+    elif move.align:
+        text = "`align` waits for an instant"
+    elif not agreement.proposals[members[0]].starts_at_once:
+        text = f"{members[0]} cannot: its make starts at an agreed instant, or its adapter host is of an older version"
+    if text:
+        raise Refusal("start-class", f"the step cannot start at once: {text}", remedy)
+    # Behind a dwell it starts at the end of that, which is an instant.
+    return present is None or not (present.between.pause_ns or present.between.acts)
 
 
 def _find_duration_s(planned: PlannedStep, agreement: StartAgreement) -> float:

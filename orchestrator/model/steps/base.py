@@ -12,7 +12,6 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
-from orchestrator.model.state import StartWish
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.text.text_fields import PLAIN_TEXT
@@ -256,6 +255,11 @@ Align = Annotated[
 OwnSkew = Annotated[Duration | None, Field(description="Overrides the job's value.")]
 
 
+MoveStart = Literal["auto", "clock", "line", "sync", "host", "agreed", "at_once"]
+"""When a move starts: at a T0 that is agreed ahead, by the best or a named start class; or as soon as its controller
+can."""
+
+
 class MotionOptions(Step):
     """How axes move together."""
 
@@ -283,7 +287,11 @@ class MotionOptions(Step):
         description="Trapezoidal profiles under `sync: time`: one ramp time for all axes, or each axis at its "
         "maximum acceleration.",
     )
-    start: StartWish = Field(default="auto", description="Start class to use instead of the best one.")
+    start: MoveStart = Field(
+        default="auto",
+        description="at_once: as soon as the one controller of the step can; agreed: at an instant agreed ahead; or "
+        "the start class to use instead of the best one.",
+    )
     align: Align = 0
     max_start_skew: OwnSkew = None
     max_end_skew: OwnSkew = None

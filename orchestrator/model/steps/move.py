@@ -85,7 +85,11 @@ class Move(MotionOptions, MoveTargets):
     @property
     def start_wish(self) -> StartWish:
         """The start class that it asks for."""
-        return self.start
+        return "auto" if self.start in ("agreed", "at_once") else self.start
+
+    @property
+    def wants_start_at_once(self) -> bool:
+        return self.start == "at_once"
 
     @property
     def is_synchronised(self) -> bool:

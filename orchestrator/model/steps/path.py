@@ -171,6 +171,10 @@ class FollowPath(Step, PathSpec):
         return self.start_class
 
     @property
+    def wants_start_at_once(self) -> bool:
+        return False
+
+    @property
     def is_synchronised(self) -> bool:
         """Whether all axes take one duration."""
         return True

@@ -1,0 +1,120 @@
+"""The start of a step of one controller, as soon as that controller can: decided first, then loaded and started by one
+request.
+
+There is nothing to agree on: no other member waits for its promise, and its T0 is the controller's own. The decision is
+in the journal before the request is sent. Nothing but this request starts the step, and it is executed once: its
+repetitions, for a reply that was lost, get the first answer.
+"""
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.executor import run_while_recording
+from orchestrator.coordinator.fleet.requests import ANSWER_S
+from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
+from orchestrator.coordinator.motion.start import LATE, StartSequence, StateCallback, ignore_state
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import StartAtOnceRequest, StartedReply
+
+TRIES = 3
+
+
+class ImmediateStart(StartSequence):
+    """Starts one step of one controller."""
+
+    async def run(self, on_state: StateCallback) -> None:
+        """Start the step at rest. A member that is late while nothing has moved is asked again. Raises `Refusal`:
+        nothing moves."""
+        late = Refusal("late", "")
+        for _ in range(TRIES):
+            self.require_not_paused()
+            self.state.arming_fleet_ns = self._leadership.fleet_now_ns()
+            try:
+                await self._start(on_state)
+            except Refusal as refusal:
+                if refusal.code not in LATE or not self.state.unloaded:
+                    raise
+                late = refusal
+                self._fleet.log.warning(f"late; starting again ({late.text})", job=self._request.job_id)
+            else:
+                return
+        raise Refusal("late", late.text, "check the log of the adapter, and the load of its computer", late.controller)
+
+    async def arm_following(self) -> None:
+        """Nothing is loaded before the decision."""
+        self.require_not_paused()
+        self.state.arming_fleet_ns = self._leadership.fleet_now_ns()
+
+    @property
+    def release_due_ns(self) -> int:
+        """When the decision must begin, fleet time: as late as possible, for until then a pause takes effect before
+        the step."""
+        agreement, present = self._agreement, self._agreement.present
+        assert present is not None
+        needs_ns = RELEASE_SLACK * self._estimator.margin_ns(1) + RELEASE_SLACK_NS
+        if not agreement.loads_later:
+            needs_ns += self._negotiation.loading_beside_ns(agreement) + agreement.disarm_ns
+        return present.ends_fleet_ns - round(needs_ns)
+
+    async def release_following(self) -> None:
+        """Decide and start the step behind the present one. Raises `Refusal`: nothing of it is loaded."""
+        self.require_not_paused()
+        await self._start(ignore_state)
+
+    async def cut_release(self) -> None:
+        """The member does not start the step any more: its answer comes at once."""
+        await self.disarm()
+
+    # Inside
+
+    async def _start(self, on_state: StateCallback) -> None:
+        """Decide, and have the member start the step; its answer comes once it is released. Raises `Refusal`; the
+        member is unloaded, or stopped."""
+        state, agreement = self.state, self._agreement
+        agreement.advance_ns = agreement.tick_residual_ns = 0
+        # The axes move after this instant; it stands for T0 until the member has chosen that.
+        state.t0_fleet_ns = state.settled_fleet_ns = self._leadership.fleet_now_ns()
+        await run_while_recording(on_state("arming", ""), self._record_decision())
+        state.decided = True
+        decided_ns = state.t0_fleet_ns
+        try:
+            self._require_allowed()
+            await run_while_recording(on_state("committed", ""), self._request_start())
+        except Refusal:
+            await self.disarm()
+            if state.unloaded:
+                state.t0_fleet_ns = decided_ns
+                await self._withdraw_decision()
+                self.require_not_paused()
+            raise
+
+    def _require_allowed(self) -> None:
+        """Raises `Refusal` if the step may no longer start: what came while its decision was written."""
+        self.require_not_paused()
+        loss = self._permit_watch.describe_loss()
+        if loss is not None:
+            raise Refusal("permit", loss, "satisfy the permit, then resubmit the job")
+        if self._leadership.over:
+            raise Refusal("leadership-lost", "another coordinator has taken over")
+
+    async def _request_start(self) -> None:
+        agreement, state = self._agreement, self.state
+        ((member, proposal),) = agreement.proposals.items()
+        costs, present = proposal.costs, agreement.present
+        lead_ns = 0 if costs is None else costs.arm_ns + costs.disarm_ns
+        options = self._negotiation.start_options(agreement, [member])[member]
+        request = StartAtOnceRequest(
+            **self._reference(),
+            digest=self._fleet.view.fleet.controllers[member].digest,
+            after_step=None if present is None else present.step,
+            lead_ns=lead_ns,
+            not_before_fleet_ns=agreement.follows_ns,
+            start_tolerance_ns=agreement.start_tolerance_ns,
+            profiles=agreement.profiles(member),
+            start=options,
+        )
+        wait_ns = 0 if present is None else max(0, present.ends_fleet_ns - self._leadership.fleet_now_ns())
+        timeout_s = ANSWER_S + (wait_ns + 2 * lead_ns) / NS_PER_S
+        reply = await self._requests.repeat_request(member, "start-at-once", request, StartedReply, timeout_s)
+        if reply.refused is not None:
+            raise reply.refused.as_step_error()
+        state.armed, state.t0_fleet_ns = {member: reply}, reply.t0_fleet_ns
+        self._negotiation.judge_started(agreement, state.armed)
