@@ -10,6 +10,7 @@ from adapters.abilities import LearningDriver, set_output
 from adapters.controller.components import Components
 from adapters.controller.manual.offsets import AxisOffsets
 from adapters.controller.monitoring.settings_checks import SettingsChecks
+from adapters.controller.slots.step_commands import StepCommands
 from adapters.controller.slots.triggers import LatchControl
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
@@ -17,7 +18,6 @@ from adapters.controller.stops import ControllerStops
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.decoding import read_request
-from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
@@ -72,8 +72,6 @@ from orchestrator.model.messages import (
 from orchestrator.model.problems import describe_first_error
 from orchestrator.model.version import PartVersion, require_version
 
-NEAR_START_NS = 300 * NS_PER_MS
-
 
 class ControllerCommands:
     """Answer `ctl/{id}/cmd/*` for one controller."""
@@ -87,6 +85,7 @@ class ControllerCommands:
         self._answers = AnswerCache()
         latches = LatchControl(context, self._require_idle)
         checks = SettingsChecks(components.surveillance, components.polling, components.publisher, self._require_idle)
+        steps = StepCommands(context, components.fence, components.participant, components.steps, components.timer)
         offsets = AxisOffsets(components.status, components.remembered, components.publisher, self._require_idle)
         # verb: (request, reply, handler)
         self._verbs: dict[str, tuple[type[Request], type[Reply], Callable[[Any], Awaitable[Reply]]]] = {
@@ -94,9 +93,9 @@ class ControllerCommands:
             "lease": (LeaseRequest, LeaseReply, self._handle_lease),
             "propose": (ProposeRequest, Proposal, components.participant.propose_step),
             "arm": (ArmRequest, ArmedReply, components.participant.arm_step),
-            "commit": (CommitRequest, CommittedReply, self._handle_commit),
-            "go": (GoRequest, Reply, self._handle_go),
-            "start-at-once": (StartAtOnceRequest, StartedReply, self._handle_start_at_once),
+            "commit": (CommitRequest, CommittedReply, steps.commit_step),
+            "go": (GoRequest, Reply, steps.start_step),
+            "start-at-once": (StartAtOnceRequest, StartedReply, steps.start_at_once),
             "load-chunk": (LoadChunkRequest, ChunkReply, components.chunks.load),
             "release-chunk": (ReleaseChunkRequest, Reply, components.chunks.release),
             "disarm": (DisarmRequest, DisarmedReply, components.withdrawal.disarm_step),
@@ -180,29 +179,6 @@ class ControllerCommands:
         self._publisher.emit_event("reset", f"epoch {request.epoch} accepted by order of {request.actor}")
         self._publisher.publish_state()
         return Reply()
-
-    async def _handle_commit(self, request: CommitRequest) -> CommittedReply:
-        self._fence.require_no_estop()
-        return await self._components.participant.commit_step(request)
-
-    async def _handle_go(self, request: GoRequest) -> Reply:
-        self._fence.require_no_estop()
-        reply = await self._components.participant.start_step(request)
-        armed_step = self._components.steps.present
-        if armed_step is not None:
-            # From here on it is polled at the rate of a moving controller, so that its start is not noticed a slow poll
-            # later. If T0 is near, that begins at T0: before, the coordinator still sends `go` to other participants,
-            # and a poll would delay this host.
-            clock = self._context.clock
-            starts_later = armed_step.t0_host_ns - clock.now_ns() > NEAR_START_NS
-            clock.call_at_ns(clock.now_ns() if starts_later else armed_step.t0_host_ns, self._components.timer.wake_up)
-        return reply
-
-    async def _handle_start_at_once(self, request: StartAtOnceRequest) -> StartedReply:
-        self._fence.require_no_estop()
-        reply = await self._components.participant.start_at_once(request)
-        self._components.timer.wake_up()  # polled at the rate of a moving controller from here on
-        return reply
 
     async def _handle_stop(self, request: StopRequest) -> Reply:
         reason = request.reason or f"stopped by {request.actor}"

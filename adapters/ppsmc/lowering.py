@@ -10,7 +10,7 @@ from adapters.ppsmc.fleetaxes import axis_bounds, axis_number
 from adapters.ppsmc.lines import LOWEST_POINT, edge_terms, starting_terms, switch_text, wait_text
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.trapezoid import POSITION_MAX, PpSmcTrapezoid, fit_trapezoid
-from adapters.toolkit.host_start import ORDER_NS, withdrawable_costs
+from adapters.toolkit.host_start import find_release_ns, withdrawable_costs
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (
     WiredInput,
@@ -130,7 +130,7 @@ def lower_step(
         edge=() if drive is None else edge_terms(options, start),
         can_advance=True,
         lead_ns=start.usual_ns,
-        release_ns=None if wait or drive else start.usual_ns + _START_CHARACTERS * traits.char_ns + ORDER_NS,
+        release_ns=find_release_ns(start.usual_ns, _START_CHARACTERS * traits.char_ns, wait, drive),
         moves=real_moves,
         wait=wait,
         drive=drive,

@@ -16,7 +16,7 @@ from adapters.shrc203.shapes.pair import TwoPartMove, find_two_part_moves
 from adapters.shrc203.shapes.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
 from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.firing import learned_terms
-from adapters.toolkit.host_start import ORDER_NS
+from adapters.toolkit.host_start import find_release_ns
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (
     WiredInput,
@@ -158,7 +158,7 @@ def lower_step(
         edge=() if drive is None else edge_terms(options, lead_ns, behind_ns),
         can_advance=True,
         lead_ns=lead_ns,
-        release_ns=None if wait or drive else lead_ns + (len(commands.start) + len("\r\n")) * traits.char_ns + ORDER_NS,
+        release_ns=find_release_ns(lead_ns, (len(commands.start) + len("\r\n")) * traits.char_ns, wait, drive),
         moves=real_moves,
         first_moves=commands.firsts,
         followup_moves=commands.followups,

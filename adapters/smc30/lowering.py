@@ -16,7 +16,7 @@ from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.ramp import Smc30Shape, fit_shape
 from adapters.smc30.unitaxis import POSITION_MAX, START_MAX, START_MIN, axis_bounds, only_axis
 from adapters.toolkit.firing import learned_terms
-from adapters.toolkit.host_start import ORDER_NS, withdrawable_costs
+from adapters.toolkit.host_start import find_release_ns, withdrawable_costs
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
@@ -166,7 +166,7 @@ def lower_step(
         program=program,
         lead_ns=lead_ns,
         program_ns=_program_ns(options, schedule, drive, target),
-        release_ns=None if wait or drive or not program else lead_ns + _START_CHARACTERS * traits.char_ns + ORDER_NS,
+        release_ns=find_release_ns(lead_ns, _START_CHARACTERS * traits.char_ns, wait, drive),
         wait=wait,
         drive=drive,
     )

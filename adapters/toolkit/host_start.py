@@ -22,6 +22,15 @@ def withdrawable_costs(costs: StepCosts, lead_ns: int, exchange_ns: int = 0) -> 
     return costs.model_copy(update={"disarm_ns": lead_ns + exchange_ns + WITHDRAW_NS})
 
 
+def find_release_ns(lead_ns: int, wire_ns: int, *points: object) -> int | None:
+    """Return how long before T0 a starting command must be ordered; None for a step with a trigger line.
+
+    lead_ns: from its arrival to the motion. wire_ns: of its characters. points: an input that is waited for, or an
+    output that is driven, if any."""
+    is_line = any(point is not None for point in points)
+    return None if is_line else lead_ns + wire_ns + ORDER_NS
+
+
 @dataclass(frozen=True, slots=True)
 class MoverTools:
     """What every mover of a host-started make needs. crystal: what is known about the controller's clock."""

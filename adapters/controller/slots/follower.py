@@ -61,9 +61,9 @@ class StepFollower:
         if not move.armed_step.is_same(self._steps.present):
             raise Refusal("stopped", "a stop came before the start", "")
         earliest_ns = self._context.clock.now_ns() + (move.lowered.release_ns or 0)
-        released, advance_ns = move.bring_forward(earliest_ns)
-        await self.release_present(released, start_tolerance_ns, advance_ns)
-        return StartedReply(**dict(armed), t0_fleet_ns=released.t0_fleet_ns)
+        released_step, advance_ns = move.bring_forward(earliest_ns)
+        await self.release_present(released_step, start_tolerance_ns, advance_ns)
+        return StartedReply(**dict(armed), t0_fleet_ns=released_step.t0_fleet_ns)
 
     async def follow_step(self, armed_step: ArmedStep) -> None:
         self._steps.followed_steps += 1

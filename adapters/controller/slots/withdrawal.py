@@ -35,16 +35,10 @@ class StepWithdrawal:
                 following = self._steps.following.armed_step
         if following is not None and following.is_for(request):
             return await self._disarm_following(request, following)
-        armed_step, has_begun = self._steps.present, False
+        armed_step = self._steps.present
         if armed_step is not None and not armed_step.is_for(request):
             return DisarmedReply()  # another job's step, which is still in use
-        if armed_step is not None and armed_step.phase is StepPhase.RELEASED:
-            # This bypasses a `go` that is still under way, because T0 is near.
-            self._steps.interruptions += 1
-            has_begun = self._context.clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
-            await self.stop_driver()
-        elif armed_step is not None and armed_step.phase is StepPhase.LOADING:
-            self._steps.interruptions += 1  # one that starts at once is not released any more
+        has_begun = await self._interrupt_transition(armed_step)
         async with self._steps.transition_lock:
             armed_step = self._steps.present
             if armed_step is None:
@@ -60,6 +54,18 @@ class StepWithdrawal:
             await self.unload_step()
             self._events.emit_step("disarmed", "disarmed on request", armed_step)
             return DisarmedReply(may_have_started=has_begun)
+
+    async def _interrupt_transition(self, armed_step: ArmedStep | None) -> bool:
+        """Interrupt a `go`, or the loading of a step that starts at once; whether the step may have begun."""
+        if armed_step is None or armed_step.phase not in (StepPhase.LOADING, StepPhase.RELEASED):
+            return False
+        self._steps.interruptions += 1
+        if armed_step.phase is StepPhase.LOADING:
+            return False
+        # This bypasses a `go` that is still under way, because T0 is near.
+        has_begun = self._context.clock.now_ns() + STOP_LEAD_NS >= armed_step.t0_host_ns
+        await self.stop_driver()
+        return has_begun
 
     async def unload_released(self, released: ArmedStep) -> bool:
         """Unload a released step behind the present one, or stop both if its start is too near for that; return whether

@@ -32,9 +32,11 @@ class PreparedMove:
     def bring_forward(self, earliest_ns: int) -> tuple[ArmedStep, int]:
         """The step as it is released for the earliest T0 from `earliest_ns` on, host time, and by how much that is
         sooner than it was loaded for: whole ticks of the controller, if it has any."""
-        lowered, step = self.lowered, self.armed_step
-        spare_ns = max(0, step.t0_host_ns - earliest_ns) if lowered.can_advance else 0
-        advance_ns = round(spare_ns // lowered.tick_ns * lowered.tick_ns) if lowered.tick_ns else spare_ns
+        lowered_step, step = self.lowered, self.armed_step
+        spare_ns = max(0, step.t0_host_ns - earliest_ns) if lowered_step.can_advance else 0
+        advance_ns = (
+            round(spare_ns // lowered_step.tick_ns * lowered_step.tick_ns) if lowered_step.tick_ns else spare_ns
+        )
         t0_ns = step.t0_host_ns - advance_ns
         t0_fleet_ns = step.scale.to_fleet_ns(t0_ns) if advance_ns else step.t0_fleet_ns
         return replace(step, phase=StepPhase.RELEASED, t0_host_ns=t0_ns, t0_fleet_ns=t0_fleet_ns), advance_ns

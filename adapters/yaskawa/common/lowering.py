@@ -376,9 +376,6 @@ def _make_lowered(
         # T0 of both steps is rounded to a sample.
         gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
         disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + context.release_ns
-    release_ns = None
-    if context.gate is not None and waits is None and drives is None and not start.triggers:
-        release_ns = math.ceil((context.gate.release_before + RELEASE_SPARE_TICKS) * tick_ns)
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: timing.length * tick_ns * 1e-9 for axis, timing in timings.items()},
@@ -394,7 +391,7 @@ def _make_lowered(
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
         gap_ns=gap_ns,
-        release_ns=release_ns,
+        release_ns=_find_release_ns(context.gate, start, tick_ns),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
@@ -417,3 +414,10 @@ def _make_lowered(
         waits=waits,
         drives=drives,
     )
+
+
+def _find_release_ns(gate: GateTiming | None, start: StartOptions, tick_ns: float) -> int | None:
+    """How long before T0 the gate must be opened; None where a trigger line or outputs depend on T0."""
+    if gate is None or start.wait is not None or start.drive is not None or start.triggers:
+        return None
+    return math.ceil((gate.release_before + RELEASE_SPARE_TICKS) * tick_ns)

@@ -76,7 +76,8 @@ class StepAhead:
         if self._stage == "releasing" and motion is not None:
             # The exchange under way must not be cut off: it ends with a release, or with all members unloaded.
             self.prevent_release(reason)
-            await motion.start.cut_release()
+            if motion.start.waits_for_end:
+                await motion.start.disarm()  # the member does not start the step any more: its answer comes at once
             with suppress(Refusal):
                 await asyncio.shield(self._task)
         self._task.cancel()

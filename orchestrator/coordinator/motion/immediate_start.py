@@ -6,10 +6,13 @@ in the journal before the request is sent. Nothing but this request starts the s
 repetitions, for a reply that was lost, get the first answer.
 """
 
+from contextlib import suppress
+
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
+from orchestrator.coordinator.motion.negotiation import find_arming_ns
 from orchestrator.coordinator.motion.start import LATE, StartSequence, StateCallback, ignore_state
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import StartAtOnceRequest, StartedReply
@@ -20,12 +23,14 @@ TRIES = 3
 class ImmediateStart(StartSequence):
     """Starts one step of one controller."""
 
+    waits_for_end = True
+
     async def run(self, on_state: StateCallback) -> None:
         """Start the step at rest. A member that is late while nothing has moved is asked again. Raises `Refusal`:
         nothing moves."""
         late = Refusal("late", "")
         for _ in range(TRIES):
-            self.require_not_paused()
+            self.state.require_not_paused()
             self.state.arming_fleet_ns = self._leadership.fleet_now_ns()
             try:
                 await self._start(on_state)
@@ -40,7 +45,7 @@ class ImmediateStart(StartSequence):
 
     async def arm_following(self) -> None:
         """Nothing is loaded before the decision."""
-        self.require_not_paused()
+        self.state.require_not_paused()
         self.state.arming_fleet_ns = self._leadership.fleet_now_ns()
 
     @property
@@ -49,19 +54,17 @@ class ImmediateStart(StartSequence):
         the step."""
         agreement, present = self._agreement, self._agreement.present
         assert present is not None
-        needs_ns = RELEASE_SLACK * self._estimator.margin_ns(1) + RELEASE_SLACK_NS
+        needs_ns = RELEASE_SLACK * self._estimator.deciding_ns + RELEASE_SLACK_NS
         if not agreement.loads_later:
-            needs_ns += self._negotiation.loading_beside_ns(agreement) + agreement.disarm_ns
+            shares = {name: self._estimator.arming_share(name, "beside") for name in agreement.proposals}
+            arming_ns = find_arming_ns(self._fleet.view.fleet, agreement.proposals, shares)
+            needs_ns += arming_ns + agreement.disarm_ns
         return present.ends_fleet_ns - round(needs_ns)
 
     async def release_following(self) -> None:
         """Decide and start the step behind the present one. Raises `Refusal`: nothing of it is loaded."""
-        self.require_not_paused()
+        self.state.require_not_paused()
         await self._start(ignore_state)
-
-    async def cut_release(self) -> None:
-        """The member does not start the step any more: its answer comes at once."""
-        await self.disarm()
 
     # Inside
 
@@ -73,8 +76,8 @@ class ImmediateStart(StartSequence):
         # The axes move after this instant; it stands for T0 until the member has chosen that.
         state.t0_fleet_ns = state.settled_fleet_ns = self._leadership.fleet_now_ns()
         await run_while_recording(on_state("arming", ""), self._record_decision())
-        state.decided = True
-        decided_ns = state.t0_fleet_ns
+        state.decided, decided_ns = True, state.t0_fleet_ns
+        self._estimator.record_deciding(self._leadership.fleet_now_ns() - decided_ns)
         try:
             self._require_allowed()
             await run_while_recording(on_state("committed", ""), self._request_start())
@@ -83,12 +86,12 @@ class ImmediateStart(StartSequence):
             if state.unloaded:
                 state.t0_fleet_ns = decided_ns
                 await self._withdraw_decision()
-                self.require_not_paused()
+                self.state.require_not_paused()
             raise
 
     def _require_allowed(self) -> None:
         """Raises `Refusal` if the step may no longer start: what came while its decision was written."""
-        self.require_not_paused()
+        self.state.require_not_paused()
         loss = self._permit_watch.describe_loss()
         if loss is not None:
             raise Refusal("permit", loss, "satisfy the permit, then resubmit the job")
@@ -117,4 +120,5 @@ class ImmediateStart(StartSequence):
         if reply.refused is not None:
             raise reply.refused.as_step_error()
         state.armed, state.t0_fleet_ns = {member: reply}, reply.t0_fleet_ns
-        self._negotiation.judge_started(agreement, state.armed)
+        with suppress(Refusal):  # a start outside of what is allowed is part of its verdict
+            self._negotiation.judge(agreement, state.armed)

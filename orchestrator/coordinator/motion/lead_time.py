@@ -24,6 +24,7 @@ LATE_LOADING_FACTOR = 1.25
 MARGIN_NS = 150 * NS_PER_MS  # for promise, decision and release, until their durations are known
 MARGIN_PER_MEMBER_NS = 20 * NS_PER_MS  # minimum for each member: one adapter host may have all of them
 ACTING_NS = 60 * NS_PER_MS  # for the outputs between two steps, until their durations are known
+DECIDING_NS = 20 * NS_PER_MS  # for a decision in the journal, until that is known
 # a lower bound, because later steps may take longer than those measured; a late member is armed again
 MIN_MARGIN_NS = 10 * NS_PER_MS
 
@@ -67,12 +68,22 @@ class LeadTimeEstimator:
         self._goes_ns = _DurationHistory()
         self._following_ns = _DurationHistory()
         self._acts_ns = _DurationHistory()
+        self._decisions_ns = _DurationHistory()
         self.last_leads_ns: dict[frozenset[str], int] = {}
 
     @property
     def acting_ns(self) -> int:
         """The time to allow for switching outputs between two steps."""
         return round(self._acts_ns.allowed_time(ACTING_NS))
+
+    @property
+    def deciding_ns(self) -> int:
+        """The time to allow for writing a decision."""
+        return round(self._decisions_ns.allowed_time(DECIDING_NS))
+
+    def record_deciding(self, took_ns: int) -> None:
+        """Record how long writing a decision took."""
+        self._decisions_ns.add_duration(took_ns)
 
     def record_acting(self, took_ns: int) -> None:
         """Record how long switching outputs between two steps took, without the dwell there."""

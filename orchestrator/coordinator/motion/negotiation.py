@@ -1,7 +1,6 @@
 """Negotiation of a start: what the members can make of a plan, how they start together, and the budget of that."""
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
 
@@ -25,7 +24,7 @@ from orchestrator.coordinator.motion.trigger import TriggerStart
 from orchestrator.coordinator.motion.triggers import StepTriggers
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import TriggerWire
+from orchestrator.model.fleet import Fleet, TriggerWire
 from orchestrator.model.messages import (
     ArmedReply,
     BudgetTerm,
@@ -263,7 +262,7 @@ class StartNegotiation:
         # Promise and release are an exchange each, with nothing to check in between.
         releasing_ns = 2 * self._estimator.go_ns(len(agreement.proposals), follows=True) + agreement.disarm_ns
         shares = {name: self._estimator.arming_share(name, "behind") for name in proposals_later}
-        begun_ns = self._arming_ns(proposals_later, shares)
+        begun_ns = find_arming_ns(self._view.fleet, proposals_later, shares)
         if not self._estimator.knows_loading(proposals_later):
             begun_ns += END_SEEN_NS
         if present.between.acts:
@@ -313,17 +312,6 @@ class StartNegotiation:
             require_tolerance(bound, agreement.movers)
             duration_s = agreement.plan.duration_s if first is None else first.course.duration_s
             agreement.path = path.make_report(duration_s, bound)
-
-    def judge_started(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply]) -> None:
-        """Compute the budget of a step that has been started, by the clock mapping with which it was loaded: a start
-        outside what is allowed is part of its verdict."""
-        with suppress(Refusal):
-            self.judge(agreement, armed)
-
-    def loading_beside_ns(self, agreement: StartAgreement) -> int:
-        """The time that loading beside the present step takes, as measured."""
-        shares = {name: self._estimator.arming_share(name, "beside") for name in agreement.proposals}
-        return round(self._arming_ns(agreement.proposals, shares))
 
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
@@ -483,16 +471,16 @@ class StartNegotiation:
         }
         kind = "rest" if agreement.present is None else "beside"
         shares = {name: self._estimator.arming_share(name, kind, use_known=use_known) for name in at_once}
-        return round(self._arming_ns(at_once, shares)) + margin_ns + agreement.disarm_ns
+        return round(find_arming_ns(self._view.fleet, at_once, shares)) + margin_ns + agreement.disarm_ns
 
-    def _arming_ns(self, proposals: Mapping[str, Proposal], shares: Mapping[str, float]) -> float:
-        """The time that arming these members takes. shares: of the time that each declares."""
-        lines: dict[str, list[tuple[StepCosts, float]]] = {}
-        for member, proposal in proposals.items():
-            if proposal.costs is not None:
-                line = self._view.fleet.controllers[member].line
-                lines.setdefault(line, []).append((proposal.costs, shares[member]))
-        return max(map(_line_arming_ns, lines.values()), default=0.0)
+
+def find_arming_ns(fleet: Fleet, proposals: Mapping[str, Proposal], shares: Mapping[str, float]) -> float:
+    """The time that arming these members takes. shares: of the time that each declares."""
+    lines: dict[str, list[tuple[StepCosts, float]]] = {}
+    for member, proposal in proposals.items():
+        if proposal.costs is not None:
+            lines.setdefault(fleet.controllers[member].line, []).append((proposal.costs, shares[member]))
+    return max(map(_line_arming_ns, lines.values()), default=0.0)
 
 
 def _line_arming_ns(line: list[tuple[StepCosts, float]]) -> float:

@@ -64,9 +64,19 @@ class StartState:
     paused_by: str | None = None
     withdrawn: str = ""
 
+    def require_not_paused(self) -> None:
+        """Raises `Refusal` when the step was paused or withdrawn before its motion."""
+        if self.withdrawn:
+            raise Refusal(WITHDRAWN, self.withdrawn)
+        if self.paused_by is not None:
+            raise Refusal(FEED_HOLD, f"paused by {self.paused_by} before it began")
+
 
 class StartSequence:
     """Runs the start of one step."""
+
+    waits_for_end = False
+    """Whether the release behind another step is answered only after the end of that."""
 
     def __init__(
         self,
@@ -95,7 +105,7 @@ class StartSequence:
         state, agreement = self.state, self._agreement
         late = Refusal("late", "")
         for growth in LEAD_GROWTH:
-            self.require_not_paused()
+            self.state.require_not_paused()
             if growth is not None:
                 self._fleet.log.warning(f"late; arming again with more lead ({late.text})", job=self._request.job_id)
                 await self._negotiation.renegotiate(agreement, growth)
@@ -127,7 +137,7 @@ class StartSequence:
     async def arm_following(self) -> None:
         """Arm all members behind the present step. Raises `Refusal`: nothing of the step is loaded any more."""
         state, agreement = self.state, self._agreement
-        self.require_not_paused()
+        self.state.require_not_paused()
         state.arming_fleet_ns = self._leadership.fleet_now_ns()
         agreement.advance_ns = agreement.tick_residual_ns = 0
         state.t0_fleet_ns = agreement.choose_start(self._negotiation.earliest_following_ns(agreement))
@@ -153,7 +163,7 @@ class StartSequence:
         stopped."""
         if self.state.paused_by is not None or self.state.withdrawn:
             await self.disarm()
-            self.require_not_paused()
+            self.state.require_not_paused()
         try:
             await self._release(ignore_state, 1)
         except Refusal as refusal:
@@ -162,16 +172,6 @@ class StartSequence:
                 if self.state.decided and self.state.unloaded:
                     await self._withdraw_decision()
             raise
-
-    async def cut_release(self) -> None:
-        """End a release that waits for the end of the present step; any other one ends soon by itself."""
-
-    def require_not_paused(self) -> None:
-        """Raises `Refusal` when the step was paused or withdrawn before its motion."""
-        if self.state.withdrawn:
-            raise Refusal(WITHDRAWN, self.state.withdrawn)
-        if self.state.paused_by is not None:
-            raise Refusal(FEED_HOLD, f"paused by {self.state.paused_by} before it began")
 
     # Phase 1: arm
 
@@ -252,7 +252,7 @@ class StartSequence:
         await run_while_recording(on_state("armed", ""), self._commit())
         if state.paused_by is not None or state.withdrawn:
             await self.disarm()
-            self.require_not_paused()
+            self.state.require_not_paused()
         loss = self._permit_watch.describe_loss()
         if loss is not None:
             await self.disarm()
@@ -324,8 +324,9 @@ class StartSequence:
     async def _withdraw_decision(self) -> None:
         """A decision is for one start only. No member has started, and all have confirmed it: the decision is
         withdrawn, and the next arming gets one of its own."""
-        withdraw = self._services.journal.withdraw_decision
-        await self._services.execute(withdraw, self._request.job_id, self._request.index, self.state.t0_fleet_ns)
+        services, request = self._services, self._request
+        withdraw = services.journal.withdraw_decision
+        await services.execute(withdraw, request.job_id, request.index, self.state.t0_fleet_ns)
         self.state.decided = False
 
     async def _go(self) -> None:

@@ -200,7 +200,7 @@ class MotionStep:
             recorder.close()
             if isinstance(error, Refusal):
                 # A member that was stopped while it was being armed refuses for a reason of its own.
-                motion.start.require_not_paused()
+                motion.start.state.require_not_paused()
             else:
                 await motion.start.disarm_line_driver()
             raise
