@@ -24,7 +24,13 @@ PATH_MAKE = "smc4000"
 PATH_JERK = 20_000  # of a drive that follows a path, unit/s³
 TRIGGER_MAKE = "smc4000"
 """The make whose controllers have an output with triggers."""
-STAGE_MAKES: dict[Stage, tuple[str, ...]] = {"chunk": (PATH_MAKE, "cia402"), "trigger": (TRIGGER_MAKE,)}
+AT_ONCE_MAKES = ("smc4000", "shrc203", "ppsmc", "smc30")
+"""The makes whose controllers start steps at once."""
+STAGE_MAKES: dict[Stage, tuple[str, ...]] = {
+    "chunk": (PATH_MAKE, "cia402"),
+    "trigger": (TRIGGER_MAKE,),
+    "at-once": AT_ONCE_MAKES,
+}
 """The makes that can reach a stage, where not all can."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
 

@@ -27,9 +27,10 @@ PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path", "trigger"]
+MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once"]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
-several chunks. trigger: outputs are switched on the way."""
+several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
+once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,11 @@ def draw_orders(
         first = [{"do": "home", "axes": [member]}]
         all_positions |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
     axes = _JobAxes(fleet, main, all_positions)
-    if kind == "path":
+    if kind == "at-once":
+        other_controllers = [name for name in other_controllers if name != member]
+        main = [member]
+        job = _draw_at_once("main", _JobAxes(fleet, main, all_positions), draw)
+    elif kind == "path":
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
         other_controllers = [name for name in other_controllers if name not in main]
         job = _draw_path("main", _JobAxes(fleet, main, all_positions), draw)
@@ -168,15 +173,12 @@ def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random) -> Job:
     for number in range(CHAIN_STEPS):
         share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
         moved_groups = [group for group in groups if member in group or not number or draw.random() < CHAIN_SHARE]
-        targets: dict[str, float] = {}
-        for axis in (
+        moved_axes = (
             f"{controller}.{axis}"
             for controller in chain(*moved_groups)
             for axis in axes.fleet.controllers[controller].axes
-        ):
-            reach = axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION
-            way = reach if begins[axis] < reach * MAX_MOVE_S / 2 else -reach
-            targets[axis] = round(begins[axis] + way * share, 2)
+        )
+        targets = {axis: _find_target(axes.fleet, axis, begins[axis], share) for axis in moved_axes}
         axes.positions.update(targets)
         steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION})
         if draw.random() < DWELL_CHANCE:
@@ -218,6 +220,29 @@ def _draw_path(name: str, axes: _JobAxes, draw: Random) -> Job:
     }
     axes.positions.update(dict(zip(moved_axes, points[-1], strict=True)))
     return make_job(name, [path])
+
+
+def _draw_at_once(name: str, axes: _JobAxes, draw: Random) -> Job:
+    """Draw a job of short moves of one controller, to and fro, that start at once; some with a dwell in between."""
+    moved_axes = [
+        f"{controller}.{axis}" for controller in axes.controllers for axis in axes.fleet.controllers[controller].axes
+    ]
+    begins = {axis: axes.positions[axis] for axis in moved_axes}
+    steps: list[dict[str, Any]] = []
+    for number in range(CHAIN_STEPS):
+        share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
+        targets = {axis: _find_target(axes.fleet, axis, begins[axis], share) for axis in moved_axes}
+        axes.positions.update(targets)
+        steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION, "start": "at_once"})
+        if draw.random() < DWELL_CHANCE:
+            steps.append({"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
+    return make_job(name, steps)
+
+
+def _find_target(fleet: Fleet, axis: str, begin: float, share: float) -> float:
+    """Where an axis is after `share` seconds at the speed of a campaign, away from the nearer end of its way."""
+    reach = fleet.axis(axis).limits.velocity * SPEED_FRACTION
+    return round(begin + (reach if begin < reach * MAX_MOVE_S / 2 else -reach) * share, 2)
 
 
 def _add_triggers(job: Job, fleet: Fleet, controllers: Sequence[str]) -> Job:

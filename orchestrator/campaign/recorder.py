@@ -11,12 +11,15 @@ from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.campaign.start_recorder import StartRecorder
 from orchestrator.clock.base import Clock
 
-Stage = Literal["jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger"]
+Stage = Literal[
+    "jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger", "at-once"
+]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
-the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way."""
+the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way; at-once:
+a step that starts at once is requested, and waits for the end of the one before."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 
-_RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk")
+_RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk", "start-at-once")
 
 
 @dataclass(slots=True)
@@ -98,7 +101,12 @@ class BusRecorder:
         asked_request = RecordedRequest(verb, member, fields, self._clock.now_ns())
         self.requests.append(asked_request)
         self._by_verb.setdefault(verb, []).append(asked_request)
-        if verb == "arm":
+        if verb == "start-at-once":
+            # It is an arming and a release; the instant of its decision stands for T0 until the member has chosen that.
+            fields["t0_fleet_ns"] = fields["decided_fleet_ns"]
+            for part in ("arm", "go"):
+                self._by_verb.setdefault(part, []).append(asked_request)
+        if verb in ("arm", "start-at-once"):
             self.first_arms_ns.setdefault(asked_request.step_id, asked_request.sent_ns)
             self._armed_axes[asked_request.step_id, member] = asked_request.fields["axes"]
         if verb == "go":
@@ -127,6 +135,9 @@ class BusRecorder:
                 request.answered_ns = self._clock.now_ns()
                 request.reply = json.loads(texts[request.member])
                 request.accepted = request.reply["refused"] is None
+                if request.verb == "start-at-once" and request.accepted:
+                    request.fields["t0_fleet_ns"] = request.reply["t0_fleet_ns"]
+                    self._note_preceding(request)
                 self._on_request(request)
 
 

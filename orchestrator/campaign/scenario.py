@@ -80,8 +80,15 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 }
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
+_WAIT_WINDOW_NS = 500 * NS_PER_MS  # from the request of a step that starts at once, until after its start
 _CHUNK_WINDOW_NS = 3 * NS_PER_S  # from the begin of loading a chunk until after its release
-_KINDS: dict[Stage, MainKind] = {"home": "home", "chain": "chain", "chunk": "path", "trigger": "trigger"}
+_KINDS: dict[Stage, MainKind] = {
+    "home": "home",
+    "chain": "chain",
+    "chunk": "path",
+    "trigger": "trigger",
+    "at-once": "at-once",
+}
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
@@ -290,7 +297,7 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
-        if stage is not None and cell.stage in ("chain", "chunk", "trigger"):
+        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once"):
             stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
@@ -496,7 +503,10 @@ class _Scenario:
         at.setdefault(request.verb, now_ns)
         if request.verb == "home" and request.answered_ns is not None:
             at["homed"] = now_ns
-        if request.verb == "go" and request.accepted:
+        if request.verb == "start-at-once":
+            at.setdefault("arm", now_ns)
+            self.checker.check_start_at_once(request)
+        if request.verb in ("go", "start-at-once") and request.accepted:
             at.setdefault("fire", now_ns)
             at.setdefault("t0", self._t0_host_ns(request))
         if self._target is None:
@@ -525,6 +535,8 @@ class _Scenario:
             return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
         if stage == "chunk" and request.verb == "load-chunk" and going_out:
             return now_ns + self._draw.randrange(_CHUNK_WINDOW_NS)
+        if stage == "at-once" and request.verb == "start-at-once" and request.fields["after_step"] is not None:
+            return now_ns + self._draw.randrange(_WAIT_WINDOW_NS) if going_out else None
         if request.verb != "go" or not request.accepted:
             return None
         t0_ns = self._t0_host_ns(request)

@@ -373,12 +373,14 @@ class StartAtOnceRequest(StepRequest):
     """Load a step that no other member takes part in, and start it as soon as the controller can. Its decision is
     recorded.
 
-    after_step: as of an arming; the step starts as soon as that one has ended as planned. lead_ns: for what T0 it is
-    loaded, before that is brought forward: arming, and what the start needs. not_before_fleet_ns: the earliest start
-    behind a step beside which the controller can hold this one.
+    decided_fleet_ns: the instant of the decision, for which the step starts once. after_step: as of an arming; the step
+    starts as soon as that one has ended as planned. lead_ns: for what T0 it is loaded, before that is brought forward:
+    arming, and what the start needs. not_before_fleet_ns: the earliest start behind a step beside which the controller
+    can hold this one.
     """
 
     digest: str
+    decided_fleet_ns: Int53
     after_step: int | None = None
     lead_ns: Int53
     not_before_fleet_ns: Int53 = 0

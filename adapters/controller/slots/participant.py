@@ -45,6 +45,8 @@ class StepParticipant:
         self._tasks = parts.tasks
         self._lowering = StepLowering(context, parts.steps, checks)
         self._loader = StepLoader(context, parts)
+        self._decision: tuple[str, int, int, int] | None = None
+        """Job, step, epoch and instant of the last one that was carried out here."""
         self._follower = StepFollower(context, parts, self._loader, self._lowering)
 
     async def propose_step(self, request: ProposeRequest) -> Proposal:
@@ -157,6 +159,7 @@ class StepParticipant:
             present = self._steps.present
             if present is not None and not self._may_follow(request, present):
                 raise Refusal("busy", f"already {present.phase.value} for job {present.job}", "disarm it first")
+            self._require_new_decision(request)
             interruptions = self._steps.interruptions
             move = await self._lowering.prepare_at_once(request, follows=present is not None)
             if move.lowered.release_ns is None:
@@ -174,6 +177,13 @@ class StepParticipant:
         if not isinstance(reply, StartedReply):
             raise Refusal("stopped", "the step was unloaded meanwhile", "")
         return reply
+
+    def _require_new_decision(self, request: StartAtOnceRequest) -> None:
+        """A decision is for one start. Raises `Refusal`."""
+        decision = (request.job, request.step, request.epoch, request.decided_fleet_ns)
+        if decision == self._decision:
+            raise Refusal("already-started", f"{name_step(request.step)} was started for this decision already", "")
+        self._decision = decision
 
     async def _start_beside(self, move: PreparedMove, request: StartAtOnceRequest) -> StartedReply:
         """Load the move beside the present one, and release it for the earliest start behind that."""

@@ -15,7 +15,20 @@ if TYPE_CHECKING:
     from orchestrator.campaign.runs import CampaignResult
     from orchestrator.campaign.scenario import SeedRun
 
-STAGE_NAMES = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger")
+STAGE_NAMES = (
+    "jog",
+    "home",
+    "propose",
+    "arm",
+    "commit",
+    "go",
+    "fire",
+    "motion",
+    "chain",
+    "chunk",
+    "trigger",
+    "at-once",
+)
 """Those of the campaign, which is not loaded for the help text."""
 
 
@@ -29,7 +42,8 @@ STAGE_NAMES = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion"
     "stages",
     multiple=True,
     type=click.Choice(STAGE_NAMES),
-    help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk and trigger.",
+    help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk, trigger and "
+    "at-once.",
 )
 @click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")

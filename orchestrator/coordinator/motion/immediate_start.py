@@ -107,6 +107,7 @@ class ImmediateStart(StartSequence):
         request = StartAtOnceRequest(
             **self._reference(),
             digest=self._fleet.view.fleet.controllers[member].digest,
+            decided_fleet_ns=state.t0_fleet_ns,
             after_step=None if present is None else present.step,
             lead_ns=lead_ns,
             not_before_fleet_ns=agreement.follows_ns,
