@@ -396,9 +396,10 @@ def ends_too_early(made_s: float, wanted_s: float, start: StartOptions) -> bool:
     return wanted_s - made_s > max(wanted_s / 50, start.early_ns / NS_PER_S)
 
 
-LoadPlace = Literal["at rest", "behind", "beside"]
+LoadPlace = Literal["at rest", "behind", "at once", "beside"]
 """When a move is loaded. `at rest`: the axes rest. `behind`: right behind a move that has just ended as planned, at the
-positions where this one starts; in no more than the time that `Lowered.costs` states for a move that follows. `beside`:
+positions where this one starts; in no more than the time that `Lowered.costs` states for a move that follows. `at
+once`: the same, and the release follows without a `verify`: what that would check is checked by loading. `beside`:
 while the present move is released or moves."""
 
 

@@ -31,7 +31,7 @@ class Version1Mover:
         self, lowered: Lowered, t0_ns: int, mapping: TickMapping | None, place: LoadPlace
     ) -> Mapping[str, int]:
         """Load a move by the method of its place."""
-        names: dict[LoadPlace, str] = {"at rest": "arm_move", "behind": "arm_behind", "beside": "load_next"}
+        names = {"at rest": "arm_move", "behind": "arm_behind", "beside": "load_next"}
         return await getattr(self._driver, names[place])(lowered, t0_ns, mapping)
 
     async def verify(self) -> None:

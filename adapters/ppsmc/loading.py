@@ -111,11 +111,17 @@ def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
     return [first, *move_lines, "nl", "end"]
 
 
-async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLowered, first: Sequence[str]) -> None:
-    """Load speeds and the target buffer, behind the `first` commands. Raises `Refusal` when the controller does not
-    store them."""
+async def load_targets(
+    unit: PpSmcState,
+    options: PpSmcOptions,
+    lowered: PpSmcLowered,
+    first: Sequence[str],
+    more: Sequence[FormattedQuery] = (),
+) -> TokenReply:
+    """Load speeds and the target buffer, behind the `first` commands; the reply has `more` queries. Raises `Refusal`
+    when the controller does not store them."""
     commands = [*first, *profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
-    queries = [ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
+    queries = [*more, ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
     reply = await unit.session.send_repeatable(commands, *queries)
     if options.check_profile:
         held_settings = parse_settings(reply.reply_texts(ASK_SETTINGS))
@@ -125,6 +131,7 @@ async def load_targets(unit: PpSmcState, options: PpSmcOptions, lowered: PpSmcLo
     for move in lowered.moves:
         unit.profiles[move.motor] = profile_values(move)
     require_targets(unit, lowered, reply.first_line(ASK_TARGETS))
+    return reply
 
 
 def require_profile(name: str, motor: int, wanted: tuple[int, int, int, int], held: dict[int, dict[str, str]]) -> None:

@@ -62,19 +62,19 @@ class PpSmcMover:
 
     async def load_move(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load speeds and targets, or a program, and read everything back. Raises `Refusal`."""
-        return await self._load(lowered, t0_ns, behind=False)
+        return await self._load(lowered, t0_ns, behind=False, at_once=False)
 
-    async def load_behind(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_behind(self, lowered: PpSmcLowered, t0_ns: int, *, at_once: bool) -> Mapping[str, int]:
         """The same where the last move has ended a moment ago, and was seen at rest: only the check before the commit,
-        which is next, reads the axes again. Raises `Refusal`."""
+        which is next, reads the axes again; at_once: loading does. Raises `Refusal`."""
         is_plain = lowered.wait is None and lowered.drive is None and not lowered.by_program
-        return await self._load(lowered, t0_ns, behind=is_plain)
+        return await self._load(lowered, t0_ns, behind=is_plain, at_once=at_once)
 
-    async def _load(self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
+    async def _load(self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool, at_once: bool) -> Mapping[str, int]:
         async with self._unit.loading:
             try:
                 with _blocked_as_refusal():
-                    return await self._load_and_verify(lowered, t0_ns, behind=behind)
+                    return await self._load_and_verify(lowered, t0_ns, behind=behind, at_once=at_once)
             except ControllerFault as error:
                 # Its settings are read only at rest (L3977), and another client may have moved it.
                 if behind and error.code == "garbage" and not (await self._unit.read_state()).is_idle:
@@ -82,7 +82,9 @@ class PpSmcMover:
                     raise Refusal("moving", "an axis of the controller moves", "wait for its end, or stop it") from None
                 raise
 
-    async def _load_and_verify(self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
+    async def _load_and_verify(
+        self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool, at_once: bool
+    ) -> Mapping[str, int]:
         unit, began_ns = self._unit, self._clock.now_ns()
         if self.move is not None:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
@@ -104,7 +106,11 @@ class PpSmcMover:
         if lowered.by_program:
             await loading.load_program(unit, lowered)
         elif lowered.moves:
-            await loading.load_targets(unit, self._options, lowered, lock)
+            is_proven_here = behind and at_once
+            queries = loading.check_queries(lowered) if is_proven_here else []
+            reply = await loading.load_targets(unit, self._options, lowered, lock, queries)
+            if is_proven_here:
+                move.ignore_limits = loading.require_rest(unit, lowered, reply).on_limit
         if self.move is not move:
             raise Refusal("stopped", "a stop came while arming", "")
         return {"verify": checked_ns - began_ns, "wire": self._clock.now_ns() - checked_ns}

@@ -39,9 +39,14 @@ class Smc30Mover:
         `Refusal`."""
         return await self._load(lowered, t0_ns, behind=False)
 
-    async def load_behind(self, lowered: Smc30Lowered, t0_ns: int) -> Mapping[str, int]:
-        """The same right behind a step that has just ended. Raises `Refusal`."""
-        return await self._load(lowered, t0_ns, behind=True)
+    async def load_behind(self, lowered: Smc30Lowered, t0_ns: int, *, at_once: bool) -> Mapping[str, int]:
+        """The same right behind a step that has just ended. at_once: no check before the commit follows. Raises
+        `Refusal`."""
+        stages = await self._load(lowered, t0_ns, behind=True)
+        if at_once and lowered.program:
+            # Where it stands is known from the end of the last step, unless it has lost its counter since.
+            await self._unit.require_not_restarted("loaded", "home its axis, and arm it again")
+        return stages
 
     async def _load(self, lowered: Smc30Lowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
         if self.move is not None or self._unit.doing == "home":

@@ -46,8 +46,9 @@ class StepMover(Protocol[_Executed]):
 class MoverBehind(Protocol):
     """A `StepMover` that loads a move faster right behind one that has just ended."""
 
-    async def load_behind(self, lowered: Any, t0_ns: int) -> Mapping[str, int]:
-        """Load a move where the last one has ended as planned a moment ago. Raises `Refusal`."""
+    async def load_behind(self, lowered: Any, t0_ns: int, *, at_once: bool) -> Mapping[str, int]:
+        """Load a move where the last one has ended as planned a moment ago. at_once: no `verify_move` follows, and what
+        that would check is checked here. Raises `Refusal`."""
         ...
 
 
@@ -72,8 +73,8 @@ class LoggedMover(Generic[_Move]):
             raise Refusal("not-lowered", "this move was lowered for another make", "lower it again")
         with log_refusals(self._log, "arming"):
             mover = self._mover()
-            if place == "behind" and isinstance(mover, MoverBehind):
-                return await mover.load_behind(lowered, t0_ns)
+            if place in ("behind", "at once") and isinstance(mover, MoverBehind):
+                return await mover.load_behind(lowered, t0_ns, at_once=place == "at once")
             return await mover.load_move(lowered, t0_ns)
 
     async def verify(self) -> None:

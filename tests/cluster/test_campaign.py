@@ -111,6 +111,32 @@ def test_no_fault_makes_an_output_act_beside_its_step(seed: int) -> None:
     assert len(story.hit) >= PHASES - 1
 
 
+AT_ONCE = [
+    ("stop", "smc30"),
+    ("host-killed", "ppsmc"),
+    ("coordinator-killed", "shrc203"),
+    ("bus-loss", "smc4000"),
+    ("estop", "shrc203"),
+    ("link-cut", "smc30"),
+]
+"""Faults while a step that starts at once waits behind a moving one; the first three in one seed, nightly all of them."""
+
+
+def test_no_fault_starts_a_step_twice_or_without_a_decision() -> None:
+    story = run_scenario(1, [FaultCell("at-once", fault, make) for fault, make in AT_ONCE[:PHASES]])
+    assert not story.violations, story.summarize()
+    assert len(story.hit) == PHASES
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(2, 12))
+def test_no_fault_starts_a_step_twice_in_other_seeds(seed: int) -> None:
+    for first in (0, PHASES):
+        cells = [FaultCell("at-once", fault, make) for fault, make in AT_ONCE[first : first + PHASES]]
+        story = run_scenario(seed, cells)
+        assert not story.violations, story.summarize()
+
+
 @pytest.mark.parametrize(
     ("seed", "fault", "make"),
     [

@@ -40,6 +40,7 @@ from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion import report as motion_report
 from orchestrator.coordinator.motion import step
+from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.start import StartSequence
 from orchestrator.model.errors import Refusal
@@ -281,6 +282,11 @@ def claims_planned_pulses(patch: Patch) -> None:
     patch.setattr(TriggerPlayer, "take", confident)
 
 
+def starts_without_a_decision(patch: Patch) -> None:
+    """A step of one controller is started before the journal has its decision."""
+    patch.setattr(ImmediateStart, "_record_decision", nothing_async)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -314,6 +320,7 @@ MUTATIONS = (
     Mutation("3", opens_its_gate_behind_a_step, FaultCell("chain", "coordinator-killed", "smc4000"), 10),
     Mutation("17", continues_elsewhere, FaultCell("chunk", "none", "smc4000"), 7),
     Mutation("17", drives_on_alone, FaultCell("chunk", "none", "smc4000"), 7),
+    Mutation("1", starts_without_a_decision, FaultCell("at-once", "none", "smc30"), 1),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000"), 4),
     Mutation("16", pulses_after_a_stop, FaultCell("trigger", "stop", "smc4000"), 1),
     Mutation("16", claims_planned_pulses, FaultCell("trigger", "limit", "smc4000"), 1),

@@ -25,7 +25,9 @@ class StepLoader:
     async def load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
         """Load the move into the controller, whose axes are at rest. following: the step before has just ended, and it
         waited for that."""
-        load_place: LoadPlace = "at rest" if following is None else "behind"
+        load_place: LoadPlace = "at rest"
+        if following is not None:
+            load_place = "behind" if following.at_once is None else "at once"
         is_checked = following is not None and following.checked
         stages = await self.load(move, self._steps.slots.present, load_place, checked=is_checked)
         self._steps.present, self._steps.stop_ns = move.armed_step, move.lowered.costs.stop_ns

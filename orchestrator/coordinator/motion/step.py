@@ -117,22 +117,28 @@ class PlannedMotion:
 def can_start_at_once(planned: PlannedStep, agreement: StartAgreement) -> bool:
     """Whether a step starts as soon as its controller can. Raises `Refusal` for one that shall, and cannot."""
     move, present = planned.request.move, agreement.present
-    if not move.wants_start_at_once:
+    if move.agrees_start:
         return False
-    members = agreement.members
-    text, remedy = "", "use `start: agreed`, or leave it out"
-    if len(members) != 1:
-        text = f"it has {len(members)} controllers ({', '.join(members)}), which start together"
-    elif agreement.triggers.owners:
-        text = "outputs are switched on its way (`triggers`), at instants that are agreed ahead"
-    elif move.align:
-        text = "`align` waits for an instant"
-    elif not agreement.proposals[members[0]].starts_at_once:
-        text = f"{members[0]} cannot: its make starts at an agreed instant, or its adapter host is of an older version"
-    if text:
-        raise Refusal("start-class", f"the step cannot start at once: {text}", remedy)
+    obstacle = _find_obstacle(planned, agreement)
+    if obstacle and move.wants_start_at_once:
+        remedy = "use `start: agreed`, or leave it out"
+        raise Refusal("start-class", f"the step cannot start at once: {obstacle}", remedy)
     # Behind a dwell it starts at the end of that, which is an instant.
-    return present is None or not (present.between.pause_ns or present.between.acts)
+    return not obstacle and (present is None or not (present.between.pause_ns or present.between.acts))
+
+
+def _find_obstacle(planned: PlannedStep, agreement: StartAgreement) -> str:
+    """Why the start of a step needs an agreement; empty: it needs none."""
+    members = agreement.members
+    if len(members) != 1:
+        return f"it has {len(members)} controllers ({', '.join(members)}), which start together"
+    if agreement.triggers.owners:
+        return "outputs are switched on its way (`triggers`), at instants that are agreed ahead"
+    if planned.request.move.align:
+        return "`align` waits for an instant"
+    if not agreement.proposals[members[0]].starts_at_once:
+        return f"{members[0]} cannot: its make starts at an agreed instant, or its adapter host is of an older version"
+    return ""
 
 
 def _find_duration_s(planned: PlannedStep, agreement: StartAgreement) -> float:

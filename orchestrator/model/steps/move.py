@@ -89,7 +89,13 @@ class Move(MotionOptions, MoveTargets):
 
     @property
     def wants_start_at_once(self) -> bool:
+        """Whether it must start as soon as its controller can."""
         return self.start == "at_once"
+
+    @property
+    def agrees_start(self) -> bool:
+        """Whether its start needs an agreement, also of one controller."""
+        return self.start not in ("auto", "at_once")
 
     @property
     def is_synchronised(self) -> bool:

@@ -172,7 +172,13 @@ class FollowPath(Step, PathSpec):
 
     @property
     def wants_start_at_once(self) -> bool:
+        """Whether it must start as soon as its controller can: its bound counts from an agreed instant."""
         return False
+
+    @property
+    def agrees_start(self) -> bool:
+        """Whether its start needs an agreement."""
+        return True
 
     @property
     def is_synchronised(self) -> bool:
