@@ -94,9 +94,10 @@ class ShrcMover:
         self._require_present(move)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
-    async def load_behind(self, lowered: ShrcLowered, t0_ns: int) -> Mapping[str, int]:
+    async def load_behind(self, lowered: ShrcLowered, t0_ns: int, *, at_once: bool) -> Mapping[str, int]:
         """Load a move right behind one that has just ended: its execution buffer is executed, the prebuffers are empty,
         and the last query has shown the axes at rest where this one starts. Raises `Refusal`."""
+        del at_once  # it reads back and looks at the axes in any case
         starts = {axis_move.motor: axis_move.start_counts for axis_move in lowered.moves}
         rests = starts.items() <= self._rests.items()
         plain = lowered.wait is None and lowered.drive is None and lowered.trigger is None

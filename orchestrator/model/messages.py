@@ -428,7 +428,11 @@ class ReleaseChunkRequest(StepRequest):
 
 
 class DisarmRequest(StepRequest):
-    """Unload; nothing starts."""
+    """Unload; nothing starts.
+
+    if_waiting: only a step that waits for the end of the present one; one that has been started stays untouched."""
+
+    if_waiting: bool = False
 
 
 class DisarmedReply(Reply):

@@ -34,6 +34,8 @@ from orchestrator.model.messages import (
     LeaderHeartbeat,
     RefusalDetails,
     Reply,
+    StartAtOnceRequest,
+    StartedReply,
 )
 from orchestrator.model.state import EstopLatch
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -335,6 +337,26 @@ def forge_promises(sample: BusSample) -> bytes:
     return b'{"refused": null}'
 
 
+def test_a_forged_start_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its adapter refuses to start, slower than another process says that it has started."""
+
+    async def refuse(unit: StepParticipant, request: StartAtOnceRequest) -> StartedReply:
+        await asyncio.sleep(0.05)
+        raise Refusal("not-safe", "this one will not move", "")
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, PREPARE)).state == "done"
+        asked = await serve_forged(fleet, forge_promises, fleet.keys.command("gantry", "start-at-once"))
+        with monkeypatch.context() as patched:
+            patched.setattr(StepParticipant, "start_at_once", refuse)
+            report = await outcome(fleet, job("[{do: move, to: {gantry.x: 5}}]"))
+        assert asked
+        assert report.state == "failed" and "this one will not move" in report.reason
+        assert (await outcome(fleet, job("[{do: move, to: {gantry.x: 5}}]"))).state == "done"
+
+    run_fleet(main)
+
+
 @pytest.mark.parametrize("axes", ["gantry.x: 5, stage.u: 5", "gantry.x: 5"], ids=["batched", "single"])
 def test_a_forged_promise_does_not_count(axes: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its adapter refuses to commit, slower than another process says that it does."""
@@ -349,7 +371,7 @@ def test_a_forged_promise_does_not_count(axes: str, monkeypatch: pytest.MonkeyPa
         asked = await serve_forged(fleet, forge_promises, *commits)
         with monkeypatch.context() as patched:
             patched.setattr(StepParticipant, "commit_step", refuse)
-            report = await outcome(fleet, job(f"[{{do: move, to: {{{axes}}}}}]"))
+            report = await outcome(fleet, job(f"[{{do: move, to: {{{axes}}}, start: agreed}}]"))
         assert asked
         assert report.state == "failed" and "this one will not move" in report.reason
         assert any("two processes answer on " in line for line in fleet.lines)

@@ -254,7 +254,7 @@ def test_a_member_that_is_late_lets_the_fleet_rest_and_the_step_begin_anew(monke
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         calls.clear()
-        report = await outcome(fleet, job(f"[{THERE}, {BACK}, {THERE}]"))
+        report = await outcome(fleet, job(f"[{THERE}, {BACK}, {THERE}]".replace("}}", "}, start: agreed}")))
         assert report.state == "done", report.reason
         assert chained(report) == [None, False, True]
         assert "has not answered commit" in breaks(report)[0]
@@ -282,7 +282,8 @@ def test_each_step_of_a_chain_has_its_own_decision_in_the_journal() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.make_client()
-        job_id = await client.submit(job(f"[{', '.join([THERE, BACK] * 3)}]"))
+        steps = f"[{', '.join([THERE, BACK] * 3)}]".replace("}}", "}, start: agreed}")
+        job_id = await client.submit(job(steps))
         report = await client.wait_for_job(job_id)
         decided = fleet.journal.list_decisions(job_id)
         t0s: dict[int, int | None] = {step.index: step.t0_fleet_ns for step in report.steps}

@@ -88,7 +88,7 @@ def test_a_job_waits_at_its_step_for_a_setting_that_was_changed_after_it_began(r
     """It goes on by a word, from where the steps before have moved to; without the repair the step is refused again.
 
     rest_s: the change is found while the step is armed, or at rest before."""
-    steps = job("[{do: move, by: {gantry.x: 2}}, {do: move, by: {gantry.x: 3}}]")
+    steps = job("[{do: move, by: {gantry.x: 2}, speed: 2 mm/s}, {do: move, by: {gantry.x: 3}}]")
 
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client("anna")

@@ -37,6 +37,7 @@ from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 CONTINUES = QueuePolicy(on_restart="continue", on_failure="continue")
 GANTRY = job("[{do: move, to: {gantry.x: 300}, speed: 0.15}]")  # ten seconds
+AGREED = job("[{do: move, to: {gantry.x: 300}, speed: 0.15, start: agreed}]")
 STAGE = job("[{do: move, to: {stage.u: 12}, speed: 0.15}]")
 BACK = job("[{do: move, to: {gantry.x: 200}, speed: 1}]")
 RAMP_S = 0.2
@@ -232,7 +233,7 @@ def test_a_controller_that_is_about_to_move_is_not_reset(state: JobState) -> Non
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         client = fleet.make_client()
-        job_id = await client.submit(GANTRY)
+        job_id = await client.submit(AGREED)
         await reached(fleet, job_id, state)
         refused = (await client.reset())["gantry"]
         assert refused is not None and refused.code == "busy" and f"for job {job_id}" in refused.text

@@ -96,7 +96,7 @@ def test_an_armed_member_is_not_polled_before_its_start_but_at_once_after_a_stop
 
         # Stopped just after arming.
         told = len(virtual.lines)
-        moving = await virtual.make_client().submit(job("[{do: move, to: {a.x: 0}}]"))
+        moving = await virtual.make_client().submit(job("[{do: move, to: {a.x: 0}, start: agreed}]"))
         while not any("job is armed" in line for line in virtual.lines[told:]):
             await sleep_ns(clock, NS_PER_MS)
         states.clear()

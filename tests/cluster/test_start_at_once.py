@@ -56,7 +56,7 @@ def test_a_step_at_once_begins_sooner_than_an_agreed_one_and_keeps_its_verdict()
 
 @pytest.mark.parametrize(
     ("make", "motor", "most_ms"),
-    [(lambda: make_smc30(0, 1), "1", 310.0), (lambda: make_ppsmc(0), "1", 470.0)],
+    [(lambda: make_smc30(0, 1), "1", 345.0), (lambda: make_ppsmc(0), "1", 470.0)],
     ids=["smc30", "ppsmc"],
 )
 def test_slow_lines_gain_most(make: Callable[[], dict[str, Any]], motor: str, most_ms: float) -> None:

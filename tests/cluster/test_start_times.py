@@ -50,7 +50,7 @@ def test_a_member_that_is_armed_just_before_t0_is_armed_again_before_any_promise
         await outcome(fleet, PREPARE)
         asked.clear()
         late.clear()
-        report = await outcome(fleet, job("[{do: move, to: {gantry.x: 60}}]"))
+        report = await outcome(fleet, job("[{do: move, to: {gantry.x: 60}, start: agreed}]"))
         assert report.state == "done" and late
         assert (asked["arm"], asked["commit"], asked["go"]) == (2, 1, 1)
 

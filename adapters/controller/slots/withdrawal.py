@@ -29,6 +29,8 @@ class StepWithdrawal:
 
     async def disarm_step(self, request: DisarmRequest) -> DisarmedReply:
         """Unload the step if it is the one that is loaded. A moving step stays untouched."""
+        if request.if_waiting and not self._is_waiting(request):
+            return DisarmedReply()
         present, following = self._steps.present, self._steps.following.armed_step
         if following is None and present is not None and present.job == request.job and present.step != request.step:
             async with self._steps.transition_lock:  # it may be being loaded behind the present one
@@ -54,6 +56,14 @@ class StepWithdrawal:
             await self.unload_step()
             self._events.emit_step("disarmed", "disarmed on request", armed_step)
             return DisarmedReply(may_have_started=has_begun)
+
+    def _is_waiting(self, request: DisarmRequest) -> bool:
+        """Whether the step can be unloaded for certain before it starts."""
+        present, following = self._steps.present, self._steps.following.armed_step
+        if following is not None and following.is_for(request):
+            is_near = self._context.clock.now_ns() + STOP_LEAD_NS >= following.t0_host_ns
+            return following.phase is not StepPhase.RELEASED or not is_near
+        return present is not None and present.is_for(request) and present.phase is StepPhase.LOADING
 
     async def _interrupt_transition(self, armed_step: ArmedStep | None) -> bool:
         """Interrupt a `go`, or the loading of a step that starts at once; whether the step may have begun."""

@@ -48,6 +48,7 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.state import StartClass, StepCosts
 
 START_CLASSES: tuple[StartClass, ...] = ("clock", "line")
+ADVANCE_COMMANDS = 4  # XFT, XFARM, the watchdog's extension, XFGO
 RELEASE_SPARE_TICKS = 2  # of a start at once: from the choice of its T0 to the release
 STOP_EXCHANGES = 3  # a stop of motion is three commands
 DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's duration from the plan
@@ -391,7 +392,7 @@ def _make_lowered(
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
         gap_ns=gap_ns,
-        release_ns=_find_release_ns(context.gate, start, tick_ns),
+        release_ns=_find_release_ns(context, start, tick_ns, is_beside=gap_ns is not None),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
@@ -416,8 +417,16 @@ def _make_lowered(
     )
 
 
-def _find_release_ns(gate: GateTiming | None, start: StartOptions, tick_ns: float) -> int | None:
-    """How long before T0 the gate must be opened; None where a trigger line or outputs depend on T0."""
+def _find_release_ns(context: LoweringContext, start: StartOptions, tick_ns: float, *, is_beside: bool) -> int | None:
+    """How long before T0 the gate must be opened; None where a trigger line or outputs depend on T0. is_beside: behind
+    the present step, whose program is not looked at as often."""
+    gate = context.gate
     if gate is None or start.wait is not None or start.drive is not None or start.triggers:
         return None
-    return math.ceil((gate.release_before + RELEASE_SPARE_TICKS) * tick_ns)
+    spare_ns = RELEASE_SPARE_TICKS * tick_ns
+    if is_beside:
+        # An earlier T0 is sent before.
+        return (
+            math.ceil(gate.follow_before * tick_ns + ADVANCE_COMMANDS * gate.command_ns + spare_ns) + context.release_ns
+        )
+    return math.ceil(gate.release_before * tick_ns + spare_ns)

@@ -7,6 +7,7 @@ from typing import Literal
 
 from orchestrator.clock.base import sleep_ns
 from orchestrator.coordinator.motion.chain import BetweenSteps
+from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.planning import plan_following
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.step import MotionStep, PlannedMotion
@@ -40,6 +41,7 @@ class StepAhead:
         self._motion: PlannedMotion | None = None
         self._stage: Stage = "planning"
         self._prevented = ""
+        self._withdrawing: asyncio.Task[None] | None = None
         self._may_release = asyncio.Event()
         if not between.acts:
             self._may_release.set()
@@ -56,10 +58,21 @@ class StepAhead:
         self._may_arm.set()
 
     def prevent_release(self, reason: str) -> None:
-        """Let the step not start behind the present one, unless that is decided."""
+        """Let the step not start behind the present one, unless that is decided; one that starts at once is withdrawn
+        while it waits."""
         self._prevented = reason
-        if self._motion is not None:
-            self._motion.start.state.withdrawn = reason
+        if self._motion is None:
+            return
+        start = self._motion.start
+        start.state.withdrawn = reason
+        if self._stage == "releasing" and isinstance(start, ImmediateStart):
+            self._withdrawing = asyncio.get_running_loop().create_task(start.withdraw_waiting())
+
+    async def settle(self) -> None:
+        """Wait until a withdrawal that was begun has its result: whether the step starts."""
+        if self._withdrawing is not None:
+            await asyncio.wait({self._withdrawing})
+            await asyncio.wait({self._task})
 
     def allow_release(self) -> None:
         """What happens between the two steps is done."""
@@ -76,7 +89,7 @@ class StepAhead:
         if self._stage == "releasing" and motion is not None:
             # The exchange under way must not be cut off: it ends with a release, or with all members unloaded.
             self.prevent_release(reason)
-            if motion.start.waits_for_end:
+            if isinstance(motion.start, ImmediateStart):
                 await motion.start.disarm()  # the member does not start the step any more: its answer comes at once
             with suppress(Refusal):
                 await asyncio.shield(self._task)

@@ -15,15 +15,14 @@ from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_N
 from orchestrator.coordinator.motion.negotiation import find_arming_ns
 from orchestrator.coordinator.motion.start import LATE, StartSequence, StateCallback, ignore_state
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import StartAtOnceRequest, StartedReply
+from orchestrator.model.messages import DisarmedReply, DisarmRequest, StartAtOnceRequest, StartedReply
 
 TRIES = 3
+ARM_FACTOR = 2  # on the declared time of arming
 
 
 class ImmediateStart(StartSequence):
     """Starts one step of one controller."""
-
-    waits_for_end = True
 
     async def run(self, on_state: StateCallback) -> None:
         """Start the step at rest. A member that is late while nothing has moved is asked again. Raises `Refusal`:
@@ -58,13 +57,19 @@ class ImmediateStart(StartSequence):
         if not agreement.loads_later:
             shares = {name: self._estimator.arming_share(name, "beside") for name in agreement.proposals}
             arming_ns = find_arming_ns(self._fleet.view.fleet, agreement.proposals, shares)
-            needs_ns += arming_ns + agreement.disarm_ns
+            needs_ns += arming_ns + agreement.disarm_ns + RELEASE_SLACK_NS
         return present.ends_fleet_ns - round(needs_ns)
 
     async def release_following(self) -> None:
         """Decide and start the step behind the present one. Raises `Refusal`: nothing of it is loaded."""
         self.state.require_not_paused()
         await self._start(ignore_state)
+
+    async def withdraw_waiting(self) -> None:
+        """Have the member drop the step if it still waits for the end of the present one."""
+        (member,) = self._agreement.proposals
+        request = DisarmRequest(**self._reference(), if_waiting=True)
+        await self._requests.request(member, "disarm", request, DisarmedReply, ANSWER_S)
 
     # Inside
 
@@ -102,7 +107,8 @@ class ImmediateStart(StartSequence):
         agreement, state = self._agreement, self.state
         ((member, proposal),) = agreement.proposals.items()
         costs, present = proposal.costs, agreement.present
-        lead_ns = 0 if costs is None else costs.arm_ns + costs.disarm_ns
+        # Generous, because T0 is brought forward.
+        lead_ns = 0 if costs is None else ARM_FACTOR * costs.arm_ns + costs.disarm_ns
         options = self._negotiation.start_options(agreement, [member])[member]
         request = StartAtOnceRequest(
             **self._reference(),

@@ -75,9 +75,6 @@ class StartState:
 class StartSequence:
     """Runs the start of one step."""
 
-    waits_for_end = False
-    """Whether the release behind another step is answered only after the end of that."""
-
     def __init__(
         self,
         services: MotionServices,

@@ -27,6 +27,7 @@ COLOURS = {
     "commit": "#7c3aed",
     "decide": "#db2777",
     "go": "#ea580c",
+    "start": "#ea580c",
     "fire": "#e2e8f0",
     "run": "#86b89a",
     "prepare": "#93c5fd",

@@ -132,11 +132,21 @@ def _make_coordinator(step: StepReport, went: dict[JobState, int], remarks: list
             remarks.append("`align`: the wait for an aligned start, or armings that were late and repeated")
     else:
         remarks.append("the job has no transitions of this step: no `plan`, `decide` and `go`; `fire` has the release")
+    first_ns = min((member.arming_fleet_ns or arming_ns for member in step.members.values()), default=arming_ns)
+    if first_ns >= settled_ns:  # it started at once: decided first, then loaded and started
+        stages += [("decide", settled_ns), ("start", min(went.get("committed", first_ns), first_ns))]
+        return _make_stages(step, stages)
     stages += [("arm", arming_ns), ("commit", went.get("armed", _last_armed_ns(step, arming_ns, settled_ns)))]
     if "committed" in went and "running" in went:
         stages += [("decide", settled_ns), ("go", went["committed"]), ("fire", went["running"])]
     else:
         stages.append(("fire", settled_ns))
+    return _make_stages(step, stages)
+
+
+def _make_stages(step: StepReport, stages: Sequence[tuple[str, int]]) -> list[TimelineStage]:
+    """The stages up to T0, each with its begin in fleet time, and the motion."""
+    t0_ns = step.t0_fleet_ns or 0
     ends = [
         evidence.end.latest_ns
         for member in step.members.values()

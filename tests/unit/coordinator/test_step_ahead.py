@@ -38,8 +38,6 @@ class ScriptedStart:
 
     release_due_ns = DUE_NS
 
-    waits_for_end = False
-
     def __init__(self) -> None:
         self.state = StartState({})
         self.done: list[str] = []

@@ -120,6 +120,11 @@ class MotionChain:
         if self._ahead is not None:
             self._ahead.prevent_release(reason)
 
+    async def settle_pause(self) -> None:
+        """Wait until it is known whether the step behind the present one starts."""
+        if self._ahead is not None:
+            await self._ahead.settle()
+
     async def feed_hold(self, actor: str) -> None:
         """Brake the step behind the present one if it moves already, or prevent its start."""
         if self._ahead is not None:

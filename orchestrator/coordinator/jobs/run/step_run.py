@@ -46,6 +46,7 @@ class StepRun:
         """Wait until the job is resumed, if it is paused. Raises `JobInterrupted` when it is ended."""
         pause, state = self._pause, self._state
         if pause.paused_by is not None and self._chain.is_prepared:
+            await self._chain.settle_pause()
             if self._chain.is_decided and not pause.braked:
                 return  # it was too late to pause before that step
             await self._chain.drop("the job is paused", self._context.actor)
@@ -147,6 +148,8 @@ class StepRun:
         step = self._state.motion_step
         if step is not None and step.motion is not None:
             self._chain.look_ahead(step.motion)
+            if self._pause.paused_by is not None:
+                self._chain.prevent_release("the job was paused")  # before this step was started
 
 
 def _describe_pause(pause: JobPause, place: str) -> str:
