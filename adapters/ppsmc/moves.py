@@ -4,7 +4,7 @@ end."""
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
-from adapters.contract import HostInterval, MoveOutcome
+from adapters.contract import HostInterval, LoadPlace, MoveOutcome
 from adapters.ppsmc import loading
 from adapters.ppsmc.ending import PpSmcEndTimes
 from adapters.ppsmc.lowering import PpSmcLowered
@@ -62,29 +62,27 @@ class PpSmcMover:
 
     async def load_move(self, lowered: PpSmcLowered, t0_ns: int) -> Mapping[str, int]:
         """Load speeds and targets, or a program, and read everything back. Raises `Refusal`."""
-        return await self._load(lowered, t0_ns, behind=False, at_once=False)
+        return await self._load(lowered, t0_ns, "at rest")
 
     async def load_behind(self, lowered: PpSmcLowered, t0_ns: int, *, at_once: bool) -> Mapping[str, int]:
-        """The same where the last move has ended a moment ago, and was seen at rest: only the check before the commit,
-        which is next, reads the axes again; at_once: loading does. Raises `Refusal`."""
-        is_plain = lowered.wait is None and lowered.drive is None and not lowered.by_program
-        return await self._load(lowered, t0_ns, behind=is_plain, at_once=at_once)
+        """The same right behind a move that was seen at rest: the next check, or at once loading, reads again."""
+        if lowered.wait is not None or lowered.drive is not None or lowered.by_program:
+            return await self.load_move(lowered, t0_ns)
+        return await self._load(lowered, t0_ns, "at once" if at_once else "behind")
 
-    async def _load(self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool, at_once: bool) -> Mapping[str, int]:
+    async def _load(self, lowered: PpSmcLowered, t0_ns: int, place: LoadPlace) -> Mapping[str, int]:
         async with self._unit.loading:
             try:
                 with _blocked_as_refusal():
-                    return await self._load_and_verify(lowered, t0_ns, behind=behind, at_once=at_once)
+                    return await self._load_and_verify(lowered, t0_ns, place)
             except ControllerFault as error:
                 # Its settings are read only at rest (L3977), and another client may have moved it.
-                if behind and error.code == "garbage" and not (await self._unit.read_state()).is_idle:
+                if place != "at rest" and error.code == "garbage" and not (await self._unit.read_state()).is_idle:
                     self.move = None
                     raise Refusal("moving", "an axis of the controller moves", "wait for its end, or stop it") from None
                 raise
 
-    async def _load_and_verify(
-        self, lowered: PpSmcLowered, t0_ns: int, *, behind: bool, at_once: bool
-    ) -> Mapping[str, int]:
+    async def _load_and_verify(self, lowered: PpSmcLowered, t0_ns: int, place: LoadPlace) -> Mapping[str, int]:
         unit, began_ns = self._unit, self._clock.now_ns()
         if self.move is not None:
             raise Refusal("busy", "a move is loaded or in progress", "disarm or stop it")
@@ -92,7 +90,7 @@ class PpSmcMover:
         move = LoadedMove(lowered, t0_ns)
         unit.jogging_motors -= move.motor_numbers
         lock = ["remote"] if self._options.panel == "lock" else []
-        if not behind:
+        if place == "at rest":
             reply = await self._session.send_repeatable(lock, *loading.check_queries(lowered))
             lock = []
             look = loading.require_rest(unit, lowered, reply)
@@ -106,10 +104,9 @@ class PpSmcMover:
         if lowered.by_program:
             await loading.load_program(unit, lowered)
         elif lowered.moves:
-            is_proven_here = behind and at_once
-            queries = loading.check_queries(lowered) if is_proven_here else []
+            queries = loading.check_queries(lowered) if place == "at once" else []
             reply = await loading.load_targets(unit, self._options, lowered, lock, queries)
-            if is_proven_here:
+            if place == "at once":
                 move.ignore_limits = loading.require_rest(unit, lowered, reply).on_limit
         if self.move is not move:
             raise Refusal("stopped", "a stop came while arming", "")
@@ -127,8 +124,7 @@ class PpSmcMover:
         with _blocked_as_refusal():
             reply = await self._session.send_queries(*queries)
         look = loading.require_rest(self._unit, lowered_step, reply)
-        if move.ignore_limits is None:
-            move.ignore_limits = look.on_limit
+        move.ignore_limits = look.on_limit if move.ignore_limits is None else move.ignore_limits
         if look.on_limit != move.ignore_limits:
             raise Refusal("limit", "a limit switch has changed since the move was armed", "arm it again")
         if move.output is not None:
@@ -222,9 +218,8 @@ class PpSmcMover:
                 raise
             self._unit.untidy = True
             return
-        self._unit.untidy = not self._unit.parse_state(
-            reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), 0
-        ).is_idle
+        status, positions = reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS)
+        self._unit.untidy = not self._unit.parse_state(status, positions, 0).is_idle
 
     def drop_move(self) -> None:
         """Drop the move: the controller has lost it, or the connection ends."""

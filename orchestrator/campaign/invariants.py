@@ -1,8 +1,8 @@
 """The invariants of the design (section 7), checked against the ground truth of the simulated controllers."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 
+from orchestrator.campaign.at_once import AtOnceChecker
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
 from orchestrator.campaign.motion_checks import MotionChecker
@@ -10,7 +10,6 @@ from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
 from orchestrator.campaign.triggers import TriggerChecker
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
 from orchestrator.model.state import ControllerState, TimeInterval
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -32,8 +31,7 @@ class InvariantChecker:
         self._speeds: dict[tuple[str, str], tuple[int, float]] = {}
         self._home_offsets: dict[str, float] = {}
         self._position_lost: set[str] = set()
-        self._starts_at_once: dict[tuple[str, int, int], str] = {}
-        """By job, step and decision: the request that has started it."""
+        self.starts = AtOnceChecker(fleet.journal, self.add_violation)
         self._changed_crystals: set[str] = set()
         self._records = PhaseRecords(fleet, recorder)
         self._triggers = TriggerChecker(fleet, self._records, self.add_violation)
@@ -98,19 +96,6 @@ class InvariantChecker:
         was pressed is its reference."""
         make = self._whole_fleet.controllers[member].adapter
         return fault.name == "stall" or (fault.name == "limit" and find_traits(make).references_at_limit)
-
-    def check_start_at_once(self, request: RecordedRequest) -> None:
-        """Check invariant 1 of a step that starts at once, when its request is sent and when it is answered: its
-        decision is in the journal before, and it starts once for each."""
-        decision = request.fields["step"], request.fields["decided_fleet_ns"]
-        if request.answered_ns is None:
-            with suppress(JournalError):
-                if decision not in self._fleet.journal.list_decisions(request.job_id):
-                    self.add_violation("1", f"{request.member} was asked to start {request.step_id} without a decision")
-        elif request.accepted:
-            request_id = self._starts_at_once.setdefault((request.job_id, *decision), request.fields["request_id"])
-            if request_id != request.fields["request_id"]:
-                self.add_violation("1", f"{request.member} has started {request.step_id} twice for one decision")
 
     # After a phase
 

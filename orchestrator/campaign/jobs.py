@@ -76,19 +76,12 @@ def draw_orders(
     if kind == "home":
         first = [{"do": "home", "axes": [member]}]
         all_positions |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
-    axes = _JobAxes(fleet, main, all_positions)
     if kind == "at-once":
-        other_controllers = [name for name in other_controllers if name != member]
         main = [member]
-        job = _draw_at_once("main", _JobAxes(fleet, main, all_positions), draw)
     elif kind == "path":
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
-        other_controllers = [name for name in other_controllers if name not in main]
-        job = _draw_path("main", _JobAxes(fleet, main, all_positions), draw)
-    else:
-        job = _draw_chain("main", axes, member, draw) if kind == "chain" else _draw_moves("main", axes, draw, first)
-    if kind == "trigger":
-        job = _add_triggers(job, fleet, main)
+    other_controllers = [name for name in other_controllers if name not in main]
+    job = _draw_main(kind, _JobAxes(fleet, main, all_positions), member, draw, first)
     orders = [JobOrder(job, QueueTerms(), tuple(main))]
     if other_controllers:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
@@ -103,6 +96,20 @@ def draw_orders(
     terms = QueueTerms(priority=draw.choice((-1, 0)))
     orders.append(JobOrder(_draw_moves("late", _JobAxes(fleet, late, all_positions), draw), terms, tuple(late)))
     return orders
+
+
+def _draw_main(
+    kind: MainKind, axes: "_JobAxes", member: str, draw: Random, steps_before: Sequence[dict[str, Any]]
+) -> Job:
+    """Draw the job of `member`."""
+    if kind == "at-once":
+        return _draw_at_once("main", axes, draw)
+    if kind == "path":
+        return _draw_path("main", axes, draw)
+    if kind == "chain":
+        return _draw_chain("main", axes, member, draw)
+    job = _draw_moves("main", axes, draw, steps_before)
+    return _add_triggers(job, axes.fleet, axes.controllers) if kind == "trigger" else job
 
 
 def make_trial(fleet: Fleet, member: str, priority: int = 9) -> JobOrder:

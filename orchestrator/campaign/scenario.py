@@ -80,8 +80,12 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 }
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
-_WAIT_WINDOW_NS = 500 * NS_PER_MS  # from the request of a step that starts at once, until after its start
-_CHUNK_WINDOW_NS = 3 * NS_PER_S  # from the begin of loading a chunk until after its release
+_STAGES_AT_ONCE: tuple[Stage, ...] = ("arm", "commit", "go")  # which one request goes through
+_REQUEST_WINDOWS_NS: dict[Stage, tuple[str, int]] = {
+    "chunk": ("load-chunk", 3 * NS_PER_S),  # until after its release
+    "at-once": ("start-at-once", 500 * NS_PER_MS),  # behind a moving step, until after its start
+}
+"""The request of a stage, and the window of the fault from when it is sent."""
 _KINDS: dict[Stage, MainKind] = {
     "home": "home",
     "chain": "chain",
@@ -503,9 +507,7 @@ class _Scenario:
         at.setdefault(request.verb, now_ns)
         if request.verb == "home" and request.answered_ns is not None:
             at["homed"] = now_ns
-        if request.verb == "start-at-once":
-            at.setdefault("arm", now_ns)
-            self.checker.check_start_at_once(request)
+        self.checker.starts.check_request(request)
         if request.verb in ("go", "start-at-once") and request.accepted:
             at.setdefault("fire", now_ns)
             at.setdefault("t0", self._t0_host_ns(request))
@@ -517,27 +519,24 @@ class _Scenario:
         at_ns = self._find_fault_instant(cell.stage, request, now_ns)
         if at_ns is not None:
             self._target = None
-            step = request.step_id
-            self._clock.call_at_ns(
-                at_ns, lambda: None if arrival.done() else arrival.set_result(step), context=Context()
-            )
+            self._clock.call_at_ns(at_ns, lambda: _note_arrival(arrival, request.step_id), context=Context())
 
     def _find_fault_instant(self, stage: Stage, request: RecordedRequest, now_ns: int) -> int | None:
         """Return the instant of the fault as soon as it is determined."""
         going_out = request.answered_ns is None
-        if stage == "home" and request.verb == "home" and going_out:
+        is_reached = _is_of_stage(request, stage)
+        if stage == "home" and is_reached and going_out:
             return now_ns + self._draw.randrange(self._expected_homing_ns(request.member) + 1)
-        if stage in _FAULT_WINDOWS_NS and request.verb == stage and going_out:
+        if stage in _FAULT_WINDOWS_NS and is_reached and going_out:
             return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
-        if stage == "arm" and request.verb == "arm" and going_out:
+        if stage == "arm" and is_reached and going_out:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
         if stage == "chain" and request.verb == "arm" and request.accepted and request.fields["after_step"] is not None:
             return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
-        if stage == "chunk" and request.verb == "load-chunk" and going_out:
-            return now_ns + self._draw.randrange(_CHUNK_WINDOW_NS)
-        if stage == "at-once" and request.verb == "start-at-once" and request.fields["after_step"] is not None:
-            return now_ns + self._draw.randrange(_WAIT_WINDOW_NS) if going_out else None
-        if request.verb != "go" or not request.accepted:
+        verb, window_ns = _REQUEST_WINDOWS_NS.get(stage, ("", 0))
+        if request.verb == verb and going_out and request.fields.get("after_step", 0) is not None:
+            return now_ns + self._draw.randrange(window_ns)
+        if request.verb not in ("go", "start-at-once") or not request.accepted:
             return None
         t0_ns = self._t0_host_ns(request)
         if stage == "fire":
@@ -631,3 +630,14 @@ class _Scenario:
         for name in self._injector.former_leaders:
             if not self.virtual.coordinators[name][1].leadership.over:
                 self.checker.add_violation("9", f"coordinator {name} was overtaken but still acts as leader")
+
+
+def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, int]) -> None:
+    """The instant of a fault in this step has come."""
+    if not arrival.done():
+        arrival.set_result(step)
+
+
+def _is_of_stage(request: RecordedRequest, stage: Stage) -> bool:
+    """Whether a step reaches a stage by this request."""
+    return request.verb == stage or (request.verb == "start-at-once" and stage in _STAGES_AT_ONCE)

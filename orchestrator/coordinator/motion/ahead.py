@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.clock.base import sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.planning import plan_following
@@ -41,7 +42,7 @@ class StepAhead:
         self._motion: PlannedMotion | None = None
         self._stage: Stage = "planning"
         self._prevented = ""
-        self._withdrawing: asyncio.Task[None] | None = None
+        self._withdrawals = TaskOwner()
         self._may_release = asyncio.Event()
         if not between.acts:
             self._may_release.set()
@@ -66,12 +67,13 @@ class StepAhead:
         start = self._motion.start
         start.state.withdrawn = reason
         if self._stage == "releasing" and isinstance(start, ImmediateStart):
-            self._withdrawing = asyncio.get_running_loop().create_task(start.withdraw_waiting())
+            self._withdrawals.spawn(start.withdraw_waiting())
 
     async def settle(self) -> None:
         """Wait until a withdrawal that was begun has its result: whether the step starts."""
-        if self._withdrawing is not None:
-            await asyncio.wait({self._withdrawing})
+        if self._withdrawals.pending:
+            await asyncio.wait(self._withdrawals.pending)
+        if self._prevented and self._stage == "releasing":
             await asyncio.wait({self._task})
 
     def allow_release(self) -> None:
