@@ -125,6 +125,7 @@ class DriverCapabilities:
     orders: orders of profiles that it can execute: 2 for trapezoids, 3 for jerk-limited profiles.
     independent_axes: axes may move in different steps at the same time, and one can stop without the other.
     checks_while_moving: `check_settings` may be called while an axis moves.
+    compares_when_loading: loading a move compares the settings that motion relies on, and refuses it if one differs.
     chunk_s: the longest chunk of a path that it can load while it executes the one before, s; 0: a path is loaded as a
     whole. chunk_load_s: how long loading it takes at most.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
@@ -136,6 +137,7 @@ class DriverCapabilities:
     independent_axes: bool
     costs: StepCosts
     checks_while_moving: bool = False
+    compares_when_loading: bool = False
     chunk_s: float = 0.0
     chunk_load_s: float = 0.0
 

@@ -45,7 +45,7 @@ class PpSmcEndTimes:
         give_up_ns = due_ns + _READY_LAG_NS + self._settle_ns
         ready_ns: dict[int, int] = {}
         while True:
-            look = await self._unit.read_state()
+            look = await self._unit.read_state(with_errors=self._is_due(move))
             for axis_move in move.lowered.moves:
                 if look.is_ready(axis_move.motor) and self._has_ended(move, axis_move, look):
                     ready_ns.setdefault(axis_move.motor, look.at_ns)
@@ -70,6 +70,11 @@ class PpSmcEndTimes:
         error = error or bool(wrong)
         reasons += [wrong] if wrong else []
         return moved_outcome(end_spans, reasons, stopped=move.stopped_ns is not None, failed=error)
+
+    def _is_due(self, move: LoadedMove) -> bool:
+        """Return whether the whole move may have ended: a query that shows its end shows its errors as well."""
+        longest_ns = max(self._duration_bounds_ns(axis_move)[0] for axis_move in move.lowered.moves)
+        return self._clock.now_ns() >= move.start.earliest_ns + longest_ns - _FAST_POLL_NS
 
     def _has_ended(self, move: LoadedMove, axis: PpSmcAxisMove, look: PpSmcReading) -> bool:
         """Return whether an axis that reads ready has ended: ready bits lag behind the start of a move."""
@@ -96,7 +101,9 @@ class PpSmcEndTimes:
         """Return the failures at the end, and whether they are more than a requested stop."""
         reasons: list[str] = []
         error = False
-        errors = {} if look.is_blocked else await self._unit.read_errors()
+        errors = look.errors
+        if errors is None:
+            errors = {} if look.is_blocked else await self._unit.read_errors()
         for axis_move in move.lowered.moves:
             bits, counts = look.bits[axis_move.motor], look.counts[axis_move.motor]
             number, text = errors.get(axis_move.motor, (0, ""))

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from adapters.ppsmc import fleetaxes
@@ -33,13 +33,15 @@ class PpSmcReading:
 
     counts: None while an axis oscillates; accurate to `grains` steps, by the reported decimals.
     begun_ns: when the query was sent.
-    at_ns: when the answer had arrived."""
+    at_ns: when the answer had arrived.
+    errors: number and text of the last error, by axis; None where they were not queried."""
 
     bits: Mapping[int, int]
     counts: Mapping[int, int | None]
     grains: Mapping[int, float]
     begun_ns: int
     at_ns: int
+    errors: Mapping[int, tuple[int, str]] | None = None
 
     @property
     def is_idle(self) -> bool:
@@ -108,17 +110,20 @@ class PpSmcState:
 
     # Status
 
-    async def read_state(self) -> PpSmcReading:
-        """Return status and positions of all axes, also of a blocked controller. Raises `ControllerFault`."""
-        session = self.session
+    async def read_state(self, *, with_errors: bool = False) -> PpSmcReading:
+        """Return status and positions of all axes, also of a blocked controller, which does not report errors. Raises
+        `ControllerFault`."""
+        session, queries = self.session, [ASK_STATUS, ASK_POSITIONS]
         if not session.blocked:
             try:
-                reply = await session.send_queries(ASK_STATUS, ASK_POSITIONS)
+                reply = await session.send_queries(*queries, *([ASK_ERRORS] if with_errors else []))
             except ControllerFault as error:
                 if error.code != "blocked":
                     raise
             else:
-                return self.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
+                status, positions = reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS)
+                reading = self.parse_state(status, positions, reply.written_ns)
+                return replace(reading, errors=parse_errors(reply.reply_texts(ASK_ERRORS))) if with_errors else reading
         status, positions = await session.query_blocked()
         return self.parse_state(status, positions, status.at_ns)
 

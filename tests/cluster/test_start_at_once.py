@@ -114,6 +114,32 @@ def test_a_pause_takes_effect_before_the_next_step() -> None:
     run_fleet(main)
 
 
+@pytest.mark.parametrize("delay_ms", [0, 5, 10])
+def test_a_pause_withdraws_a_step_that_waits(delay_ms: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        await outcome(fleet, job(to_and_fro("stage.u", 4, 10)))
+        submitted = await fleet.make_client().submit(
+            job("[{do: move, to: {stage.u: 12}}, {do: move, to: {stage.u: 2}}]")
+        )
+        await wait_for_motion(fleet, "stage", "1")
+        while len(fleet.journal.list_decisions(submitted.id)) < 2:
+            await sleep_ns(fleet.clock, NS_PER_MS // 4)
+        await sleep_ns(fleet.clock, delay_ms * NS_PER_MS)
+        moved = motions(fleet, "stage", "1")
+        assert fleet.controllers["stage"].is_moving("1"), "it waits"
+        await submitted.pause()
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        assert len(motions(fleet, "stage", "1")) == len(moved) + 1
+        assert len(fleet.journal.list_decisions(submitted.id)) == 1
+        await submitted.resume()
+        report = await submitted.result()
+        assert report.state == "done" and breaks(report) == ["the job is paused"]
+        assert [step for step, _ in fleet.journal.list_decisions(submitted.id)] == [0, 1]
+
+    run_fleet(main)
+
+
 async def run_behind(fleet: VirtualFleet, act: Callable[[VirtualFleet, Any], Any], before_ns: int) -> JobReport:
     """Two steps of the stage; `act` that long before the first one ends, when the second is decided and waits."""
     await outcome(fleet, PREPARE)

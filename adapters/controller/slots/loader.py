@@ -44,7 +44,7 @@ class StepLoader:
         unload = slot.unload if place == "beside" else self._steps.slots.unload
         try:
             async with self._steps.loading_lock:
-                if not checked:
+                if not (checked or (place == "at once" and self._context.driver.capabilities.compares_when_loading)):
                     await self._surveillance.require_settings()
                 stages = await slot.load(move.lowered, move.armed_step.t0_host_ns, move.mapping, place)
         except (Refusal, ControllerFault):
