@@ -1,4 +1,4 @@
-"""A fleet on a computer with four times as many busy processes as processors: what is kept, and what may need a second
+"""A fleet on a computer with four, and with ten, times as many busy processes as processors: what is kept, and what may need a second
 attempt, as `docs/explanation/failures.md` says."""
 
 import os
@@ -15,7 +15,7 @@ from orchestrator.clock.live import raw_ns
 
 pytestmark = [pytest.mark.live, pytest.mark.nightly]
 
-LOAD = 4 * (os.cpu_count() or 1)
+PROCESSORS = os.cpu_count() or 1
 LOOP = "import os, sys\nwhile os.getppid() == int(sys.argv[1]): pass"
 PATIENCE_S = 120.0
 STOP_S = 5.0  # from the command to the rest: with the start of an interpreter, at a share of a processor
@@ -58,10 +58,13 @@ def stop_s(fleet: RunningFleet, *command: str) -> float:
     return max(margin_s(sent_ns, fleet.rest_ns(name)) for name in SLOW_AXES)
 
 
-def test_a_busy_computer_starts_restarts_moves_and_stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("load", [4 * PROCESSORS, 10 * PROCESSORS])
+def test_a_busy_computer_starts_restarts_moves_and_stops(
+    load: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for module in ("children", "fleet"):
         monkeypatch.setattr(f"{module}.LIMIT_S", PATIENCE_S)
-    with busy_loops(LOAD):
+    with busy_loops(load):
         begun_ns = raw_ns()
         fleet = RunningFleet(tmp_path)
         try:

@@ -172,6 +172,13 @@ class FleetView:
         info = self._infos[controller] = await self.ask_info(controller)
         return info
 
+    async def require_info(self, controller: str) -> ControllerInfo:
+        """The same. Raises `Refusal`."""
+        try:
+            return await self.query_info(controller)
+        except BusError as error:
+            raise self.make_absence(controller, str(error)) from None
+
     async def ask_info(self, controller: str) -> ControllerInfo:
         """Identity and capabilities of the controller as of now: it may not be connected yet. Raises `BusError`,
         `ValidationError`."""

@@ -237,12 +237,10 @@ class StartNegotiation:
             return None
         members = dict.fromkeys(controller_of(axis) for axis in planned_step.plan.profiles)
         try:
-            infos = {member: await self._view.query_info(member) for member in members}
+            infos = {member: await self._view.require_info(member) for member in members}
             return plan_first_chunk(
                 planned_step.path, planned_step.plan, infos, planned_step.begun_s, planned_step.rate
             )
-        except BusError as error:
-            raise Refusal("absent", str(error), "check that its adapter host is running") from None
         except PlanError as error:
             raise Refusal("plan", str(error)) from None
 
