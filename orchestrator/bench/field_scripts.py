@@ -202,7 +202,7 @@ SCRIPTS: Mapping[str, tuple[ScriptLoop, ...]] = {
         _make_smc4000(OURS, _OURS_SOURCE, "MG_BGX", rb"0\.0000\r\n:", NS_PER_MS),
         _make_smc4000(
             "telescope_control",
-            "github.com/arikaplan/telescope_control, old/test.py: PR, BG, then MG _BG without a pause",
+            "github.com/arikaplan/telescope_control, old/test.py: PR (here PA), BG, then MG _BG without a pause",
             "MG _BGX",
             rb"0\.0000\r\n:",
             0,

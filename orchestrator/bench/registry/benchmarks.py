@@ -301,10 +301,11 @@ _BENCHMARKS = (
         help="""Measure the time from the end of one step to the start of the next, beside scripts with a socket per
         controller.
 
-        In virtual time, judged by the simulators' ground truth, and live with 100 steps a fleet, which takes five
-        minutes. The scripts send the same moves over the same simulated links one after the other: send, begin,
-        query until all rest. One of them is of this benchmark, and sets the ratio; those of the field have the loops
-        of public drivers, or of the maker's manual. Moves are as long as their name says, at the limits of the axis.
+        In virtual time, judged by the simulators' ground truth, and live with 100 steps a fleet, which takes some
+        twenty minutes, most of them for seven SMC30 on one bus. The scripts send the same moves over the same
+        simulated links one after the other: send, begin, query until all rest. One of them is of this benchmark, and
+        sets the ratio; those of the field have the loops of public drivers, or of the maker's manual. Moves are as
+        long as their name says, at the limits of the axis.
         """,
         example="tutti bench steps --json",
         options=(

@@ -1,14 +1,18 @@
 """The benchmark of steps back to back: its fleets, its scripts, and what it reads from the wires."""
 
+import json
 from itertools import pairwise
 
 import pytest
+from click.testing import CliRunner
 
+from orchestrator.bench import steps
 from orchestrator.bench.field_scripts import OURS, SCRIPTS
 from orchestrator.bench.naive import find_gaps, find_whole_ns, measure_script
 from orchestrator.bench.step_fleets import AskedGap, StepsFleet, find_counts, list_fleets, make_scan_fleet
 from orchestrator.bench.step_wire import find_gap
 from orchestrator.bench.steps import list_scripts, list_sources, measure_scan, measure_virtual
+from orchestrator.cli.main import main
 from orchestrator.clock.base import NS_PER_MS
 
 FLEETS = {fleet.name: fleet for fleet in list_fleets()}
@@ -101,13 +105,34 @@ def test_a_row_tells_the_wire_from_the_frames_that_were_sent() -> None:
     assert [line.split(":")[0] for line in list_sources([row])] == ["msl-equipment", "PyOptoSigma"]
 
 
-def test_what_was_said_on_a_bus_is_counted_for_each_controller() -> None:
+def test_each_reply_belongs_to_the_line_before_it() -> None:
     row, exchanges = measure_virtual(FLEETS["1 SMC30, 400 ms"], STEPS)
     assert [exchange.out[1:3] for exchange in exchanges if exchange.need == "target"] == ["PO", "G+", "PX"]
-    assert row.wire_ms == pytest.approx(100, rel=0.1) and row.live_more_ms == 10.0
+    replies = {exchange.out[1:2]: exchange.back for exchange in exchanges if exchange.need}
+    assert replies["F"].startswith("RR") and replies["V"].startswith("V+") and "G+" in replies["Q"]
+    assert row.wire_ms == pytest.approx(92, rel=0.04) and row.live_more_ms == 10.0
+
+
+def test_what_is_asked_behind_the_begin_is_no_evidence_of_the_end() -> None:
+    row, exchanges = measure_virtual(FLEETS["1 pp-electronic SMC, 140 ms"], STEPS)
+    needed = [exchange for exchange in exchanges if exchange.need]
+    assert [exchange.need for exchange in needed][-1] == "begin" and row.wire_ms == 75.0  # six lines of 12.5 ms
+    assert {exchange.out[:2] for exchange in needed} == {"?s", "?p", "tb", "?t"}
 
 
 def test_a_scan_is_timed_as_a_whole() -> None:
     scan = measure_scan(10)
     assert scan.points == 10 and scan.whole_s > 1.0 and scan.naive_s > 1.0
     assert scan.asked_s == pytest.approx(1.2 * scan.naive_s, abs=0.01) and scan.met == (scan.ratio <= 1.2)
+
+
+def test_the_command_prints_rows_scan_scripts_and_exchanges(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(steps, "list_fleets", lambda: [FLEETS["1 SHRC-203, 100 ms"]])
+    words = ["bench", "steps", "--steps", "10", "--scan-points", "10", "--virtual-only"]
+    shown = CliRunner().invoke(main, [*words, "--exchanges"])
+    assert shown.exit_code == 0, shown.output
+    for text in ("1.5 x script or wire", "first start to last end", "msl-equipment: MSLNZ", "L469-591"):
+        assert text in shown.output
+    document = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)
+    assert document["exchanges"] is None and document["scan"]["points"] == 10
+    assert document["rows"][0]["gap_p99_ms"] >= document["rows"][0]["gap_ms"]
