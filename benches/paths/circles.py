@@ -18,7 +18,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
-from orchestrator.runtime.simulated_fleets import DRIFT_PPM, WANDER_PPM, make_smc2000, make_smc4000
+from orchestrator.runtime.simulated_fleets import DRIFT_PPM, WANDER_PPM, make_cia402, make_smc2000, make_smc4000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Array = NDArray[np.float64]
@@ -64,20 +64,10 @@ def run_circle(task: CircleTask) -> CircleRun:
     return run_virtual(lambda clock: _run_path(clock, task))
 
 
-def _make_drive(number: int) -> dict[str, Any]:
-    return {
-        "adapter": "cia402",
-        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": number},
-        "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
-        "axes": {"x": {"motors": ["1"], "unit": "mm", "scale": 1000, "limits": LIMITS}},
-        "simulate": {"options": {"objects": {"6065": 500, "6066": 0}}},
-    }
-
-
 _MAKES: dict[str, Callable[[int], dict[str, Any]]] = {
     "smc4000": make_smc4000,
     "smc2000": make_smc2000,
-    "cia402": _make_drive,
+    "cia402": make_cia402,
 }
 
 

@@ -90,6 +90,17 @@ def make_ppsmc(number: int) -> dict[str, Any]:
     return _make_controller("ppsmc", link, _PULSES, "1", simulate)
 
 
+def make_cia402(number: int) -> dict[str, Any]:
+    """Return the drive with this node number on a CAN bus, with measured times of its start."""
+    return {
+        "adapter": "cia402",
+        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": number},
+        "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
+        "axes": {"x": {"motors": ["1"], **_SERVO}},
+        "simulate": {"options": {"objects": {"6065": 500, "6066": 0}}},
+    }
+
+
 def make_mixed(*, pp: bool) -> dict[str, dict[str, Any]]:
     """Return two of each make; the SMC30 share a bus."""
     controllers = {

@@ -53,14 +53,21 @@ def measure_live(measure: Callable[[Path], Coroutine[Any, Any, T]]) -> T:
             raise BenchFailed(str(error)) from error
 
 
-def run_steps(show_progress: ShowProgress, steps: int, *, virtual_only: bool) -> Fields:
-    from orchestrator.bench.steps import bench_steps
+def run_steps(
+    show_progress: ShowProgress, steps: int, scan_points: int, *, virtual_only: bool, exchanges: bool
+) -> Fields:
+    from orchestrator.bench.steps import StepsResult, bench_steps
 
-    def measure(folder: Path) -> Coroutine[Any, Any, list[Any]]:
-        return bench_steps(steps, None if virtual_only else folder, show_progress)
+    def measure(folder: Path) -> Coroutine[Any, Any, StepsResult]:
+        return bench_steps(steps, scan_points, None if virtual_only else folder, show_progress)
 
-    rows = measure_live(measure)
-    return {"steps": steps, "rows": rows}
+    result = measure_live(measure)
+    return {
+        "steps": steps,
+        "rows": result.rows,
+        "scan": result.scan,
+        "exchanges": result.exchanges if exchanges else None,
+    }
 
 
 def run_dispatch(_: ShowProgress, rounds: int) -> Fields:
