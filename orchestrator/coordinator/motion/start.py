@@ -15,11 +15,10 @@ from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.journal.facts import StepDecision
 from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
 from orchestrator.coordinator.motion.lead_time import ArmKind
-from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation, find_arming_ns
+from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import (
     ArmedReply,
     ArmRequest,
@@ -84,12 +83,14 @@ class StartSequence:
         agreement: StartAgreement,
         permit_watch: PermitWatch,
     ) -> None:
-        self._services, self._fleet = services, services.fleet
+        self._services = services
+        self._fleet = services.fleet
         self._requests = services.fleet.requests
         self._leadership = services.leadership
         self._estimator = services.estimator
-        self._request, self._agreement = request, agreement
+        self._request = request
         self._negotiation = negotiation
+        self._agreement = agreement
         self._permit_watch = permit_watch
         self.state = StartState({})
 
@@ -296,9 +297,7 @@ class StartSequence:
         left_ns = self.state.t0_fleet_ns - self._leadership.fleet_now_ns()
         # An answer after that would leave no time for `go`.
         useful_ns = left_ns - self._go_ns() - agreement.disarm_ns
-        wait_s = max(
-            0.02, min(_find_longest_s(self._fleet.view.fleet, agreement), max(left_ns / 2, useful_ns) / NS_PER_S)
-        )
+        wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
         replies = await self._requests.request_all("commit", requests, CommittedReply, wait_s)
         await self._disarm_if_refused(replies)
         loaded_replies = {member: reply.armed for member, reply in replies.items() if reply.armed is not None}
@@ -387,9 +386,3 @@ class StartSequence:
     def _reference(self) -> dict[str, Any]:
         request = self._request
         return {**self._requests.request_fields(request.job.actor), "job": request.job_id, "step": request.index}
-
-
-def _find_longest_s(fleet: Fleet, agreement: StartAgreement) -> float:
-    """How long the answer to a promise may take: with the loading of members that load only then."""
-    proposals = {name: agreement.proposals[name] for name in agreement.loads_later}
-    return ANSWER_S + find_arming_ns(fleet, proposals, dict.fromkeys(proposals, 1.0)) / NS_PER_S
