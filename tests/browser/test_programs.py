@@ -13,12 +13,12 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.live import raw_ns
 from orchestrator.coordinator.jobs.queue.conditions import ESTOP_VISIBLE_NS
 
-SLOW = "G21 G90 F600\nG0 X10 Y5\nG1 X40 Y5\nG1 X40 Y25\nG1 X10 Y25\nG1 X10 Y5\nM5\nM30\n"  # 10 mm/s: 10 s
+SLOW = "G21 G90 F600\nG0 X10 Y5\nG1 X40 Y5\nG1 X40 Y25\nG1 X10 Y25 F3000\nG1 X10 Y5\nM5\nM30\n"  # first 10 mm/s
 
 
 @pytest.fixture(scope="module")
 def ready(fleet: RunningFleet) -> RunningFleet:
-    fleet.ready()
+    fleet.bring_back()
     return fleet
 
 

@@ -114,7 +114,7 @@ def test_a_pause_takes_effect_before_the_next_step() -> None:
     run_fleet(main)
 
 
-@pytest.mark.parametrize("delay_ms", [0, 5, 10])
+@pytest.mark.parametrize("delay_ms", [5, *(pytest.param(delay_ms, marks=pytest.mark.nightly) for delay_ms in (0, 10))])
 def test_a_pause_withdraws_a_step_that_waits(delay_ms: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
@@ -156,7 +156,9 @@ async def run_behind(fleet: VirtualFleet, act: Callable[[VirtualFleet, Any], Any
     return await submitted.result()
 
 
-@pytest.mark.parametrize("delay_ms", [0, 2, 40, 70])
+@pytest.mark.parametrize(
+    "delay_ms", [2, *(pytest.param(delay_ms, marks=pytest.mark.nightly) for delay_ms in (0, 20, 40, 70))]
+)
 @pytest.mark.parametrize("what", ["stop", "estop", "cancel", "hold"])
 def test_what_ends_a_job_also_ends_the_step_that_waits_behind(what: str, delay_ms: int) -> None:
     async def act(fleet: VirtualFleet, submitted: Any) -> None:
@@ -230,7 +232,7 @@ def test_without_a_decision_in_the_journal_nothing_moves(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("process", ["host/local", "coordinator/first"])
-@pytest.mark.parametrize("delay_ms", [0, 30, 60])
+@pytest.mark.parametrize("delay_ms", [0, *(pytest.param(delay_ms, marks=pytest.mark.nightly) for delay_ms in (30, 60))])
 def test_a_process_that_dies_while_a_step_waits_starts_nothing_twice(process: str, delay_ms: int) -> None:
     async def act(fleet: VirtualFleet, _: Any) -> None:
         fleet.kill(process)
