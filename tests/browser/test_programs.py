@@ -18,7 +18,7 @@ SLOW = "G21 G90 F600\nG0 X10 Y5\nG1 X40 Y5\nG1 X40 Y25\nG1 X10 Y25 F3000\nG1 X10
 
 @pytest.fixture(scope="module")
 def ready(fleet: RunningFleet) -> RunningFleet:
-    fleet.bring_back()
+    fleet.ready()
     return fleet
 
 
