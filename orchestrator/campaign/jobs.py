@@ -102,12 +102,10 @@ def _draw_main(
     kind: MainKind, axes: "_JobAxes", member: str, draw: Random, steps_before: Sequence[dict[str, Any]]
 ) -> Job:
     """Draw the job of `member`."""
-    if kind == "at-once":
-        return _draw_at_once("main", axes, draw)
     if kind == "path":
         return _draw_path("main", axes, draw)
-    if kind == "chain":
-        return _draw_chain("main", axes, member, draw)
+    if kind in ("chain", "at-once"):
+        return _draw_chain("main", axes, member, draw, alone=kind == "at-once")
     job = _draw_moves("main", axes, draw, steps_before)
     return _add_triggers(job, axes.fleet, axes.controllers) if kind == "trigger" else job
 
@@ -171,26 +169,35 @@ def _draw_moves(name: str, axes: _JobAxes, draw: Random, steps_before: Sequence[
     return make_job(name, [*steps_before, *steps])
 
 
-def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random) -> Job:
+def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random, *, alone: bool) -> Job:
     """Draw a job of short moves, one after the other, all of `member` and most of the others; some with a dwell in
-    between."""
+    between. alone: of `member` alone, and they start at once."""
     steps: list[dict[str, Any]] = []
-    groups = [group for group in _group_inseparable(axes.fleet) if set(group) <= set(axes.controllers)]
+    groups = [[member]] if alone else _find_groups(axes)
+    options = {"start": "at_once"} if alone else {}
     begins = dict(axes.positions)
     for number in range(CHAIN_STEPS):
         share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
         moved_groups = [group for group in groups if member in group or not number or draw.random() < CHAIN_SHARE]
-        moved_axes = (
+        targets: dict[str, float] = {}
+        for axis in (
             f"{controller}.{axis}"
             for controller in chain(*moved_groups)
             for axis in axes.fleet.controllers[controller].axes
-        )
-        targets = {axis: _find_target(axes.fleet, axis, begins[axis], share) for axis in moved_axes}
+        ):
+            reach = axes.fleet.axis(axis).limits.velocity * SPEED_FRACTION
+            way = reach if begins[axis] < reach * MAX_MOVE_S / 2 else -reach
+            targets[axis] = round(begins[axis] + way * share, 2)
         axes.positions.update(targets)
-        steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION})
+        steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION, **options})
         if draw.random() < DWELL_CHANCE:
             steps.append({"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
     return make_job(name, steps)
+
+
+def _find_groups(axes: _JobAxes) -> list[list[str]]:
+    """The inseparable groups among the controllers of a job."""
+    return [group for group in _group_inseparable(axes.fleet) if set(group) <= set(axes.controllers)]
 
 
 def _takes_paths(fleet: Fleet, name: str) -> bool:
@@ -227,29 +234,6 @@ def _draw_path(name: str, axes: _JobAxes, draw: Random) -> Job:
     }
     axes.positions.update(dict(zip(moved_axes, points[-1], strict=True)))
     return make_job(name, [path])
-
-
-def _draw_at_once(name: str, axes: _JobAxes, draw: Random) -> Job:
-    """Draw a job of short moves of one controller, to and fro, that start at once; some with a dwell in between."""
-    moved_axes = [
-        f"{controller}.{axis}" for controller in axes.controllers for axis in axes.fleet.controllers[controller].axes
-    ]
-    begins = {axis: axes.positions[axis] for axis in moved_axes}
-    steps: list[dict[str, Any]] = []
-    for number in range(CHAIN_STEPS):
-        share = draw.uniform(*(CHAIN_BACK_S if number % 2 else CHAIN_MOVE_S))
-        targets = {axis: _find_target(axes.fleet, axis, begins[axis], share) for axis in moved_axes}
-        axes.positions.update(targets)
-        steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION, "start": "at_once"})
-        if draw.random() < DWELL_CHANCE:
-            steps.append({"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
-    return make_job(name, steps)
-
-
-def _find_target(fleet: Fleet, axis: str, begin: float, share: float) -> float:
-    """Where an axis is after `share` seconds at the speed of a campaign, away from the nearer end of its way."""
-    reach = fleet.axis(axis).limits.velocity * SPEED_FRACTION
-    return round(begin + (reach if begin < reach * MAX_MOVE_S / 2 else -reach) * share, 2)
 
 
 def _add_triggers(job: Job, fleet: Fleet, controllers: Sequence[str]) -> Job:

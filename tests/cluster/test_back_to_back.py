@@ -148,10 +148,12 @@ def test_outputs_between_two_steps_are_switched_at_rest() -> None:
     run_fleet(main)
 
 
-def test_a_pause_takes_effect_before_a_step_that_is_loaded_already() -> None:
+@pytest.mark.parametrize("start", ["agreed", "at_once"])
+def test_a_pause_takes_effect_before_a_step_that_is_loaded_already(start: str) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
-        submitted = await fleet.make_client().submit(job(f"[{LONG}, {BACK}]"))
+        steps = ", ".join(f"{step[:-1]}, start: {start}}}" for step in (LONG, BACK))
+        submitted = await fleet.make_client().submit(job(f"[{steps}]"))
         await wait_for_motion(fleet)
         await sleep_ns(fleet.clock, 1500 * NS_PER_MS)  # loaded, and not yet decided
         await submitted.pause()
@@ -161,6 +163,7 @@ def test_a_pause_takes_effect_before_a_step_that_is_loaded_already() -> None:
         report = await submitted.result()
         assert report.state == "done" and fleet.controllers["gantry"].position("X") == 0
         assert breaks(report) == ["the job is paused"]
+        assert len(fleet.journal.list_decisions(report.job_id)) == 2
 
     run_fleet(main)
 

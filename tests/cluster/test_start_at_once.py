@@ -8,6 +8,7 @@ from cluster.test_back_to_back import breaks, chained, gaps_ms, motions, wait_fo
 from cluster.worlds import PREPARE, job, origin_host_ns, outcome, run_fleet
 
 from orchestrator.bus.base import RequestTimeout
+from orchestrator.client.jobs import SubmittedJob
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.journal.records import JournalError
@@ -18,14 +19,27 @@ from orchestrator.model.report import JobReport
 from orchestrator.runtime.simulated_fleets import make_ppsmc, make_smc30
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
-ONCE = ", start: at_once}"
-LONG = "{do: move, to: {gantry.x: 300}, speed: 0.5" + ONCE
-BACK = "{do: move, to: {gantry.x: 0}" + ONCE
+PAIR = job("[{do: move, to: {stage.u: 12}, start: at_once}, {do: move, to: {stage.u: 2}, start: at_once}]")
 
 
 def to_and_fro(axis: str, to: float, pairs: int, start: str = "at_once") -> str:
     pair = ", ".join(f"{{do: move, to: {{{axis}: {target}}}, start: {start}}}" for target in (to, 0))
     return f"[{', '.join([pair] * pairs)}]"
+
+
+async def submit_pair(fleet: VirtualFleet, delay_ms: int) -> SubmittedJob:
+    """Submit `PAIR`; return that long after its second step was decided, which waits for the end of the first then."""
+    submitted = await fleet.make_client().submit(PAIR)
+    await wait_for_motion(fleet, "stage", "1")
+    while len(fleet.journal.list_decisions(submitted.id)) < 2:
+        await sleep_ns(fleet.clock, NS_PER_MS // 4)
+    await sleep_ns(fleet.clock, delay_ms * NS_PER_MS)
+    return submitted
+
+
+def is_moving(fleet: VirtualFleet) -> bool:
+    stage = fleet.controllers["stage"]
+    return any(stage.is_moving(name) for name in stage.axis_names)
 
 
 def require_decisions(fleet: VirtualFleet, report: JobReport, controller: str, motor: str) -> None:
@@ -55,11 +69,11 @@ def test_a_step_at_once_begins_sooner_than_an_agreed_one_and_keeps_its_verdict()
 
 
 @pytest.mark.parametrize(
-    ("make", "motor", "most_ms"),
-    [(lambda: make_smc30(0, 1), "1", 345.0), (lambda: make_ppsmc(0), "1", 470.0)],
+    ("make", "most_ms"),
+    [(lambda: make_smc30(0, 1), 345.0), (lambda: make_ppsmc(0), 470.0)],
     ids=["smc30", "ppsmc"],
 )
-def test_slow_lines_gain_most(make: Callable[[], dict[str, Any]], motor: str, most_ms: float) -> None:
+def test_slow_lines_gain_most(make: Callable[[], dict[str, Any]], most_ms: float) -> None:
     plain = {"schema": "tutti.fleet/1", "fleet": "one", "controllers": {"c": make()}}
 
     async def main(fleet: VirtualFleet) -> None:
@@ -68,9 +82,9 @@ def test_slow_lines_gain_most(make: Callable[[], dict[str, Any]], motor: str, mo
         report = await outcome(fleet, job(to_and_fro("c.x", to, 6)))
         assert report.state == "done", report.reason
         assert all(step.verdict == "green" for step in report.steps)
-        motor_name = fleet.controllers["c"].axis_names[0]
-        assert max(gaps_ms(fleet, "c", motor_name, 6)) < most_ms
-        require_decisions(fleet, report, "c", motor_name)
+        motor = fleet.controllers["c"].axis_names[0]
+        assert max(gaps_ms(fleet, "c", motor, 6)) < most_ms
+        require_decisions(fleet, report, "c", motor)
 
     run_fleet(main, Fleet.model_validate(plain))
 
@@ -96,36 +110,12 @@ def test_what_needs_an_agreement_cannot_start_at_once(step: str, text: str) -> N
     run_fleet(main)
 
 
-def test_a_pause_takes_effect_before_the_next_step() -> None:
-    async def main(fleet: VirtualFleet) -> None:
-        await outcome(fleet, PREPARE)
-        submitted = await fleet.make_client().submit(job(f"[{LONG}, {BACK}]"))
-        await wait_for_motion(fleet)
-        await sleep_ns(fleet.clock, 1500 * NS_PER_MS)
-        await submitted.pause()
-        await sleep_ns(fleet.clock, 5 * NS_PER_S)
-        assert fleet.controllers["gantry"].position("X") == 300_000
-        await submitted.resume()
-        report = await submitted.result()
-        assert report.state == "done" and fleet.controllers["gantry"].position("X") == 0
-        assert breaks(report) == ["the job is paused"]
-        assert len(fleet.journal.list_decisions(report.job_id)) == 2
-
-    run_fleet(main)
-
-
 @pytest.mark.parametrize("delay_ms", [5, *(pytest.param(delay_ms, marks=pytest.mark.nightly) for delay_ms in (0, 10))])
 def test_a_pause_withdraws_a_step_that_waits(delay_ms: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         await outcome(fleet, job(to_and_fro("stage.u", 4, 10)))
-        submitted = await fleet.make_client().submit(
-            job("[{do: move, to: {stage.u: 12}}, {do: move, to: {stage.u: 2}}]")
-        )
-        await wait_for_motion(fleet, "stage", "1")
-        while len(fleet.journal.list_decisions(submitted.id)) < 2:
-            await sleep_ns(fleet.clock, NS_PER_MS // 4)
-        await sleep_ns(fleet.clock, delay_ms * NS_PER_MS)
+        submitted = await submit_pair(fleet, delay_ms)
         moved = motions(fleet, "stage", "1")
         assert fleet.controllers["stage"].is_moving("1"), "it waits"
         await submitted.pause()
@@ -140,17 +130,11 @@ def test_a_pause_withdraws_a_step_that_waits(delay_ms: int) -> None:
     run_fleet(main)
 
 
-async def run_behind(fleet: VirtualFleet, act: Callable[[VirtualFleet, Any], Any], before_ns: int) -> JobReport:
-    """Two steps of the stage; `act` that long before the first one ends, when the second is decided and waits."""
+async def run_behind(fleet: VirtualFleet, act: Callable[[VirtualFleet, Any], Any], delay_ms: int) -> JobReport:
+    """Two steps of the stage; `act` that long after the second was decided, which waits then or has begun."""
     await outcome(fleet, PREPARE)
     await outcome(fleet, job(to_and_fro("stage.u", 4, 10)))
-    steps = "[{do: move, to: {stage.u: 12}, start: at_once}, {do: move, to: {stage.u: 2}, start: at_once}]"
-    client = fleet.make_client()
-    submitted = await client.submit(job(steps))
-    await wait_for_motion(fleet, "stage", "1")
-    while len(fleet.journal.list_decisions(submitted.id)) < 2:
-        await sleep_ns(fleet.clock, NS_PER_MS // 4)
-    await sleep_ns(fleet.clock, before_ns)
+    submitted = await submit_pair(fleet, delay_ms)
     await act(fleet, submitted)
     await sleep_ns(fleet.clock, 3 * NS_PER_S)
     return await submitted.result()
@@ -172,11 +156,11 @@ def test_what_ends_a_job_also_ends_the_step_that_waits_behind(what: str, delay_m
         else:
             await submitted.pause(now=True)
             await sleep_ns(fleet.clock, NS_PER_S)
-            assert not any(fleet.controllers["stage"].is_moving(name) for name in fleet.controllers["stage"].axis_names)
+            assert not is_moving(fleet)
             await submitted.cancel()
 
     async def main(fleet: VirtualFleet) -> None:
-        report = await run_behind(fleet, act, delay_ms * NS_PER_MS)
+        report = await run_behind(fleet, act, delay_ms)
         assert report.state in ("aborted", "cancelled", "failed"), report
         done = [step for step in report.steps if step.state == "done"]
         moved = motions(fleet, "stage", "1")
@@ -234,21 +218,13 @@ def test_without_a_decision_in_the_journal_nothing_moves(monkeypatch: pytest.Mon
 @pytest.mark.parametrize("process", ["host/local", "coordinator/first"])
 @pytest.mark.parametrize("delay_ms", [0, *(pytest.param(delay_ms, marks=pytest.mark.nightly) for delay_ms in (30, 60))])
 def test_a_process_that_dies_while_a_step_waits_starts_nothing_twice(process: str, delay_ms: int) -> None:
-    async def act(fleet: VirtualFleet, _: Any) -> None:
-        fleet.kill(process)
-
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, PREPARE)
         counts = len(motions(fleet, "stage", "1"))
-        steps = "[{do: move, to: {stage.u: 12}, start: at_once}, {do: move, to: {stage.u: 2}, start: at_once}]"
-        submitted = await fleet.make_client().submit(job(steps))
-        await wait_for_motion(fleet, "stage", "1")
-        while len(fleet.journal.list_decisions(submitted.id)) < 2:
-            await sleep_ns(fleet.clock, NS_PER_MS // 4)
-        await sleep_ns(fleet.clock, delay_ms * NS_PER_MS)
-        await act(fleet, submitted)
+        await submit_pair(fleet, delay_ms)
+        fleet.kill(process)
         await sleep_ns(fleet.clock, 4 * NS_PER_S)
         assert len(motions(fleet, "stage", "1")) <= counts + 2
-        assert not any(fleet.controllers["stage"].is_moving(name) for name in fleet.controllers["stage"].axis_names)
+        assert not is_moving(fleet)
 
     run_fleet(main)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 
 from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.report import MissingPermit
@@ -36,6 +37,10 @@ class PermitMonitor:
             if text is not None:
                 return text
         return None
+
+    def require(self, axes: Iterable[str]) -> None:
+        """Raise `Refusal` unless all permits of `axes` hold, and have settled."""
+        _refuse_without(self.find_missing(axes))
 
     def asks(self, axes: Iterable[str]) -> bool:
         """Whether a job that waits for permits of `axes` begins only by a word once they hold: one of those that do
@@ -137,3 +142,12 @@ class PermitWatch:
         if self._permits.count_losses(self._axes) != self._losses:
             return "a permit was lost for a moment"
         return None
+
+    def require_held(self) -> None:
+        """Raise `Refusal` unless all have held."""
+        _refuse_without(self.describe_loss())
+
+
+def _refuse_without(missing_permit: str | None) -> None:
+    if missing_permit is not None:
+        raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")

@@ -84,24 +84,19 @@ class ImmediateStart(StartSequence):
         state.decided, decided_ns = True, state.t0_fleet_ns
         self._estimator.record_deciding(self._leadership.fleet_now_ns() - decided_ns)
         try:
-            self._require_allowed()
+            # What came while its decision was written.
+            state.require_not_paused()
+            self._permit_watch.require_held()
+            if self._leadership.over:
+                raise Refusal("leadership-lost", "another coordinator has taken over")
             await run_while_recording(on_state("committed", ""), self._request_start())
         except Refusal:
             await self.disarm()
             if state.unloaded:
                 state.t0_fleet_ns = decided_ns
                 await self._withdraw_decision()
-                self.state.require_not_paused()
+                state.require_not_paused()
             raise
-
-    def _require_allowed(self) -> None:
-        """Raises `Refusal` if the step may no longer start: what came while its decision was written."""
-        self.state.require_not_paused()
-        loss = self._permit_watch.describe_loss()
-        if loss is not None:
-            raise Refusal("permit", loss, "satisfy the permit, then resubmit the job")
-        if self._leadership.over:
-            raise Refusal("leadership-lost", "another coordinator has taken over")
 
     async def _request_start(self) -> None:
         agreement, state = self._agreement, self.state

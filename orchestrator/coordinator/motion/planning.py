@@ -122,9 +122,7 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
     """Plan the rest of a path from where its axes were braked on it. Raises `Refusal`."""
     planned_step, view = rest.planned, services.fleet.view
     assert planned_step.path is not None and planned_step.path.course is not None
-    missing_permit = services.fleet.permits.find_missing(planned_step.request.axes)
-    if missing_permit is not None:
-        raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")
+    services.fleet.permits.require(planned_step.request.axes)
     counts: dict[str, int] = {}
     instances: dict[str, str] = {}
     for controller in dict.fromkeys(map(controller_of, rest.counts)):
@@ -173,9 +171,7 @@ async def _plan_from(
         text = "a step with triggers cannot be continued after a feed hold"
         raise Refusal("triggers-held", text, "run the job again, from this step")
     triggers = resolve_triggers(context.fleet, move.triggers, lambda axis: context.states[axis].offset)
-    missing_permit = services.fleet.permits.find_missing(request.axes)
-    if missing_permit is not None:
-        raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")
+    services.fleet.permits.require(request.axes)
     try:
         if isinstance(move, FollowPath):
             starts = make_path_starts(move, context)

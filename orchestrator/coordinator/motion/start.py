@@ -247,13 +247,12 @@ class StartSequence:
         state, agreement, clock = self.state, self._agreement, self._fleet.clock
         armed_ns = clock.now_ns()
         await run_while_recording(on_state("armed", ""), self._commit())
-        if state.paused_by is not None or state.withdrawn:
+        try:
+            state.require_not_paused()
+            self._permit_watch.require_held()
+        except Refusal:
             await self.disarm()
-            self.state.require_not_paused()
-        loss = self._permit_watch.describe_loss()
-        if loss is not None:
-            await self.disarm()
-            raise Refusal("permit", loss, "satisfy the permit, then resubmit the job")
+            raise
         # After the decision a late member fails the step; before it, all are armed again.
         estimator, promised_ns = self._estimator, clock.now_ns()
         # Members that load the step after the end of the present one promise only then.

@@ -82,9 +82,7 @@ class HomingSequence:
             self._require_referenced(axis, waits)
             run.homed.append(axis)
         total, count_before = len(waits), len(run.homed)
-        missing_permit = self._fleet.permits.find_missing(waits)
-        if missing_permit is not None:
-            raise Refusal("permit", missing_permit, "satisfy the permit, then resubmit the job")
+        self._fleet.permits.require(waits)
         guard, woken = self._fleet.permits.watch_losses(waits), asyncio.Event()
         unlisten = self._fleet.permits.add_loss_listener(woken.set)
         tasks: dict[asyncio.Task[HomeReply], str] = {}

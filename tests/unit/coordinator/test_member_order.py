@@ -86,7 +86,7 @@ def test_members_are_armed_promised_and_released_in_that_order() -> None:
         plan = plan_step([AxisMove(f"{name}.x", 0, 1000, 500.0, 5000.0) for name in MEMBERS])
         proposals = {name: Proposal(durations_s={"x": 1.0}) for name in MEMBERS}
         agreement = StartAgreement(plan, proposals=proposals, lead_ns=10 * NS_PER_S)
-        permits = SimpleNamespace(describe_loss=lambda: None)
+        permits = SimpleNamespace(require_held=lambda: None)
         parts = (services, request, negotiation, agreement, permits)
         await StartSequence(*(cast(Any, part) for part in parts)).run(on_state)
 
