@@ -223,6 +223,7 @@ class StartOptions(Model):
     early_ns: how much before the plan an axis may end if it cannot move as slowly as planned.
     follows: the move begins where the member's present move ends, and is loaded while that one runs, as far as the make
     can.
+    at_once: no other member depends on this start: T0 is the earliest instant of a start as soon as the member can.
     chunk: the move is the first chunk of a path.
     triggers: outputs of the member that it switches on the way; it may also move no axis of the step.
     """
@@ -234,6 +235,7 @@ class StartOptions(Model):
     end_ns: Int53 = 0
     early_ns: Int53 = 0
     follows: bool = False
+    at_once: bool = False
     wait: TriggerWait | None = None
     drive: TriggerDrive | None = None
     chunk: ChunkOptions | None = None
@@ -269,6 +271,7 @@ class BudgetTerm(Model):
         "output",
         "learned-starts",
         "fleet-time",
+        "at-once",
     ]
     earliest_ns: Int53
     latest_ns: Int53
@@ -375,8 +378,8 @@ class StartAtOnceRequest(StepRequest):
 
     decided_fleet_ns: the instant of the decision, for which the step starts once. after_step: as of an arming; the step
     starts as soon as that one has ended as planned. lead_ns: for what T0 it is loaded, before that is brought forward:
-    arming, and what the start needs. not_before_fleet_ns: the earliest start behind a step beside which the controller
-    can hold this one.
+    arming, and what the start needs. not_before_fleet_ns: the planned end of a step beside which the controller can
+    hold this one.
     """
 
     digest: str

@@ -59,6 +59,7 @@ class StepLowering:
     async def prepare_at_once(self, request: StartAtOnceRequest, *, follows: bool) -> PreparedMove:
         """Lower a move that starts as soon as it can, for a T0 that loading it does not miss. Raises `Refusal`."""
         fields = {name: value for name, value in request if name in ArmRequest.model_fields}
+        fields["start"] = request.start.model_copy(update={"at_once": True})
         t0_fleet_ns = self._context.require_scale().to_fleet_ns(self._context.clock.now_ns() + request.lead_ns)
         t0_fleet_ns = max(t0_fleet_ns, request.not_before_fleet_ns)
         return await self.prepare_move(ArmRequest(**fields, t0_fleet_ns=t0_fleet_ns), follows=follows)

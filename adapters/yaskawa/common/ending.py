@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.following import FollowingStart
+from adapters.yaskawa.common.gate import LATE_LOOK_TICKS
 from adapters.yaskawa.common.lines import OutputPlayer
 from adapters.yaskawa.common.loaded import EVIDENCE_WAIT_NS, SETTLE_NS, LoadedMove
 from adapters.yaskawa.common.loads import YaskawaAxisMove
@@ -15,7 +16,6 @@ from adapters.yaskawa.wire.record import DataRecord
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 
 WATCH_NS = 100 * NS_PER_MS
-LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then its variables are in their place
 
 
 class SampleEnd:
@@ -96,10 +96,10 @@ class SampleEnd:
         following, at_ns = self._following.move, self._clock.now_ns() + watch_ns
         if following is None or not following.released:
             return watch_ns
-        tick_ns = following.mapping.tick_ns
-        gap_ns = self._following.gap_ticks(loaded) * tick_ns
-        late_ns = following.t0_ns + round(LATE_LOOK_TICKS * tick_ns)
-        return late_ns - self._clock.now_ns() if following.t0_ns - gap_ns < at_ns < late_ns else watch_ns
+        mapping = following.mapping
+        end_ns = mapping.to_host_ns(loaded.end_ticks)
+        late_ns = max(end_ns, following.t0_ns) + round(LATE_LOOK_TICKS * mapping.tick_ns)
+        return late_ns - self._clock.now_ns() if end_ns < at_ns < late_ns else watch_ns
 
     async def _read_present(self) -> tuple[DataRecord, int | None]:
         """Return a record and, if a move is loaded behind the present one, XT0 of the step that is executed."""

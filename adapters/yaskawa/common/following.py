@@ -6,7 +6,13 @@ from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.loaded import EVIDENCE_WAIT_NS, SETTLE_NS, TICKS_MAX, LoadedMove
 from adapters.yaskawa.common.loads import YaskawaLowered
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import BEGIN_VARIABLE, EDGE_THREAD, REGISTER_VARIABLES, following_label
+from adapters.yaskawa.common.program import (
+    BEGIN_VARIABLE,
+    EDGE_THREAD,
+    REGISTER_VARIABLES,
+    at_once_label,
+    following_label,
+)
 from adapters.yaskawa.common.watchdog import StepWatchdog
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.clock.estimator import TickMapping
@@ -49,7 +55,7 @@ class FollowingStart:
         ticks = round(mapping.to_ticks(t0_ns)) - first
         if ticks > TICKS_MAX:
             raise Refusal("counter-full", "the sample counter overflows before the start", "restart the controller")
-        if ticks - present.end_ticks < self.gap_ticks(present):
+        if not lowered.at_once and ticks - present.end_ticks < self.gap_ticks(present):
             raise Refusal("late", "the step begins too soon after the one before it", "increase the lead time")
         await self._wait_until_taken(present)
         positions = await self._end_positions(present)
@@ -59,7 +65,8 @@ class FollowingStart:
                 raise Refusal("other-start", text, "plan again from the present position")
         wanted_values = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
         wanted_values |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
-        for command, values in load.registers.items():
+        is_quick = lowered.at_once and _has_registers(present, lowered)
+        for command, values in load.registers.items() if not is_quick else [("PA", load.registers["PA"])]:
             wanted_values |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
         following = LoadedMove(
             lowered,
@@ -75,7 +82,7 @@ class FollowingStart:
         held_values = await self._device.session.set_and_read(
             [f"{name}={value}" for name, value in wanted_values.items()],
             list(wanted_values),
-            f"XQ {following_label(lowered.mask)},{following.thread}",
+            f"XQ {_entry_label(lowered, is_quick=is_quick)},{following.thread}",
         )
         for (name, value), held_value in zip(wanted_values.items(), held_values, strict=True):
             if held_value != value and name != "XFARM":
@@ -123,14 +130,15 @@ class FollowingStart:
             following.ticks -= round(advance_ns / following.mapping.tick_ns)
             following.t0_ns -= advance_ns
             commands = [f"XFT={following.ticks}", f"XFARM={following.ticks}"]
-        if following.mapping.to_ticks(self._clock.now_ns()) > following.ticks - self._device.gate.follow_before:
+        is_near = following.mapping.to_ticks(self._clock.now_ns()) > following.ticks - self._device.gate.follow_before
+        if is_near and not following.lowered.at_once:
             raise Refusal("late", "it is too late to release the start", "increase the lead time")
         following.released = True  # before that, so that no query of the present move sets an earlier deadline
         await session.send_settings([*commands, self._watchdog.extension_command(following.ticks), "XFGO=1"])
-        (ticks, is_released, is_missed, is_running), _ = await session.read_numbers(
-            "XFT", "XFGO", "XFL", f"_HX{following.thread}"
+        (ticks, is_released, is_missed, is_running, begun_ticks), _ = await session.read_numbers(
+            "XFT", "XFGO", "XFL", f"_HX{following.thread}", "XT0"
         )
-        if is_missed or not is_running:
+        if is_missed or not (is_running or int(begun_ticks) == following.ticks):
             raise Refusal("late", "the controller no longer waits for this start", "increase the lead time")
         if int(ticks) != following.ticks or not is_released:
             raise Refusal("read-back", f"XFT reads back as {ticks:.0f}, not {following.ticks}", "try again")
@@ -143,3 +151,17 @@ class FollowingStart:
             (is_running,), _ = await self._device.session.read_numbers(f"_HX{following.thread}")
             if is_running:
                 raise ControllerFault("not-halted", "the waiting program does not halt", "reset the controller")
+
+
+def _has_registers(present: LoadedMove, lowered: YaskawaLowered) -> bool:
+    """Whether the controller has the speeds and ramps of the axes of `lowered` from the present move."""
+    held_values = present.lowered.load.register_values
+    return all(
+        held_values.get(command, {}).get(index) == value
+        for command, values in lowered.load.register_values.items()
+        for index, value in values.items()
+    )
+
+
+def _entry_label(lowered: YaskawaLowered, *, is_quick: bool) -> str:
+    return at_once_label(lowered.mask, quick=is_quick) if lowered.at_once else following_label(lowered.mask)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import ceil
 
 from adapters.yaskawa.common.options import YaskawaOptions
-from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 
 # How often the resident program looks, and how many commands its turns take.
 STEP_TICKS = 4  # between two checks of the release gate
@@ -20,6 +20,9 @@ SINGLE_CONDITIONS = 4  # further ones where conditions cannot be combined
 SHORT_CHECK_AXES = 2  # of a controller: for more, the check of the positions takes a command of its own
 STAMP_COMMANDS = 2  # for each axis of the present step, in that one's thread
 RELEASED_COMMANDS = 6  # from a release at rest to the wait
+AT_ONCE_TICKS = 2  # from the end of a step to the begin of one at once, at the least
+AT_ONCE_LATEST_NS = 25 * NS_PER_MS  # its latest begin after that, and after its release, while the host sends commands
+LATE_LOOK_TICKS = 12  # after the start of a step behind another one: by then its variables are in their place
 SPARE_TICKS = 2  # for commands that take longer than usual
 
 COMMAND_US = 500  # about half a millisecond (SMC-4000: L1626); no gate assumes less

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from adapters.contract import HostInterval
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.gate import LATE_LOOK_TICKS
 from adapters.yaskawa.common.lines import OutputPlayer
 from adapters.yaskawa.common.loaded import EVIDENCE_WAIT_NS, SETTLE_NS, TICKS_MAX, LoadedMove
 from adapters.yaskawa.common.loads import SamplePlace, YaskawaLowered
@@ -168,15 +169,15 @@ class GateStart:
         BG took effect before XACT was read and after XT0 had come, and the command between the two takes less than a
         sample: so it was in sample XACT or the one before it, and the profile's origin is between the sample of BG and
         the one after it. Hence from XACT - 1, and not before XT0, to XACT + 1; each edge is uncertain by the bound of
-        the clock mapping. For a start by trigger line, XT0 is irrelevant.
+        the clock mapping. For a start by trigger line or at once, XT0 is irrelevant.
         """
         loaded_move = self.require_move()
         mapping, waits = loaded_move.mapping, loaded_move.lowered.waits
         _, last = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         late_ns = loaded_move.lowered.window_ns[1]
-        await sleep_until_ns(
-            self._clock, mapping.to_host_ns(loaded_move.ticks + last + 1) + mapping.bound_at_ns(loaded_move.t0_ns)
-        )
+        at_once = loaded_move.lowered.at_once
+        look_ticks = loaded_move.ticks + (LATE_LOOK_TICKS if at_once else last + 1)
+        await sleep_until_ns(self._clock, mapping.to_host_ns(look_ticks) + mapping.bound_at_ns(loaded_move.t0_ns))
         operands = ("XACT", "XFL" if loaded_move.follows else "XLATE", f"_HX{loaded_move.thread}", "XT0")
         while True:
             (acted_tick, late, is_running, ticks), _ = await self._device.session.read_numbers(*operands)
@@ -191,12 +192,13 @@ class GateStart:
                 text = f"the controller did not start; its last error: {words}"
                 raise ControllerFault("not-started", text, "try again")
             await sleep_ns(self._clock, SETTLE_NS)
-        loaded_move.taken = True
+        loaded_move.taken, loaded_move.begun_ticks = True, int(acted_tick) - 1
         bound_ns = mapping.bound_at_ns(loaded_move.t0_ns)
-        not_before = int(acted_tick) - 1 if waits is not None else max(int(acted_tick) - 1, loaded_move.ticks)
-        span = HostInterval(
-            mapping.to_host_ns(not_before) - bound_ns, mapping.to_host_ns(int(acted_tick) + 1) + bound_ns
-        )
+        is_free = waits is not None or at_once
+        not_before = loaded_move.begun_ticks if is_free else max(loaded_move.begun_ticks, loaded_move.ticks)
+        by_ns = mapping.to_host_ns(int(acted_tick) + 1) + bound_ns
+        delayed_ns = max(0, by_ns - loaded_move.t0_ns - late_ns) if at_once else 0
+        span = HostInterval(mapping.to_host_ns(not_before) - bound_ns, by_ns, late_ns=delayed_ns)
         loaded_move.started = dict.fromkeys((move.axis for move in loaded_move.lowered.moves), span)
         return loaded_move.started
 

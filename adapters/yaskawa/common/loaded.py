@@ -18,7 +18,8 @@ SETTLE_NS = 5 * NS_PER_MS
 class LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
     another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
-    present step. loaded: of a path, the chunk behind the released one."""
+    present step. begun_ticks: the sample before its begin, once its start is known: behind another step and at once it is none that
+    was chosen. loaded: of a path, the chunk behind the released one."""
 
     lowered: YaskawaLowered
     ticks: int
@@ -29,6 +30,7 @@ class LoadedMove:
     follows: bool = False
     released: bool = False
     taken: bool = True
+    begun_ticks: int | None = None
     loaded: ChunkRecords | None = None
 
     @property
@@ -40,4 +42,5 @@ class LoadedMove:
     @property
     def end_ticks(self) -> int:
         """The sample in which its last axis ends."""
-        return self.ticks + max((move.samples for move in self.lowered.moves), default=0)
+        begin_ticks = self.ticks if self.begun_ticks is None else self.begun_ticks
+        return begin_ticks + max((move.samples for move in self.lowered.moves), default=0)

@@ -35,7 +35,8 @@ class YaskawaAxisMove:
 
 @dataclass(frozen=True, slots=True)
 class YaskawaLowered(Lowered):
-    """A lowered step with what arming needs beyond the contract."""
+    """A lowered step with what arming needs beyond the contract. at_once: behind the present step, it begins at no
+    sample of its own, but as soon as that one has ended."""
 
     moves: tuple[YaskawaAxisMove, ...]
     mask: int
@@ -43,6 +44,7 @@ class YaskawaLowered(Lowered):
     waits: lines.ProgramWait | None = None
     drives: lines.ProgramOutput | None = None
     switches: lines.ProgramTriggers | None = None
+    at_once: bool = False
 
     @property
     def moving_axes(self) -> tuple[YaskawaAxisMove, ...]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from adapters.contract import PathChunk, require_start_class
 from adapters.yaskawa.common import arrays, lines
-from adapters.yaskawa.common.gate import GateTiming
+from adapters.yaskawa.common.gate import AT_ONCE_LATEST_NS, AT_ONCE_TICKS, GateTiming
 from adapters.yaskawa.common.loads import (
     ContourLoad,
     CourseLoad,
@@ -43,13 +43,14 @@ from orchestrator.clock.base import NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
-from orchestrator.model.messages import ChunkOptions, StartOptions
+from orchestrator.model.messages import BudgetTerm, ChunkOptions, StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StartClass, StepCosts
 
 START_CLASSES: tuple[StartClass, ...] = ("clock", "line")
 ADVANCE_COMMANDS = 4  # XFT, XFARM, the watchdog's extension, XFGO
 RELEASE_SPARE_TICKS = 2  # of a start at once: from the choice of its T0 to the release
+AT_ONCE_TERM = BudgetTerm(name="at-once", earliest_ns=0, latest_ns=AT_ONCE_LATEST_NS)
 STOP_EXCHANGES = 3  # a stop of motion is three commands
 DURATION_TOLERANCE_SAMPLES = 0.2  # allowed deviation of an independent move's duration from the plan
 STRETCH = 1e-3  # or longer by this fraction, where a limit restricts it: the plan is stretched to it
@@ -65,6 +66,7 @@ LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state w
 class LoweringContext:
     """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
     the timing of its program; None for one that cannot hold a following step. axes: of the controller.
+    begins_at_once: that program can begin a following step as soon as the one before has ended.
     release_ns: how long a release or a withdrawal of a following step takes. beside_commands, beside_elements: what
     triggers take from a contour."""
 
@@ -76,6 +78,7 @@ class LoweringContext:
     packets: arrays.ArrayTransfer = arrays.DEFAULT_TRANSFER
     gate: GateTiming | None = None
     axes: int = 0
+    begins_at_once: bool = False
     release_ns: int = 0
     beside_commands: float = 0.0
     beside_elements: int = 0
@@ -377,22 +380,28 @@ def _make_lowered(
         # T0 of both steps is rounded to a sample.
         gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
         disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + context.release_ns
+    begins_at_once = context.begins_at_once and start.at_once and gap_ns is not None
+    if begins_at_once:
+        gap_ns = math.floor(AT_ONCE_TICKS * tick_ns)
+    terms = (
+        lines.wait_terms(start.wait, waits, options, tick_ns)
+        if waits is not None and start.wait is not None
+        else lines.clock_terms(
+            bound_ns, options, mapping, start, drives_line=drives is not None or bool(start.triggers)
+        )
+    )
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: timing.length * tick_ns * 1e-9 for axis, timing in timings.items()},
         path_error_counts={axis: timing.error_counts for axis, timing in timings.items()},
-        terms=lines.clock_terms(
-            bound_ns, options, mapping, start, drives_line=drives is not None or bool(start.triggers)
-        )
-        if waits is None or start.wait is None
-        else lines.wait_terms(start.wait, waits, options, tick_ns),
+        terms=(*terms, AT_ONCE_TERM) if begins_at_once else terms,
         edge=() if drives is None else lines.edge_terms(bound_ns, options, mapping, start, drives),
         tick_ns=tick_ns,
         clock_ppm=mapping.drift_ppm,
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
         gap_ns=gap_ns,
-        release_ns=_find_release_ns(context, start, tick_ns, is_beside=gap_ns is not None),
+        release_ns=0 if begins_at_once else _find_release_ns(context, start, tick_ns, is_beside=gap_ns is not None),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
@@ -414,6 +423,7 @@ def _make_lowered(
         load=load,
         waits=waits,
         drives=drives,
+        at_once=begins_at_once,
     )
 
 

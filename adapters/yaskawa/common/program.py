@@ -21,6 +21,9 @@ at its own release, with its registers loaded; and begins at its sample if all a
 (`@ABS` of the differences, so that a limit switch or a stop leaves it waiting for ever). Only after its begin are the
 variables of the present step kept in XZ.. and those of the following one put in their place.
 
+A step that no other controller depends on (`#O<mask>`; with the speeds and ramps of the step before `#Q<mask>`) waits
+in the same way, for its release and for the end, and begins without a sample of its own.
+
 Names begin with X, which begins no op-code, so that no assignment can be mistaken for a command (L15737).
 
     XT0    sample after which to begin      XGO    1: the gate is open
@@ -100,6 +103,12 @@ def following_label(mask: int) -> str:
     return f"#F{mask}"
 
 
+def at_once_label(mask: int, *, quick: bool) -> str:
+    """Return the label of the axes of `mask` as a step that begins as soon as the one before has ended. quick: with the
+    speeds and ramps of that one."""
+    return f"#{'Q' if quick else 'O'}{mask}"
+
+
 def axis_letters(mask: int) -> str:
     """Return the axes of `mask` in the controller's notation."""
     return "".join(letter for index, letter in enumerate(AXIS_LETTERS) if mask >> index & 1)
@@ -114,10 +123,13 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         lines += [entry_label(mask, contour=False), *_gate_lines(), f"JP #L{mask},XLI<>0", f"WT XT0-TIME;{begin}"]
         # The watchdog of the step before may still run.
         lines.append(f"#A{mask};HX{WATCHDOG_THREAD};XQ #DOG,{WATCHDOG_THREAD}")
-        lines += [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in letters]
-        lines += ["XDONE=1;EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
+        # On one line, so that the thread behind this one has to wait for one turn only (L14633).
+        stamps = [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in letters]
+        lines += [";".join([*stamps, "XDONE=1;EN"]), f"#L{mask};AI XLI;{begin};JP #A{mask}"]
     for mask in range(1, 1 << axes):
         lines += following_lines(mask, axes)
+        for quick in (False, True):
+            lines += at_once_lines(mask, axes, quick=quick)
     for mask in range(1, 1 << axes) if contours else ():
         lines += contour_lines(mask, axes)
     halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
@@ -160,6 +172,34 @@ def following_lines(mask: int, axes: int) -> list[str]:
         f"XFOK=XFGO&XDONE&({check})&((XFT-TIME)>{BEGIN_TICKS})",
         f"JP #MISS,XFOK=0;WT XFT-TIME;BG{letters};XFA=TIME",
         f"JS #TAKE;JP #A{mask}",
+    ]
+
+
+def at_once_lines(mask: int, axes: int, *, quick: bool) -> list[str]:
+    """Return the lines of the axes of `mask` as a step that begins as soon as the one before has ended as planned.
+    quick: speeds and ramps are those of the step before.
+
+    Everything that the end does not change is decided before it. Behind it come the registers, the check, and BG. The
+    stamps of the step before are complete by then, because its thread has had its turn (L14633); where that is not so,
+    it is given time, once.
+    """
+    axis_indices = [index for index in range(axes) if mask >> index & 1]
+    name = f"{'Q' if quick else 'O'}{mask}"
+    everything = axis_letters((1 << axes) - 1)
+    registers = register_commands(axis_indices)
+    off = sum_of_distances(range(axes), AXIS_LETTERS)
+    separate = axes > SHORT_CHECK_AXES
+    check = f"XFGO&XDONE&({'XOFF' if separate else f'({off})'}=0)"
+    return [
+        f"{at_once_label(mask, quick=quick)};XFARM=XFT",
+        f"#V{name};WT {FOLLOWING_STEP_TICKS};JP #V{name},(XACT=0)|(XFGO=0)",
+        f"AM{everything}",
+        ";".join(registers[:1] if quick else registers),
+        *([f"XOFF={off}"] if separate else ()),
+        f"#B{name};JP #D{name},({check})=0;BG{axis_letters(mask)};XFA=TIME",
+        f"JS #TAKE;JP #A{mask}",
+        f"#D{name};WT {LAST_LOOK_TICKS};XFL=1-({check})",
+        f"JP #B{name},XFL=0;EN",
     ]
 
 

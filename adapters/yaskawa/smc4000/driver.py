@@ -212,6 +212,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             self.traits,
             gate=self._device.gate,
             axes=self._device.axes_count,
+            begins_at_once=True,
             release_ns=RELEASE_NS,
             beside_commands=needs.commands,
             beside_elements=needs.elements,

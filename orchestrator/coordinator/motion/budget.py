@@ -46,6 +46,7 @@ def make_budget(windows: Mapping[str, StartWindow], allowed_ns: int) -> SyncBudg
     predicted_ns = max(m.latest_ns for m in members.values()) - min(m.earliest_ns for m in members.values())
     if common is not None:
         predicted_ns -= common[1] - common[0]
+    predicted_ns -= _find_shared_ns(members)
     worst = max(members, key=lambda name: members[name].latest_ns - members[name].earliest_ns)
     term = max(members[worst].terms, key=lambda part: part.latest_ns - part.earliest_ns, default=None)
     return SyncBudget(
@@ -56,6 +57,12 @@ def make_budget(windows: Mapping[str, StartWindow], allowed_ns: int) -> SyncBudg
         by_trigger_line=common is not None,
         members=members,
     )
+
+
+def _find_shared_ns(members: Mapping[str, MemberBudget]) -> int:
+    """How much of the windows a start at once is, which all axes of its one controller share."""
+    terms = [term for member in members.values() for term in member.terms if term.name == "at-once"]
+    return sum(term.latest_ns - term.earliest_ns for term in terms) if len(members) == 1 else 0
 
 
 def measure_skew(instants: Iterable[TimeInterval], budget: SyncBudget | None = None) -> SkewInterval | None:
@@ -145,4 +152,5 @@ def _predict_skew(
         return None
     worst = max(spans, key=lambda index: spans[index][1] - spans[index][0])
     predicted_ns = max(late for _, late in spans.values()) - min(early for early, _ in spans.values())
+    predicted_ns -= _find_shared_ns(budget.members)
     return PredictedSkew(predicted_ns=ceil(predicted_ns), allowed_ns=allowed_ns, worst_member=ways[worst][0])

@@ -111,7 +111,7 @@ class ImmediateStart(StartSequence):
             decided_fleet_ns=state.t0_fleet_ns,
             after_step=None if present is None else present.step,
             lead_ns=lead_ns,
-            not_before_fleet_ns=agreement.follows_ns,
+            not_before_fleet_ns=0 if present is None else present.planned_end_ns + present.between.pause_ns,
             start_tolerance_ns=agreement.start_tolerance_ns,
             profiles=agreement.profiles(member),
             start=options,

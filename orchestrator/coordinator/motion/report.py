@@ -31,6 +31,14 @@ def narrow_evidence(budget: SyncBudget | None, t0_fleet_ns: int, member: str, ev
     return evidence.model_copy(update={"modelled": TimeInterval(earliest_ns=earliest_ns, latest_ns=latest_ns)})
 
 
+def find_t0(budget: SyncBudget, t0_fleet_ns: int, evidence: Mapping[str, AxisEvidence]) -> int:
+    """T0 of a step, once its start is known: of one that begins when the step before has ended, it is the beginning of
+    the evidence, before which its controller can only state the earliest instant."""
+    terms = [term.name for member in budget.members.values() for term in member.terms]
+    starts_ns = [axis_evidence.start.earliest_ns for axis_evidence in evidence.values()]
+    return max(t0_fleet_ns, min(starts_ns, default=0)) if "at-once" in terms else t0_fleet_ns
+
+
 def make_member_report(agreement: StartAgreement, armed: ArmedReply, member: str) -> MemberReport:
     """The report of a member before its start is known."""
     profiles = agreement.profiles(member)

@@ -8,7 +8,7 @@ from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.planning import PlannedStep
-from orchestrator.coordinator.motion.report import make_member_report, narrow_evidence
+from orchestrator.coordinator.motion.report import find_t0, make_member_report, narrow_evidence
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import StartState
 from orchestrator.model.report import MemberReport
@@ -133,7 +133,10 @@ class StepWatch:
             self.failure = (event.kind, f"{member}: {event.text}")
 
     def _add_evidence(self, member: str, event: ControllerEvent) -> None:
-        budget, t0_ns = self._agreement.budget, self._state.t0_fleet_ns
+        budget = self._agreement.budget
+        if budget is not None and event.kind == "started":
+            self._state.t0_fleet_ns = find_t0(budget, self._state.t0_fleet_ns, event.evidence)
+        t0_ns = self._state.t0_fleet_ns
         evidence = {
             axis: narrow_evidence(budget, t0_ns, member, axis_evidence)
             for axis, axis_evidence in event.evidence.items()
