@@ -99,7 +99,9 @@ class StepFollower:
                     self._steps.slots.present.wait_for_end()
                 )  # stopped at this moment: not over before a poll has shown rest
             return None
-        moving_step = self._steps.present = replace(armed_step, phase=StepPhase.MOVING)
+        begun_ns = min((span.earliest_ns for span in start_spans.values()), default=0)
+        t0_ns = max(armed_step.t0_host_ns, begun_ns)
+        moving_step = self._steps.present = replace(armed_step, phase=StepPhase.MOVING, t0_host_ns=t0_ns)
         motion_start = MotionStart(start_spans, armed_step.scale)
         self._events.emit_step("started", motion_start.text, moving_step, motion_start.seen_evidence)
         outcome = await self._steps.slots.present.wait_for_end()

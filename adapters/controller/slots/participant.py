@@ -192,8 +192,10 @@ class StepParticipant:
         if following is None:  # it has become the present one meanwhile, which is at rest
             return await self._follower.start_loaded(move, reply, request.start_tolerance_ns)
         earliest_ns = self._context.clock.now_ns() + (move.lowered.release_ns or 0)
-        first_ns = move.armed_step.scale.to_host_ns(request.not_before_fleet_ns) + (move.lowered.gap_ns or 0)
-        released_step, advance_ns = move.bring_forward(max(earliest_ns, first_ns))
+        # By its evidence the present one may end later than the coordinator knew.
+        ends_ns = 0 if self._steps.present is None else self._steps.present.ends_host_ns
+        ends_ns = max(ends_ns, move.armed_step.scale.to_host_ns(request.not_before_fleet_ns))
+        released_step, advance_ns = move.bring_forward(max(earliest_ns, ends_ns + (move.lowered.gap_ns or 0)))
         await self._release_following(released_step, advance_ns)
         return StartedReply(**dict(reply), t0_fleet_ns=released_step.t0_fleet_ns)
 

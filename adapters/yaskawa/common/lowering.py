@@ -107,7 +107,9 @@ def lower_moves(
         if course is not None:
             return _make_lowered(context, course, profiles, start, mapping)
     way = {axis: profile for axis, profile in profiles.items() if not profile.is_still}
-    places = _sample_alignments(way, mapping, start) if start.exact and start.wait is None else {}
+    # Nothing else depends on the samples of a step that starts at once.
+    is_placed = start.exact and start.wait is None and not start.at_once
+    places = _sample_alignments(way, mapping, start) if is_placed else {}
     shapes, refusal_text = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: MoveLoad
     note: tuple[str, ...] = ()

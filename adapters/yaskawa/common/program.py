@@ -60,6 +60,7 @@ from adapters.yaskawa.common.gate import (
     STEP_TICKS,
     GateTiming,
 )
+from adapters.yaskawa.language.dialect import MAX_LINE
 from adapters.yaskawa.wire.record import AXIS_LETTERS
 
 STEP_THREAD = 0
@@ -125,7 +126,7 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         lines.append(f"#A{mask};HX{WATCHDOG_THREAD};XQ #DOG,{WATCHDOG_THREAD}")
         # On one line, so that the thread behind this one has to wait for one turn only (L14633).
         stamps = [f"AM{letter};XE{AXIS_LETTERS.index(letter) + 1}=TIME" for letter in letters]
-        lines += [";".join([*stamps, "XDONE=1;EN"]), f"#L{mask};AI XLI;{begin};JP #A{mask}"]
+        lines += [";".join([*stamps, "XDONE=1"]), "EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
     for mask in range(1, 1 << axes):
         lines += following_lines(mask, axes)
         for quick in (False, True):
@@ -193,14 +194,26 @@ def at_once_lines(mask: int, axes: int, *, quick: bool) -> list[str]:
     return [
         f"{at_once_label(mask, quick=quick)};XFARM=XFT",
         f"#V{name};WT {FOLLOWING_STEP_TICKS};JP #V{name},(XACT=0)|(XFGO=0)",
-        f"AM{everything}",
-        ";".join(registers[:1] if quick else registers),
+        *_join_lines(f"AM{everything}", *(registers[:1] if quick else registers)),
         *([f"XOFF={off}"] if separate else ()),
         f"#B{name};JP #D{name},({check})=0;BG{axis_letters(mask)};XFA=TIME",
         f"JS #TAKE;JP #A{mask}",
         f"#D{name};WT {LAST_LOOK_TICKS};XFL=1-({check})",
         f"JP #B{name},XFL=0;EN",
     ]
+
+
+def _join_lines(*commands: str) -> list[str]:
+    """Return lines of as many of these commands as each can hold."""
+    lines = [""]
+    for command in commands:
+        if lines[-1] and len(lines[-1]) + len(command) < MAX_LINE:
+            lines[-1] += f";{command}"
+        elif lines[-1]:
+            lines.append(command)
+        else:
+            lines[-1] = command
+    return lines
 
 
 def register_commands(axes: Sequence[int]) -> list[str]:
