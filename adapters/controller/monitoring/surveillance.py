@@ -35,6 +35,8 @@ class Surveillance:
         self._publisher = publisher
         self._was_busy = True
         self._checked_ns = 0
+        self._compared_ns = -NS_PER_S
+        """When all settings were compared last, and were as expected."""
         self._outside: dict[str, AxisReading] = {}
         """Axes outside the step under way, as they were when it began to move."""
         self._resting_until_ns: dict[str, int] = {}
@@ -135,12 +137,17 @@ class Surveillance:
                     "unreferenced", f"{', '.join(lost_axes)}: {difference.item} has changed; home again"
                 )
 
-    async def require_settings(self) -> None:
-        """Compare all settings. Raises `Refusal` when one that motion relies on is not as expected."""
+    async def require_settings(self, valid_ns: int = 0) -> None:
+        """Compare all settings, unless that was done within `valid_ns`. Raises `Refusal` when one that motion relies on
+        is not as expected."""
+        now_ns = self._clock.now_ns()
+        if now_ns - self._compared_ns < valid_ns:
+            return
         differences = await find_differences(self._driver, everything=True)
         if differences:
             self.note_differences(differences)
             raise differences[0].to_refusal()
+        self._compared_ns = now_ns
 
     async def recheck_settings(self) -> None:
         """Compare all settings after a reset, and forget the differences that are gone."""

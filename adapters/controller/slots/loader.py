@@ -8,8 +8,13 @@ from adapters.controller.slots.fleet_durations import find_last_instants, state_
 from adapters.controller.slots.parts import StepParts
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.next_step import FollowingStep, PreparedMove
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import ArmedReply
+
+COMPARED_NS = 100 * NS_PER_MS
+"""How long a comparison of settings counts for steps behind one another: not longer than from the comparison for a step
+at rest to its agreed start."""
 
 
 class StepLoader:
@@ -45,7 +50,7 @@ class StepLoader:
         try:
             async with self._steps.loading_lock:
                 if not (checked or (place == "at once" and self._context.driver.capabilities.compares_when_loading)):
-                    await self._surveillance.require_settings()
+                    await self._surveillance.require_settings(0 if place == "at rest" else COMPARED_NS)
                 stages = await slot.load(move.lowered, move.armed_step.t0_host_ns, move.mapping, place)
         except (Refusal, ControllerFault):
             await unload()

@@ -9,7 +9,7 @@ import asyncio
 from dataclasses import replace
 
 from adapters.controller.slots.follower import StepFollower
-from adapters.controller.slots.loader import StepLoader
+from adapters.controller.slots.loader import COMPARED_NS, StepLoader
 from adapters.controller.slots.lowering import StepLowering
 from adapters.controller.slots.parts import StepParts
 from adapters.controller.slots.step_checks import StepChecks
@@ -98,7 +98,7 @@ class StepParticipant:
         """Keep the move until the present one has ended."""
         is_checked = self._context.driver.capabilities.checks_while_moving
         if is_checked:
-            await self._surveillance.require_settings()
+            await self._surveillance.require_settings(COMPARED_NS)
         following = self._steps.following.hold_back(move, checked=is_checked, at_once=at_once)
         if self._steps.present is None:
             self._follower.begin_next()  # the present move has ended meanwhile
