@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from adapters.smc30.lowering import Smc30Lowered
+from adapters.smc30.lowering import TARGET_REGISTER, Smc30Lowered
 from adapters.smc30.session import ControllerBusy
 from adapters.smc30.step import LoadedStep
 from adapters.smc30.unitstate import Smc30State
@@ -36,14 +36,18 @@ class ProgramLoader:
             async with unit.exclusive_turn():
                 if not (behind and self._begins_here(lowered_step)):
                     await self._require_start(lowered_step)
-                loaded_ns = await self._load_program(move, stop_count)
+                loaded_ns = await self._load_program(move, stop_count, behind=behind)
         unit.session.require_no_stop(stop_count)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
-    async def _load_program(self, move: LoadedStep, since: int) -> int:
-        """Load the program and read it back, and start its wait if it has one; return when it was loaded."""
+    async def _load_program(self, move: LoadedStep, since: int, *, behind: bool) -> int:
+        """Load the program and read it back, and start its wait if it has one; return when it was loaded. Right behind a
+        step with the same program, only the target is loaded."""
         lowered_step, unit = move.lowered, self._unit
-        await unit.load_program(lowered_step.program, since)
+        if not (behind and lowered_step.by_register and unit.program == lowered_step.program):
+            await unit.load_program(lowered_step.program, since)
+        if lowered_step.by_register and lowered_step.target is not None:
+            await unit.load_target(TARGET_REGISTER, lowered_step.target)
         loaded_ns = self._clock.now_ns()
         if lowered_step.wait is not None or lowered_step.drive is not None:
             await self._require_passive(lowered_step)

@@ -5,6 +5,9 @@ controllers: starting commands follow each other in slots of whole hundredths of
 multiples of hundredths, make all controllers of the line begin together. The last one waits one slot as well, and all
 programs are alike up to the motion. A program that waits for a trigger line contains N instead (L2088-L2147). Targets
 are absolute: a repeated execution by mistake moves nothing twice.
+
+Where one motor command is all and its target fits into a register, the program takes it from there (L2929-L2931):
+between moves of one speed only the register changes.
 """
 
 from dataclasses import dataclass
@@ -32,6 +35,8 @@ DELAY_NS = 10 * NS_PER_MS  # D counts hundredths of a second (L2525)
 DELAY_MAX = 32_000
 LINES_BEFORE = 5  # program lines up to and including the one that begins the motion or the edge: S, T, R, D, G or A
 GAP_LINES = 2  # between two motor commands: T, G
+TARGET_REGISTER = 509
+REGISTER_MAX = 65_535  # L2987
 _START_CHARACTERS = 4  # of a starting command: address, E, checksum, CR
 _ANSWER_CHARACTERS = 3  # Y, checksum, CR
 
@@ -80,13 +85,15 @@ class Smc30Lowered(Lowered):
 
     lead_ns: the end of the starting command reaches the controller this long before T0.
     program_ns: from there to the motion or the edge, shortest and longest.
-    target: None when nothing moves."""
+    target: None when nothing moves.
+    by_register: the program takes the target from `TARGET_REGISTER`."""
 
     axis: str = ""
     start_counts: int = 0
     target: int | None = None
     shape: Smc30Shape | None = None
     program: tuple[str, ...] = ()
+    by_register: bool = False
     lead_ns: int = 0
     program_ns: tuple[int, int] = (0, 0)
     wait: StepPoint | None = None
@@ -133,7 +140,11 @@ def lower_step(
     target = None if profile is None or shape is None else profile.end_counts
     lead_ns = estimate.latency.usual_ns + schedule.delay_ns
     hold_ns = 0 if start.drive is None else start.drive.active_ns
+    is_plain = wait is None and drive is None and shape is not None and len(shape.parts) == 1
+    by_register = is_plain and target is not None and 0 <= target <= REGISTER_MAX
     program = _build_program(_Motion(shape, start_counts, target), schedule.delay_ns, wait, drive, hold_ns)
+    if by_register:
+        program = (*program[:-1], f"G+(R{TARGET_REGISTER})")
     edge = _host_terms(options, schedule, estimate.latency)
     start_class: StartClass = "host"
     if wait is not None and start.wait is not None:
@@ -158,12 +169,15 @@ def lower_step(
         clock_ppm=estimate.bound_ppm(duration_s),
         can_advance=True,
         costs=costs,
-        commands=("PO", *program, "PX", "Q", "E") if program else (),
+        commands=("PO", *program, "PX", "Q", *([f"R{TARGET_REGISTER}={target}"] if by_register else ()), "E")
+        if program
+        else (),
         axis=axis,
         start_counts=start_counts,
         target=target,
         shape=shape,
         program=program,
+        by_register=by_register,
         lead_ns=lead_ns,
         program_ns=_program_ns(options, schedule, drive, target),
         release_ns=find_release_ns(lead_ns, _START_CHARACTERS * traits.char_ns, wait, drive),

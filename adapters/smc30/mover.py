@@ -43,7 +43,7 @@ class Smc30Mover:
         """The same right behind a step that has just ended. at_once: no check before the commit follows. Raises
         `Refusal`."""
         stages = await self._load(lowered, t0_ns, behind=True)
-        if at_once and lowered.program:
+        if at_once and lowered.program and not lowered.by_register:
             # Where it stands is known from the end of the last step, unless it has lost its counter since.
             await self._unit.require_not_restarted("loaded", "home its axis, and arm it again")
         return stages

@@ -16,7 +16,7 @@ EITHER = re.compile(r"Y|E4")  # to PX, which Standby may refuse
 STATUS = re.compile(r"[RB]|E[45]")
 POSITION = re.compile(r"V([+-]?[0-9]{1,7})|B")  # L2051-L2056
 POINTS = re.compile(r"V([0-7])([0-7])|B")
-REGISTER = re.compile(r"V?(?:R?510=|R)?([0-9]{1,5})|B")
+REGISTER = re.compile(r"V?(?:R?5(?:10|09)=|R)?([0-9]{1,5})|B")
 SENTINEL = 7  # the content of the register as long as the controller has not lost its volatile memory
 SENTINEL_REGISTER = 510
 NO_CONVERSION = "con=1.0000"
@@ -109,7 +109,10 @@ class Smc30State:
 
     async def holds_sentinel(self) -> bool:
         """Return whether the volatile memory is the one that was loaded. Raises `ControllerBusy`."""
-        return int(_matched_group(await self.session.send_query(f"VR{SENTINEL_REGISTER}", REGISTER))) == SENTINEL
+        return await self._read_register(SENTINEL_REGISTER) == SENTINEL
+
+    async def _read_register(self, number: int) -> int:
+        return int(_matched_group(await self.session.send_query(f"VR{number}", REGISTER)))
 
     async def require_not_restarted(self, while_it_was: str, remedy: str) -> None:
         """Raise `Refusal` for a controller that was power-cycled: it accepts a program all the same, but its position
@@ -196,6 +199,22 @@ class Smc30State:
                 "arm it again; check the cable, and whether another client programs it",
             )
         self.program = program
+
+    async def load_target(self, register: int, target: int) -> None:
+        """Load the target of a program that takes it from a register, and verify it. Raises `Refusal`.
+
+        The controller computes it from the sentinel: after a restart it would be another one, and its position
+        unknown."""
+        name, more = self.session.name, target - SENTINEL
+        try:
+            await self.session.send_setting(f"R{register}=R{SENTINEL_REGISTER}{'-' if more < 0 else '+'}{abs(more)}")
+            held_target = await self._read_register(register)
+        except ControllerBusy:
+            raise Refusal("moving", f"{name} executes a program", "wait for its end, or stop it") from None
+        if held_target != target:
+            await self.require_not_restarted("loaded", "home its axis, and arm it again")
+            text = f"{name} was given the target {target}, and reports {held_target}"
+            raise Refusal("load-garbled", text, "arm it again; check the cable, and whether another client programs it")
 
     async def run_program(self, since: int, doing: MotionCause) -> Smc30Answer:
         """Execute the program (E), unless a stop has come since. Raises `Refusal`."""

@@ -230,7 +230,7 @@ class Desk:
     def doubt_positions(self, _: object) -> None:
         return
 
-    async def require_settings(self) -> None:
+    async def require_settings(self, valid_ns: int = 0) -> None:
         differences = await self.driver.check_settings(everything=True)
         if differences:
             self.noted.extend(differences)
