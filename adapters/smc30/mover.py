@@ -117,7 +117,7 @@ class Smc30Mover:
             return await self._kill_overdue(move)
         status, last_busy_ns = activity
         await unit.wait_for_stops()
-        counts = await self._counts_at_rest()
+        counts = unit.rest_counts = await self._counts_at_rest() if status.counts is None else status.counts
         self._finish_step(move)
         if lowered_step.target is None:
             is_done = move.stopped_ns is None
@@ -142,7 +142,7 @@ class Smc30Mover:
         await move.sleep_until(self._clock, move.start.earliest_ns + least_ns - before_ns)
         overdue_ns = self._clock.now_ns() + self._timing.program_excess_ns(move)
         last_busy_ns = 0
-        while (status := await self._unit.read_status()).busy:
+        while (status := await self._unit.read_end()).busy:
             last_busy_ns = status.arrived_ns
             if move.timed is not None:
                 move.timed.mark_moving(status.arrived_ns)

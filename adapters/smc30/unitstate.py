@@ -27,12 +27,14 @@ MotionCause = Literal["nothing", "step", "jog", "home"]
 
 @dataclass(frozen=True, slots=True)
 class ActivityReading:
-    """The answer to F, which was written at sent_ns; valid at some instant between the two others."""
+    """The answer to a query of what the controller does, which was written at sent_ns; valid at some instant between
+    the two others. counts: its position, where the answer has shown that too."""
 
     busy: bool
     sent_ns: int
     arrived_ns: int
     at_ns: int
+    counts: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,17 @@ class Smc30State:
         elif answer.text == "E5":
             self.overflow = True
         return ActivityReading(answer.text == "B", answer.sent_ns, self._arrived_ns("F", answer), answer.at_ns)
+
+    async def read_end(self) -> ActivityReading:
+        """Query whether it still executes something: by V1, which shows where it stands as well, of a controller that
+        refuses that while it does (L1519-L1522); of any other one by F."""
+        if self.live is not False:
+            return await self.read_status()
+        answer = await self.session.send_query("V1", POSITION)
+        arrived_ns = self._arrived_ns("V1", answer)
+        if answer.text == "B":
+            return ActivityReading(True, answer.sent_ns, arrived_ns, answer.at_ns)
+        return ActivityReading(False, answer.sent_ns, arrived_ns, answer.at_ns, int(_matched_group(answer)))
 
     def _arrived_ns(self, command: str, answer: Smc30Answer) -> int:
         """Return the earliest arrival of the end of the answered command at the controller."""
