@@ -192,6 +192,7 @@ class Lowered:
     can_advance: its release can move T0 to an earlier instant.
     gap_ns: with `start.follows`, how long after the end of the present move, at the latest, the controller can begin
     this one if it is loaded beside it, in the following slot; None: it cannot be loaded then.
+    line_members: how many controllers share its line, whose loads take turns.
     release_ns: how long before T0 the release must be called at the latest, where no other controller depends on this
     start, so that nothing need be withdrawn in time; None, or without `can_advance`: the move cannot start at once.
     commands: the commands that would be sent, for display.
@@ -210,6 +211,7 @@ class Lowered:
     clock_ppm: float = field(default=100.0, kw_only=True)
     can_advance: bool = field(default=False, kw_only=True)
     gap_ns: int | None = field(default=None, kw_only=True)
+    line_members: int = field(default=1, kw_only=True)
     release_ns: int | None = field(default=None, kw_only=True)
     triggers: Mapping[str, tuple[BudgetTerm, ...]] = field(
         default_factory=dict[str, tuple[BudgetTerm, ...]], kw_only=True

@@ -15,6 +15,7 @@ _CONVERSION = (10 + 3 + 3, 1)  # con=1.0000
 _CURRENT = (7 + 3 + 3, 1)  # CS, CR or CT
 _LIST = (4 + 3 + 110, 1)  # Q
 _START = (4 + 3, 1)  # E
+_TARGET = (19 + 3, 1)  # R509=R510+65528
 _SENTINEL = (8 + 8, 1)  # VR510
 _STOP = (4 + 3, 1)  # Z
 _LONGEST_LINE = 12
@@ -29,6 +30,16 @@ def exchange_ns(options: Smc30DriverOptions, char_ns: int, *parts: tuple[int, in
     return sum(characters * char_ns + exchanges * each_ns for characters, exchanges in parts)
 
 
+def target_arm_ns(options: Smc30DriverOptions, char_ns: int, slots: SlotSchedule) -> int:
+    """Return the upper bound of arming behind a step with the same program, ns: currents, target, its read-back."""
+    exchanges_ns = exchange_ns(options, char_ns, *_currents(options), _TARGET, _SENTINEL)
+    return exchanges_ns + (slots.count - 1) * exchange_ns(options, char_ns, _SENTINEL)
+
+
+def _currents(options: Smc30DriverOptions) -> list[tuple[int, int]]:
+    return [_CURRENT] * (1 + (options.ramp_ma is not None) + (options.top_ma is not None))
+
+
 def step_costs(options: Smc30DriverOptions, char_ns: int, slots: SlotSchedule, ramp_s: float) -> StepCosts:
     """Return upper bounds in ns for a line with this character time.
 
@@ -38,9 +49,8 @@ def step_costs(options: Smc30DriverOptions, char_ns: int, slots: SlotSchedule, r
     ramp_s: the longest ramp of the motion that may have to be stopped.
     """
     settle_ns = options.answer_ms * NS_PER_MS + 2 * _LONGEST_LINE * char_ns
-    currents = [_CURRENT] * (1 + (options.ramp_ma is not None) + (options.top_ma is not None))
     arm_ns = exchange_ns(
-        options, char_ns, *currents, _CHECK, _CONVERSION, _LOAD, _LIST, _POINTS, _SENTINEL, _START, _CHECK
+        options, char_ns, *_currents(options), _CHECK, _CONVERSION, _LOAD, _LIST, _POINTS, _SENTINEL, _START, _CHECK
     )
     promise_ns = exchange_ns(options, char_ns, _CHECK, _SENTINEL)
     unload_ns = exchange_ns(options, char_ns, _STOP, _CHECK)

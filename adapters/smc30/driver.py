@@ -13,7 +13,7 @@ from adapters.contract import (
     SettingDifference,
 )
 from adapters.smc30 import startup
-from adapters.smc30.costs import step_costs
+from adapters.smc30.costs import step_costs, target_arm_ns
 from adapters.smc30.hand import Smc30ManualMotion
 from adapters.smc30.line import SHARED, Smc30Line
 from adapters.smc30.lowering import (
@@ -172,7 +172,14 @@ class Smc30Driver(
     ) -> Smc30Lowered:
         ramp_s = max([self._ramp_s, *(max(profile.durations_s, default=0.0) for profile in profiles.values())])
         estimate = self._crystal.estimate_at(self._clock.now_ns())
-        traits = ConnectionTraits(self._step_costs(ramp_s), self._slot_schedule, estimate, self._char_ns)
+        traits = ConnectionTraits(
+            self._step_costs(ramp_s),
+            self._slot_schedule,
+            estimate,
+            self._char_ns,
+            None if self._connection is None else self._connection.state.program,
+            target_arm_ns(self._options, self._char_ns, self._slot_schedule),
+        )
         return lower_step(self._config, self._options, traits, dict(profiles), start)
 
     async def stop(self, *, abort: bool) -> None:
@@ -229,9 +236,7 @@ class Smc30Driver(
             try:
                 counts = await unit.read_position()
             except ControllerBusy:
-                raise Refusal(
-                    "moving", f"{unit.session.name} executes a program", "wait for its end, or stop it"
-                ) from None
+                raise unit.moving_refusal() from None
             await self._send_setting(f"f{max(-8_388_606, min(8_388_606, counts)):+d}")
             unit.overflow, unit.lost = False, True
             self._log.warning("the position counter had overflowed; the position of the axis is unknown")

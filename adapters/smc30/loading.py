@@ -17,12 +17,12 @@ class ProgramLoader:
         self._clock = clock
         self._unit = unit
 
-    async def load_step(self, move: LoadedStep, *, behind: bool = False) -> Mapping[str, int]:
+    async def load_step(self, move: LoadedStep) -> Mapping[str, int]:
         """Load the program and read it back; a program that waits for a trigger line begins to wait. Return what took
         how long, ns. Raises `Refusal`.
 
-        behind: the last step has just ended where this one begins. Then only the check before the commit, which is
-        next, reads the position: a controller that executes something refuses the program."""
+        Behind a step that has just ended where this one begins, only the check before the commit, which is next, reads
+        the position: a controller that executes something refuses the program."""
         lowered_step, unit = move.lowered, self._unit
         if not lowered_step.program:
             return {}
@@ -34,17 +34,17 @@ class ProgramLoader:
         async with unit.loading:
             await unit.wait_for_stops()
             async with unit.exclusive_turn():
-                if not (behind and self._begins_here(lowered_step)):
+                if not (move.behind and self._begins_here(lowered_step)):
                     await self._require_start(lowered_step)
-                loaded_ns = await self._load_program(move, stop_count, behind=behind)
+                loaded_ns = await self._load_program(move, stop_count)
         unit.session.require_no_stop(stop_count)
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
-    async def _load_program(self, move: LoadedStep, since: int, *, behind: bool) -> int:
+    async def _load_program(self, move: LoadedStep, since: int) -> int:
         """Load the program and read it back, and start its wait if it has one; return when it was loaded. Right behind a
         step with the same program, only the target is loaded."""
         lowered_step, unit = move.lowered, self._unit
-        if not (behind and lowered_step.by_register and unit.program == lowered_step.program):
+        if not (move.behind and lowered_step.by_register and unit.program == lowered_step.program):
             await unit.load_program(lowered_step.program, since)
         if lowered_step.by_register and lowered_step.target is not None:
             await unit.load_target(TARGET_REGISTER, lowered_step.target)
@@ -79,6 +79,10 @@ class ProgramLoader:
                     "arm it again; was the trigger line active, or was the controller stopped or switched off?",
                 )
             return
+        if move.behind and lowered_step.by_register and lowered_step.target is not None:
+            # Where it stands is known from the end of the last step, unless it has lost its counter since.
+            await unit.require_target(TARGET_REGISTER, lowered_step.target)
+            return
         await self._require_start(lowered_step)
         try:
             is_loaded = unit.program == lowered_step.program and await unit.holds_sentinel()
@@ -106,9 +110,7 @@ class ProgramLoader:
         try:
             inputs, outputs = await self._unit.read_points()
         except ControllerBusy:
-            raise Refusal(
-                "moving", f"{self._unit.session.name} executes a program", "wait for its end, or stop it"
-            ) from None
+            raise self._unit.moving_refusal() from None
         for kind, point, levels in (("input", lowered.wait, inputs), ("output", lowered.drive, outputs)):
             if point is not None and levels[point.number] == point.high:
                 raise Refusal(

@@ -103,12 +103,15 @@ class Smc30Lowered(Lowered):
 @dataclass(frozen=True, slots=True)
 class ConnectionTraits:
     """What a lowered step depends on besides the fleet file. known: knowledge about the controller's clock. char_ns:
-    one character on the line."""
+    one character on the line. program: that in working memory, as far as is known; target_arm_ns: arming behind a step
+    with the same one."""
 
     costs: StepCosts
     schedule: SlotSchedule
     known: ClockEstimate
     char_ns: int
+    program: tuple[str, ...] | None
+    target_arm_ns: int
 
 
 def lower_step(
@@ -159,6 +162,8 @@ def lower_step(
     costs = traits.costs
     if start.follows and wait is None and drive is None:
         costs = withdrawable_costs(costs, lead_ns, schedule.each_ns)
+        if by_register and traits.program == program:
+            costs = costs.model_copy(update={"arm_ns": traits.target_arm_ns})
     return Smc30Lowered(
         start_class=start_class,
         durations_s={} if profile is None else {axis: duration_s},
@@ -178,6 +183,7 @@ def lower_step(
         shape=shape,
         program=program,
         by_register=by_register,
+        line_members=schedule.count,
         lead_ns=lead_ns,
         program_ns=_program_ns(options, schedule, drive, target),
         release_ns=find_release_ns(lead_ns, _START_CHARACTERS * traits.char_ns, wait, drive),

@@ -51,9 +51,9 @@ class Smc30Mover:
     async def _load(self, lowered: Smc30Lowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
         if self.move is not None or self._unit.doing == "home":
             raise Refusal("busy", "a motion is loaded or in progress", "disarm or stop it")
-        move = self.move = LoadedStep(lowered, t0_ns)
+        move = self.move = LoadedStep(lowered, t0_ns, behind)
         try:
-            return await self._loader.load_step(move, behind=behind)
+            return await self._loader.load_step(move)
         except BaseException:
             if self.move is move and not move.running:
                 self.move = None

@@ -14,6 +14,7 @@ from orchestrator.clock.timed import TimedMove
 class LoadedStep:
     """A loaded step.
 
+    behind: it was loaded right behind another one.
     order, slot: of its starting command, from `go` on.
     started: the interval of the start, when known.
     arrived_ns: for a start by the host, the earliest arrival of the end of its command at the controller.
@@ -22,6 +23,7 @@ class LoadedStep:
 
     lowered: Smc30Lowered
     t0_ns: int
+    behind: bool = False
     order: TimedWrite | None = None
     slot: StartSlot | None = None
     started: HostInterval | None = None

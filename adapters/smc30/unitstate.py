@@ -130,13 +130,16 @@ class Smc30State:
     async def require_not_restarted(self, while_it_was: str, remedy: str) -> None:
         """Raise `Refusal` for a controller that was power-cycled: it accepts a program all the same, but its position
         is unknown and its rate settings are lost."""
-        name = self.session.name
         try:
             is_held = await self.holds_sentinel()
         except ControllerBusy:
-            raise Refusal("moving", f"{name} executes a program", "wait for its end, or stop it") from None
+            raise self.moving_refusal() from None
         if not is_held:
-            raise Refusal("not-loaded", f"{name} was restarted while it was {while_it_was}", remedy)
+            raise Refusal("not-loaded", f"{self.session.name} was restarted while it was {while_it_was}", remedy)
+
+    def moving_refusal(self) -> Refusal:
+        """Return the refusal of what a controller does not accept while it executes a program."""
+        return Refusal("moving", f"{self.session.name} executes a program", "wait for its end, or stop it")
 
     async def leave_programming(self) -> None:
         """Send PX if an upload was broken off; for holders of `loading`."""
@@ -153,7 +156,7 @@ class Smc30State:
             await self.leave_programming()
             position = await self.read_position()
         except ControllerBusy:
-            raise Refusal("moving", f"{self.session.name} executes a program", "wait for its end, or stop it") from None
+            raise self.moving_refusal() from None
         self.require_no_fault()
         self.rest_counts = position
         return position
@@ -200,7 +203,7 @@ class Smc30State:
                 self.programming = False
             listing = await self.session.list_program()
         except ControllerBusy:
-            raise Refusal("moving", f"{self.session.name} executes a program", "wait for its end, or stop it") from None
+            raise self.moving_refusal() from None
         except Refusal:
             self.program = None
             raise
@@ -218,12 +221,20 @@ class Smc30State:
 
         The controller computes it from the sentinel: after a restart it would be another one, and its position
         unknown."""
-        name, more = self.session.name, target - SENTINEL
+        more = target - SENTINEL
         try:
             await self.session.send_setting(f"R{register}=R{SENTINEL_REGISTER}{'-' if more < 0 else '+'}{abs(more)}")
+        except ControllerBusy:
+            raise self.moving_refusal() from None
+        await self.require_target(register, target)
+
+    async def require_target(self, register: int, target: int) -> None:
+        """Verify a target that was loaded, and that the controller has not been restarted since. Raises `Refusal`."""
+        name = self.session.name
+        try:
             held_target = await self._read_register(register)
         except ControllerBusy:
-            raise Refusal("moving", f"{name} executes a program", "wait for its end, or stop it") from None
+            raise self.moving_refusal() from None
         if held_target != target:
             await self.require_not_restarted("loaded", "home its axis, and arm it again")
             text = f"{name} was given the target {target}, and reports {held_target}"
@@ -238,7 +249,7 @@ class Smc30State:
             return await session.send_once("E", since)
         except ControllerBusy:
             self.doing = "nothing"
-            raise Refusal("moving", f"{session.name} executes a program", "wait for its end, or stop it") from None
+            raise self.moving_refusal() from None
         except BaseException:
             # Cancelled or unanswered: no caller would stop it later.
             self.doing = "nothing"

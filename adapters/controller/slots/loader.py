@@ -3,17 +3,18 @@
 from collections.abc import Mapping
 
 from adapters.contract import LoadPlace, MoveSlot
-from adapters.controller.monitoring.surveillance import CHECK_PERIOD_NS
 from adapters.controller.publishing.clock import clock_mapping
 from adapters.controller.slots.fleet_durations import find_last_instants, state_move
 from adapters.controller.slots.parts import StepParts
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.next_step import FollowingStep, PreparedMove
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import ArmedReply
 
-COMPARED_NS = CHECK_PERIOD_NS
-"""How long a comparison of settings counts for steps behind one another: as long as at rest."""
+COMPARED_NS = 2 * NS_PER_S
+"""How long a comparison of settings counts for steps behind one another: what another client changes meanwhile is found
+that much later."""
 
 
 class StepLoader:

@@ -99,7 +99,8 @@ class NextStepSlot:
             return NEVER_NS
         if following.at_once is not None:
             return 0
-        loading_ns = 0 if following.in_controller else following.move.lowered.costs.arm_ns
+        lowered_step = following.move.lowered
+        loading_ns = 0 if following.in_controller else lowered_step.costs.arm_ns * lowered_step.line_members
         return following.armed_step.t0_host_ns - loading_ns - now_ns
 
     def find_waiting(self, request: CommitRequest) -> FollowingStep | None:
