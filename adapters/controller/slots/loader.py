@@ -25,6 +25,7 @@ class StepLoader:
         self._steps = parts.steps
         self._withdrawal = parts.withdrawal
         self._surveillance = parts.surveillance
+        self._events = parts.events
         self._tasks = parts.tasks
 
     async def load_at_rest(self, move: PreparedMove, following: FollowingStep | None = None) -> ArmedReply:
@@ -38,6 +39,8 @@ class StepLoader:
         self._steps.present, self._steps.stop_ns = move.armed_step, move.lowered.costs.stop_ns
         self._steps.requested_ns = self._context.clock.now_ns()  # the commit is next
         self._tasks.spawn(self._withdrawal.unload_at_t0(move.armed_step))
+        if following is not None:
+            self._events.show_answer()
         return self.make_armed_reply(move, stages)
 
     async def load(

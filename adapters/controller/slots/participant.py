@@ -42,6 +42,7 @@ class StepParticipant:
         self._withdrawal = parts.withdrawal
         self._settling = parts.settling
         self._surveillance = parts.surveillance
+        self._events = parts.events
         self._tasks = parts.tasks
         self._lowering = StepLowering(context, parts.steps, checks)
         self._loader = StepLoader(context, parts)
@@ -129,7 +130,9 @@ class StepParticipant:
     async def _commit_following(self, request: CommitRequest, following: FollowingStep) -> CommittedReply:
         """Promise a step that is loaded after the present one, as soon as it is."""
         armed_reply = await asyncio.shield(following.loaded)
-        return (await self._commit_present(request)).model_copy(update={"armed": armed_reply})
+        committed_reply = await self._commit_present(request)
+        self._events.show_answer()
+        return committed_reply.model_copy(update={"armed": armed_reply})
 
     async def start_step(self, request: GoRequest) -> Reply:
         """Release the move, for the committed T0 or an earlier one."""

@@ -21,3 +21,8 @@ class StepEvents:
         """Publish an event of a step."""
         self._publisher.emit_event(kind, text, armed_step=armed_step, evidence=evidence)
         self._timer.wake_up()
+
+    def show_answer(self) -> None:
+        """Publish the state of a controller that has just answered: one that shares its line is not polled while steps
+        are loaded behind others, and would seem to be silent."""
+        self._publisher.publish_state()
