@@ -41,8 +41,8 @@ class ProgramLoader:
         return {"wire": loaded_ns - began_ns, "verify": self._clock.now_ns() - loaded_ns}
 
     async def _load_program(self, move: LoadedStep, since: int) -> int:
-        """Load the program and read it back, and start its wait if it has one; return when it was loaded. Right behind a
-        step with the same program, only the target is loaded."""
+        """Load the program and read it back, and start its wait if it has one; return when it was loaded. Right behind
+        a step with the same program, only the target is loaded."""
         lowered_step, unit = move.lowered, self._unit
         if not (move.behind and lowered_step.by_register and unit.program == lowered_step.program):
             await unit.load_program(lowered_step.program, since)

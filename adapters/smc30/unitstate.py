@@ -96,9 +96,9 @@ class Smc30State:
             return await self.read_status()
         answer = await self.session.send_query("V1", POSITION)
         arrived_ns = self._arrived_ns("V1", answer)
-        if answer.text == "B":
-            return ActivityReading(True, answer.sent_ns, arrived_ns, answer.at_ns)
-        return ActivityReading(False, answer.sent_ns, arrived_ns, answer.at_ns, int(_matched_group(answer)))
+        is_busy = answer.text == "B"
+        counts = None if is_busy else int(_matched_group(answer))
+        return ActivityReading(is_busy, answer.sent_ns, arrived_ns, answer.at_ns, counts)
 
     def _arrived_ns(self, command: str, answer: Smc30Answer) -> int:
         """Return the earliest arrival of the end of the answered command at the controller."""

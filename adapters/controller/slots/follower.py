@@ -125,10 +125,8 @@ class StepFollower:
         """Wait until the axes are at rest. The coordinator plans the next step from the state: at the end event it must
         be the state after the move. A following step, which is planned already, leaves room for that only behind a
         dwell."""
-        settles = (
-            self._settling.must_settle(axes)
-            or self._steps.following.spare_ns(self._context.clock.now_ns()) >= READING_ROOM_NS
-        )
+        now_ns = self._context.clock.now_ns()
+        settles = self._settling.must_settle(axes) or self._steps.following.leaves_room(now_ns, READING_ROOM_NS)
         self._steps.reading_is_old = not settles
         if not settles:
             return SettlingResult()

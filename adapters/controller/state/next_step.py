@@ -10,12 +10,9 @@ from dataclasses import dataclass, field, replace
 
 from adapters.contract import Lowered, MoveSlot, MoveSlots
 from adapters.controller.state.armed_step import ArmedStep, StepPhase
-from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmedReply, ArmRequest, CommitRequest, StartAtOnceRequest
-
-NEVER_NS = 3600 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,16 +89,18 @@ class NextStepSlot:
             raise Refusal("no-next", "the controller cannot load a move while one runs", "")
         return self._slots.following
 
-    def spare_ns(self, now_ns: int) -> int:
-        """The time until the following step needs the controller; a long one without such a step."""
+    def leaves_room(self, now_ns: int, room_ns: int) -> bool:
+        """Whether each controller of the line has `room_ns` before the following step needs it; always without such a
+        step."""
         following = self._following
         if following is None:
-            return NEVER_NS
+            return True
         if following.at_once is not None:
-            return 0
+            return False
         lowered_step = following.move.lowered
-        loading_ns = 0 if following.in_controller else lowered_step.costs.arm_ns * lowered_step.line_members
-        return following.armed_step.t0_host_ns - loading_ns - now_ns
+        loading_ns = 0 if following.in_controller else lowered_step.costs.arm_ns
+        needs_ns = (loading_ns + room_ns) * lowered_step.line_members
+        return following.armed_step.t0_host_ns - now_ns >= needs_ns
 
     def find_waiting(self, request: CommitRequest) -> FollowingStep | None:
         """The step of the request, for the same T0, if the adapter loads it behind the one before, or has done so."""

@@ -18,7 +18,7 @@ SETTLE_NS = 5 * NS_PER_MS
 class LoadedMove:
     """The loaded move. ticks: XT0. started: by axis, once known. thread: of its program. follows: it was loaded behind
     another one. released: its release was sent, so it may start by itself. taken: its variables are those of the
-    present step. begun_ticks: the sample before its begin, once its start is known: behind another step and at once it is none that
+    present step. begun_ticks: the sample before its begin, once its start is known: of a step at once it is none that
     was chosen. loaded: of a path, the chunk behind the released one."""
 
     lowered: YaskawaLowered
