@@ -16,6 +16,7 @@ from orchestrator.clock.base import NS_PER_MS, sleep_ns
 
 _POLL_NS = 50 * NS_PER_MS
 _FAST_POLL_NS = 5 * NS_PER_MS
+_POLL_LINES = 8  # of a poll that this query may have to wait for
 # Status bits may still read ready for a moment after a start, as observed on real controllers.
 _READY_LAG_NS = 500 * NS_PER_MS
 
@@ -72,9 +73,11 @@ class PpSmcEndTimes:
         return moved_outcome(end_spans, reasons, stopped=move.stopped_ns is not None, failed=error)
 
     def _is_due(self, move: LoadedMove) -> bool:
-        """Return whether the whole move may have ended: a query that shows its end shows its errors as well."""
+        """Return whether the whole move may have ended when it is this query's turn: a query that shows its end shows
+        its errors as well."""
         longest_ns = max(self._duration_bounds_ns(axis_move)[0] for axis_move in move.lowered.moves)
-        return self._clock.now_ns() >= move.start.earliest_ns + longest_ns - _FAST_POLL_NS
+        turn_ns = self._clock.now_ns() + _FAST_POLL_NS + _POLL_LINES * self._unit.slow_ns
+        return turn_ns >= move.start.earliest_ns + longest_ns
 
     def _has_ended(self, move: LoadedMove, axis: PpSmcAxisMove, look: PpSmcReading) -> bool:
         """Return whether an axis that reads ready has ended: ready bits lag behind the start of a move."""

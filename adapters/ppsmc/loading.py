@@ -24,8 +24,10 @@ from adapters.ppsmc.replies import (
 )
 from adapters.ppsmc.unitstate import PpSmcReading, PpSmcState
 from adapters.ppsmc.watch import require_settings
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 
+COMPARED_NS = 2 * NS_PER_S  # for which a comparison of settings counts between steps
 PROFILE = ("frun", "ffast", "acc", "dec")
 
 
@@ -111,6 +113,27 @@ def program_lines(unit: PpSmcState, lowered: PpSmcLowered) -> list[str]:
     return [first, *move_lines, "nl", "end"]
 
 
+def holds_profiles(unit: PpSmcState, lowered: PpSmcLowered, now_ns: int) -> bool:
+    """Return whether the speeds of the move are those of the move before, and the settings were compared a moment
+    ago."""
+    is_loaded = all(unit.profiles.get(move.motor) == profile_values(move) for move in lowered.moves)
+    return is_loaded and now_ns - unit.compared_ns < COMPARED_NS
+
+
+async def load_target_buffer(
+    unit: PpSmcState, lowered: PpSmcLowered, queries: Sequence[FormattedQuery], now_ns: int
+) -> TokenReply | None:
+    """Load the target buffer alone, where the controller holds the rest; the reply has `queries`, too. None: it does
+    not. Raises `Refusal` when the controller does not store it."""
+    if not holds_profiles(unit, lowered, now_ns):
+        return None
+    reply = await unit.session.send_repeatable(target_lines(unit, lowered.moves), *queries, ASK_TARGETS)
+    if unit.session.batches.restarted:
+        raise Refusal("not-loaded", "the controller was restarted", "home its axes, and arm it again")
+    require_targets(unit, lowered, reply.first_line(ASK_TARGETS))
+    return reply
+
+
 async def load_targets(
     unit: PpSmcState,
     options: PpSmcOptions,
@@ -123,6 +146,7 @@ async def load_targets(
     commands = [*first, *profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
     queries = [*more, ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
     reply = await unit.session.send_repeatable(commands, *queries)
+    unit.compared_ns = reply.written_ns
     if options.check_profile:
         held_settings = parse_settings(reply.reply_texts(ASK_SETTINGS))
         require_settings(unit, fleetaxes.axis_names(unit.config), held_settings)

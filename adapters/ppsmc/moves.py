@@ -105,7 +105,10 @@ class PpSmcMover:
             await loading.load_program(unit, lowered)
         elif lowered.moves:
             queries = loading.check_queries(lowered) if place == "at once" else []
-            reply = await loading.load_targets(unit, self._options, lowered, lock, queries)
+            reply = None
+            if place != "at rest":
+                reply = await loading.load_target_buffer(unit, lowered, queries, checked_ns)
+            reply = reply or await loading.load_targets(unit, self._options, lowered, lock, queries)
             if place == "at once":
                 move.ignore_limits = loading.require_rest(unit, lowered, reply).on_limit
         if self.move is not move:

@@ -20,6 +20,7 @@ from adapters.ppsmc.replies import (
 from adapters.ppsmc.session import PpSmcSession
 from adapters.ppsmc.stopper import StopConnection
 from adapters.toolkit.stop_counter import StopCounter, send_or_brake
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Controller
@@ -77,7 +78,7 @@ class PpSmcState:
     loading: lock for configuring the controller.
     output_lock: lock for changing outputs.
     untidy: a stop or a move may have left targets.
-    profiles: what is known to be loaded.
+    profiles: what is known to be loaded. compared_ns: when all settings were compared at loading, and the panel locked.
     introduced: compared with the fleet file.
     settings: the settings of ?conf that are expected, by axis number and name.
     suspects_settings: others were found while arming.
@@ -97,6 +98,7 @@ class PpSmcState:
     spoiled: set[int] = field(default_factory=set[int])
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
     jogging_motors: set[int] = field(default_factory=set[int])
+    compared_ns: int = -3600 * NS_PER_S
     profiles: dict[int, tuple[int, int, int, int]] = field(default_factory=dict[int, tuple[int, int, int, int]])
     output_lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     untidy: bool = False

@@ -40,8 +40,14 @@ class StepLoader:
         self._steps.requested_ns = self._context.clock.now_ns()  # the commit is next
         self._tasks.spawn(self._withdrawal.unload_at_t0(move.armed_step))
         if following is not None:
-            self._events.show_answer()
+            self.show_answer()
         return self.make_armed_reply(move, stages)
+
+    def show_answer(self) -> None:
+        """Publish the state of a controller that has just answered: it is not polled while steps follow each other
+        closely, and would seem to be silent."""
+        self._steps.polled_ns = self._context.clock.now_ns()
+        self._events.publish_state()
 
     async def load(
         self, move: PreparedMove, slot: MoveSlot, place: LoadPlace, *, checked: bool = False

@@ -42,7 +42,6 @@ class StepParticipant:
         self._withdrawal = parts.withdrawal
         self._settling = parts.settling
         self._surveillance = parts.surveillance
-        self._events = parts.events
         self._tasks = parts.tasks
         self._lowering = StepLowering(context, parts.steps, checks)
         self._loader = StepLoader(context, parts)
@@ -131,7 +130,7 @@ class StepParticipant:
         """Promise a step that is loaded after the present one, as soon as it is."""
         armed_reply = await asyncio.shield(following.loaded)
         committed_reply = await self._commit_present(request)
-        self._events.show_answer()
+        self._loader.show_answer()
         return committed_reply.model_copy(update={"armed": armed_reply})
 
     async def start_step(self, request: GoRequest) -> Reply:

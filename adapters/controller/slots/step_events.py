@@ -22,7 +22,6 @@ class StepEvents:
         self._publisher.emit_event(kind, text, armed_step=armed_step, evidence=evidence)
         self._timer.wake_up()
 
-    def show_answer(self) -> None:
-        """Publish the state of a controller that has just answered: one that shares its line is not polled while steps
-        are loaded behind others, and would seem to be silent."""
+    def publish_state(self) -> None:
+        """Publish the state."""
         self._publisher.publish_state()

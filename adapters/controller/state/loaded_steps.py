@@ -31,7 +31,8 @@ class LoadedSteps:
     followed_steps: whose ends the driver has not reached yet. followed_ns: when it has last reached one.
     reading_is_old: the last reading is from before the end of a step that another one follows. ended_ns: when the
     present step should have ended, at the latest, host time. requested_ns: when the last request of a step came.
-    polled_ns, poll_takes_ns: when the last poll ended, and how long it took, with the wait for its turn. past_steps: as
+    polled_ns: when the last poll ended, or the last loading behind a step. poll_takes_ns: how long a poll took, with
+    the wait for its turn. past_steps: as
     many as starts are learned from. stop_pending: a released step has failed, and its stop could not be sent yet.
     stop_ns: longest time that a stop of the last step takes; its ramps may be gentler than the steepest ramps of the
     axes.

@@ -8,7 +8,7 @@ repetitions, for a reply that was lost, get the first answer.
 
 from contextlib import suppress
 
-from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
@@ -18,6 +18,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import DisarmedReply, DisarmRequest, StartAtOnceRequest, StartedReply
 
 TRIES = 3
+POLL_NS = 80 * NS_PER_MS  # of a member that is polled in motion: not any more, once the next step is there
 ARM_FACTOR = 2  # on the declared time of arming
 
 
@@ -53,7 +54,7 @@ class ImmediateStart(StartSequence):
         the step."""
         agreement, present = self._agreement, self._agreement.present
         assert present is not None
-        needs_ns = RELEASE_SLACK * self._estimator.deciding_ns + RELEASE_SLACK_NS
+        needs_ns = RELEASE_SLACK * self._estimator.deciding_ns + RELEASE_SLACK_NS + POLL_NS
         if not agreement.loads_later:
             shares = {name: self._estimator.arming_share(name, "beside") for name in agreement.proposals}
             arming_ns = find_arming_ns(self._fleet.view.fleet, agreement.proposals, shares)

@@ -241,7 +241,7 @@ class Desk:
     def spawn(self, coroutine: Coroutine[Any, Any, None]) -> None:
         self._tasks.append(asyncio.ensure_future(self._survive(coroutine)))
 
-    def show_answer(self) -> None:
+    def publish_state(self) -> None:
         return
 
     def emit_step(
