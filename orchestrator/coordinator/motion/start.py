@@ -50,13 +50,15 @@ async def ignore_state(state: JobState, reason: str) -> None:
 class StartState:
     """The progress of a start.
 
-    arming_fleet_ns: start of the last arming. settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
+    arming_fleet_ns: start of the last arming. promised_fleet_ns: when the promises were asked for that all have made.
+    settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
     last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
     withdrawn: why a step that follows another one does not start behind it; "" while it may.
     """
 
     armed: Mapping[str, ArmedReply]
     arming_fleet_ns: int = 0
+    promised_fleet_ns: int = 0
     settled_fleet_ns: int = 0
     t0_fleet_ns: int = 0
     unloaded: bool = False
@@ -293,12 +295,14 @@ class StartSequence:
             member: CommitRequest(**self._reference(), t0_fleet_ns=self._member_t0_ns(member))
             for member in agreement.proposals
         }
-        left_ns = self.state.t0_fleet_ns - self._leadership.fleet_now_ns()
+        asked_ns = self._leadership.fleet_now_ns()
+        left_ns = self.state.t0_fleet_ns - asked_ns
         # An answer after that would leave no time for `go`.
         useful_ns = left_ns - self._go_ns() - agreement.disarm_ns
         wait_s = max(0.02, min(ANSWER_S, max(left_ns / 2, useful_ns) / NS_PER_S))
         replies = await self._requests.request_all("commit", requests, CommittedReply, wait_s)
         await self._disarm_if_refused(replies)
+        self.state.promised_fleet_ns = asked_ns
         loaded_replies = {member: reply.armed for member, reply in replies.items() if reply.armed is not None}
         if loaded_replies:
             self.state.armed = {**self.state.armed, **loaded_replies}

@@ -183,6 +183,7 @@ class StepWatch:
             return None
         request = self._planned.request
         is_ours = (event.job, event.step) == (request.job_id, request.index)
-        # Members that were armed again have reported that they were disarmed before.
-        stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < self._state.arming_fleet_ns
+        # Members that were armed again have reported that they were disarmed before; unloading may have taken a while.
+        since_ns = max(self._state.arming_fleet_ns, self._state.promised_fleet_ns)
+        stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < since_ns
         return event if is_ours and event.controller in self._agreement.proposals and not stale else None
