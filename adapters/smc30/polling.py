@@ -15,15 +15,19 @@ from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import FaultReport
 
+POLLS_OF_ERRORS = 4
+
 
 class Smc30Poller:
-    """Read the controller's state. Costs F, V1 and VR, and V2 where inputs or outputs are named; in motion F alone."""
+    """Read the controller's state. Costs V1 and VR, and V2 where inputs or outputs are named; in motion V1 alone. F
+    comes before them where motion does not refuse V1, and in one of a few polls."""
 
     def __init__(
         self, config: Controller, clock: Clock, unit: Smc30State, mover: Smc30Mover, manual_motion: Smc30ManualMotion
     ) -> None:
         self._axis = next(iter(config.axes))
         self._points_named = bool(config.inputs or config.outputs)
+        self._polls = 0
         self._clock = clock
         self._unit = unit
         self._mover = mover
@@ -34,12 +38,12 @@ class Smc30Poller:
     async def poll_state(self) -> ControllerReading:
         """Read the state. Raises `ControllerRestarted`."""
         unit = self._unit
-        status = await unit.read_status()
+        status = await self._query_activity()
         # In Programming Mode neither position nor inputs can be read; the axis has not moved.
         if not status.busy and not unit.loading.locked():
             try:
                 async with unit.loading:
-                    await self._query_at_rest()
+                    await self._query_at_rest(status.counts)
             except ControllerBusy:
                 status = await unit.read_status()
         if not status.busy:
@@ -66,11 +70,21 @@ class Smc30Poller:
             faults=self._controller_faults(),
         )
 
-    async def _query_at_rest(self) -> None:
-        """Query everything. Raises `ControllerBusy`."""
+    async def _query_activity(self) -> ActivityReading:
+        """Query what it does: by its position where that shows it as well, which saves a query; now and then by F, which
+        shows errors (L1818-L1827). In Programming Mode the query would become a part of the program."""
+        unit = self._unit
+        self._polls += 1
+        if self._polls % POLLS_OF_ERRORS == 0 or unit.loading.locked() or unit.programming:
+            return await unit.read_status()
+        async with unit.loading:
+            return await unit.read_end()
+
+    async def _query_at_rest(self, counts: int | None) -> None:
+        """Query everything; counts: the position, if it is known already. Raises `ControllerBusy`."""
         unit = self._unit
         await unit.leave_programming()
-        unit.rest_counts = await unit.read_position()
+        unit.rest_counts = await unit.read_position() if counts is None else counts
         if self._points_named:
             self._inputs, self._outputs = await unit.read_points()
         # After the queries: a passed restart check makes their values valid for a referenced axis.

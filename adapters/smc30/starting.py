@@ -106,8 +106,9 @@ class Smc30Starter:
 
     async def _require_motion(self, move: LoadedStep) -> None:
         """Verify that the axis has moved: a controller whose end-of-travel input is active accepts the command and does
-        not move; one that was just power-cycled reports its position with another value."""
-        if (await self._unit.read_status()).busy or move.stopped_ns is not None:
+        not move; one that was just power-cycled reports its position as 0."""
+        status, target = await self._unit.read_end(), move.lowered.target
+        if status.busy or move.stopped_ns is not None or (target and status.counts == target):
             return
         if not await self._unit.holds_sentinel():
             move.running = False

@@ -128,8 +128,8 @@ class StepFollower:
         now_ns = self._context.clock.now_ns()
         settles = self._settling.must_settle(axes) or self._steps.following.leaves_room(now_ns, READING_ROOM_NS)
         self._steps.reading_is_old = not settles
+        self._loader.show_answer()
         if not settles:
-            self._loader.show_answer()
             return SettlingResult()
         return await self._settling.wait_until_settled(axes if outcome.state == "done" else ())
 
