@@ -194,7 +194,8 @@ class Lowered:
     this one if it is loaded beside it, in the following slot; None: it cannot be loaded then.
     line_members: how many controllers share its line, whose loads take turns.
     release_ns: how long before T0 the release must be called at the latest, where no other controller depends on this
-    start, so that nothing need be withdrawn in time; None, or without `can_advance`: the move cannot start at once.
+    start, so that nothing need be withdrawn in time; None: the move cannot start at once. With `start.at_once`, such a
+    move can advance.
     commands: the commands that would be sent, for display.
     triggers: by output that the controller switches on the way (`start.triggers`), the guaranteed interval of an edge
     at its terminal relative to the instant asked for, one entry per cause.

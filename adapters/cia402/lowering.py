@@ -13,6 +13,7 @@ from adapters.cia402.shapes.course import SetpointTrajectory
 from adapters.cia402.shapes.switching import NOTHING_SWITCHED, OutputSchedule, SwitchedPoint, SyncPoint
 from adapters.cia402.shapes.trapezoid import DriveBounds, DriveTrapezoid, DriveUnits, fit_trapezoid
 from adapters.contract import Lowered, ends_too_early, require_start_class
+from adapters.toolkit.host_start import ORDER_NS
 from adapters.toolkit.path_error import path_error_counts
 from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
@@ -126,13 +127,18 @@ def lower_step(
         lead_ns=sync_ns(bus.bitrate) + bus.start_ns,
         drive=drive,
     )
+    # A SYNC at another instant is reserved anew; a stream, and a driven line, have theirs from the beginning.
+    if drive is None and not start.triggers and start.chunk is None:
+        release_ns = resting_step.lead_ns + ORDER_NS + full_frame_ns(bus.bitrate)
+        resting_step = replace(resting_step, release_ns=release_ns, can_advance=start.at_once)
     if profile is None or (profile.is_still and start.chunk is None):
         return resting_step
     _require_range(name, profile)
     low, high = profile.extent_counts
     # A single count has no path.
     if start.chunk is not None or (any(profile.jerks) and high - low > 1.5):
-        return _lower_stream(replace(resting_step, chunk=start.chunk), config, options, traits, profile)
+        streamed_step = replace(resting_step, chunk=start.chunk, release_ns=None, can_advance=False)
+        return _lower_stream(streamed_step, config, options, traits, profile)
     bounds = replace(axis_bounds(axis), equal_ramps=traits.equal_ramps)
     return _lower_set_point(resting_step, bounds, drive_units(options), profile, start)
 

@@ -99,10 +99,15 @@ class Cia402Mover:
     async def schedule_start(self, start_tolerance_ns: int, advance_ns: int) -> None:
         """Send the starting command and schedule its SYNC. Raises `Refusal`.
 
-        advance_ns: ignored. A SYNC may start several drives, and only all of them together: its T0 cannot be advanced.
+        advance_ns: of a step that no other drive takes part in: a SYNC of its own is reserved for the earlier T0. A
+        SYNC of several drives is not advanced, because it starts all of them together.
         """
-        del advance_ns
-        self._starter.schedule_start(self._require_step(), start_tolerance_ns)
+        move = self._require_step()
+        if advance_ns:
+            move.t0_ns -= advance_ns
+            self._sync_scheduler.remove_drive(self._node.number, move.sync_start)
+            move.sync_start = self._sync_scheduler.reserve_start(self._node.number, move.t0_ns, move.t0_ns)
+        self._starter.schedule_start(move, start_tolerance_ns)
 
     async def unload_move(self) -> None:
         """Cancel the command that waits in the drive, and the SYNC unless other drives need it: nothing starts

@@ -71,8 +71,8 @@ class Smc30Poller:
         )
 
     async def _query_activity(self) -> ActivityReading:
-        """Query what it does: by its position where that shows it as well, which saves a query; now and then by F, which
-        shows errors (L1818-L1827). In Programming Mode the query would become a part of the program."""
+        """Query what it does: by its position where that shows it as well, which saves a query; now and then by F,
+        which shows errors (L1818-L1827). In Programming Mode the query would become a part of the program."""
         unit = self._unit
         self._polls += 1
         if self._polls % POLLS_OF_ERRORS == 0 or unit.loading.locked() or unit.programming:

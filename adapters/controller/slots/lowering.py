@@ -53,7 +53,7 @@ class StepLowering:
             can_advance=lowered_step.can_advance,
             gap_ns=lowered_step.gap_ns if request.start.follows else None,
             commands=list(lowered_step.commands),
-            starts_at_once=lowered_step.release_ns is not None and lowered_step.can_advance,
+            starts_at_once=lowered_step.release_ns is not None,
         )
 
     async def prepare_at_once(self, request: StartAtOnceRequest, *, follows: bool) -> PreparedMove:
