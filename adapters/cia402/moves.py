@@ -70,6 +70,14 @@ class Cia402Mover:
 
     async def load_move(self, lowered: Cia402Lowered, t0_ns: int) -> Mapping[str, int]:
         """Load the step. Raises `Refusal`; then nothing is loaded."""
+        return await self._load(lowered, t0_ns, behind=False)
+
+    async def load_behind(self, lowered: Cia402Lowered, t0_ns: int, *, at_once: bool) -> Mapping[str, int]:
+        """The same right behind a step that has just ended. Raises `Refusal`."""
+        del at_once  # loading checks where it stands in any case
+        return await self._load(lowered, t0_ns, behind=True)
+
+    async def _load(self, lowered: Cia402Lowered, t0_ns: int, *, behind: bool) -> Mapping[str, int]:
         node = self._node
         if self.move is not None or self.busy():
             raise Refusal("busy", "a motion is loaded or in progress", "disarm or stop it")
@@ -86,7 +94,7 @@ class Cia402Mover:
         )
         move.end_s = 0.0 if lowered.chunk is None else lowered.chunk.end_s
         try:
-            return await self._loader.load_step(move.lowered)
+            return await self._loader.load_step(move.lowered, behind=behind)
         except BaseException:
             self._sync_scheduler.remove_drive(node.number, shot)
             self._drop_step(move)

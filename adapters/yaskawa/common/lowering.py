@@ -430,9 +430,8 @@ def _make_lowered(
 
 
 def _find_release_ns(context: LoweringContext, start: StartOptions, tick_ns: float, *, is_beside: bool) -> int | None:
-    """How long before T0 the gate must be opened; None where a trigger line or outputs depend on T0, or an earlier T0 takes longer
-    than it is worth. is_beside: behind
-    the present step, whose program is not looked at as often."""
+    """How long before T0 the gate must be opened; None where a trigger line or outputs depend on T0, or an earlier T0
+    takes longer than it is worth. is_beside: behind the present step, whose program is not looked at as often."""
     gate = context.gate
     if isinstance(context.packets, arrays.SlowArrayTransfer):
         return None
