@@ -46,12 +46,9 @@ NEEDED: Mapping[str, tuple[NeededExchange, ...]] = {
         (rb"G:", "begin", "L4779-4822"),
     ),
     "smc30": _needs(
-        (rb"\dF", "end position", "L1818-1827"),
         (rb"\dV1", "end position", "L1926-1931"),
-        (rb"\dPO", "target", "L1882-1891"),
-        (rb"\dG[+-]", "target", "L2051-2056"),
-        (rb"\dPX", "target", "L1893-1899"),
-        (rb"\dQ", "read-back", "L1901-1910"),
+        (rb"\dR509=", "target", "L2912-2931"),
+        (rb"\dVR509", "read-back", "L3006-3015"),
         (rb"\dE", "begin", "L1798-1805"),
     ),
     "ppsmc": _needs(

@@ -6,8 +6,8 @@ import pytest
 from unit.adapters.cia402_bench import Drives, config, run
 
 from adapters.cia402 import MAKE
-from adapters.contract import JogMove
-from orchestrator.clock.base import NS_PER_MS
+from adapters.contract import JogMove, Lowered
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.messages import StartOptions
 from orchestrator.plan.step import AxisMove, plan_step
@@ -206,3 +206,53 @@ def test_the_end_of_a_move_from_between_two_counts_is_known_no_better_than_half_
             assert ended.earliest_ns <= world.unit.commanded_motions[-1].end_ns <= ended.latest_ns
 
     run(main)
+
+
+AT_ONCE = StartOptions(follows=True, at_once=True)
+
+
+def lower_at_once(world: Drives, number: int, begin: int, end: int) -> Lowered:
+    plan = plan_step([AxisMove("a", begin, end, 20_000, 200_000)])
+    lowered = world.drivers[number].lower_profiles(dict(plan.profiles), AT_ONCE, None)
+    assert lowered.release_ns is not None and lowered.can_advance
+    return lowered
+
+
+@pytest.mark.parametrize("other_ms", [None, 300])
+def test_a_step_at_once_gets_a_sync_of_its_own_for_an_earlier_t0(other_ms: int | None) -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        clock, driver = world.clock, world.driver
+        if other_ms is not None:  # another drive of the bus waits for its own
+            await world.arm(1, 20_000, clock.now_ns() + other_ms * NS_PER_MS)
+        lowered = lower_at_once(world, 0, 0, 5000)
+        t0_ns = clock.now_ns() + 400 * NS_PER_MS
+        await driver.slots.present.load(lowered, t0_ns, None, "at once")
+        early_ns = clock.now_ns() + (lowered.release_ns or 0)
+        await driver.slots.present.release(advance_ns=t0_ns - early_ns)
+        span = (await driver.slots.present.wait_for_start())["a"]
+        assert (await driver.slots.present.wait_for_end()).state == "done"
+        start_ns = world.units[0].commanded_motions[-1].start_ns
+        assert span.earliest_ns <= start_ns <= span.latest_ns
+        assert abs(start_ns - early_ns) < NS_PER_MS
+        assert other_ms is None or not world.units[1].commanded_motions
+
+    run(main, count=2)
+
+
+def test_an_earlier_t0_beside_the_sync_of_another_drive_is_refused() -> None:
+    async def main(world: Drives) -> None:
+        await world.ready()
+        clock, driver = world.clock, world.driver
+        other_ns = clock.now_ns() + 100 * NS_PER_MS
+        await world.arm(1, 20_000, other_ns)
+        lowered = lower_at_once(world, 0, 0, 5000)
+        await driver.slots.present.load(lowered, other_ns + 100 * NS_PER_MS, None, "at once")
+        with pytest.raises(Refusal) as caught:
+            await driver.slots.present.release(advance_ns=95 * NS_PER_MS)
+        assert caught.value.code == "bus-busy"
+        await driver.slots.unload()
+        await world.until(other_ns + NS_PER_S)
+        assert not world.units[0].commanded_motions
+
+    run(main, count=2)

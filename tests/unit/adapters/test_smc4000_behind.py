@@ -62,6 +62,7 @@ def run_pair(
     first: dict[str, Profile] | None = None,
     fleet: dict[str, Any] | None = None,
     axes: tuple[str, ...] = ("x", "y"),
+    at_once: bool = False,
 ) -> None:
     async def main(world: World) -> None:
         driver = world.driver
@@ -76,7 +77,7 @@ def run_pair(
         t0_ns = world.clock.now_ns() + NS_PER_S // 2
         lowered = driver.lower_profiles(
             FIRST if first is None else first,
-            StartOptions(lead_ns=t0_ns - mapping.host_at_ns, exact=True),
+            StartOptions(lead_ns=t0_ns - mapping.host_at_ns, exact=True, at_once=at_once),
             mapping,
         )
         await driver.slots.present.load(lowered, t0_ns, mapping)
