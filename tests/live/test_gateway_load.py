@@ -4,6 +4,7 @@ The limits here are generous, for a busy machine; figures of a quiet one are in 
 """
 
 import contextlib
+import http.client
 import json
 import resource
 import socket
@@ -11,9 +12,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import indent
+from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
@@ -26,6 +30,8 @@ from orchestrator.gateway.connections import MAX_NOT_SIGNED_IN
 pytestmark = pytest.mark.live
 
 STOP_S = 1.5  # 0.3 s on a quiet machine
+GAP_S = 1.0  # of the gateway's loop; TODO s on a quiet machine
+CHECK_S = 300.0
 UTC, LATER = "2026-01-01T00:00:00.000000Z", "2999-01-01T00:00:00.000000Z"
 LENGTH = 3_900_000
 
@@ -172,3 +178,47 @@ def test_a_connection_goes_on_after_a_body_that_was_not_needed(door: Door) -> No
             while not (line := answers.readline()).rpartition(b"}")[2].startswith(b"HTTP/1.1 "):
                 assert line, "the connection has ended"
             assert b"HTTP/1.1 200 " in line
+
+
+LINES = 90_000
+FEED = "\n".join(
+    f"G1 X{20 + number // 2 * 0.001:.6f} Y{20 + number % 2 * 0.01:.6f} ; a piece of {number:08}" for number in range(LINES)
+)
+PIECES = "\n".join(
+    f"- {{piece: line, to: [{20 + number // 2 * 0.001:.6f}, {20 + number % 2 * 0.01:.5f}]}}" for number in range(LINES)
+)
+PATH = "schema: tutti.job/1\nname: long\nsteps:\n- do: path\n  axes: [gantry.x, gantry.y]\n  start: [20, 20]\n"
+MOVES = "\n".join(f"- {{do: move, to: {{gantry.x: {number % 300}, stage.u: {number % 40}}}}}" for number in range(10_000))
+CHECKED = {
+    "program": {"program": {"name": "long.ngc", "text": f"G21 G90 G64 P0.01 F600\n{FEED}\nM2\n"}},
+    "path": {"text": f"{PATH}  tolerance: 10 um\n  corner: {{within: 5 um}}\n  pieces:\n{indent(PIECES, '  ')}\n"},
+    "steps": {"text": f"schema: tutti.job/1\nname: many\nsteps:\n{MOVES}\n"},
+    "mistakes": {"text": f"schema: tutti.job/1\nname: many\nsteps:\n{MOVES.replace('move', 'mvoe')}\n"},
+}
+
+
+@pytest.mark.parametrize("kind", CHECKED)
+def test_a_stop_gets_through_the_check_of_a_long_text(door: Door, kind: str) -> None:
+    """A job file or a program of up to 4 MB is read, planned and drawn by another process."""
+    body = json.dumps(CHECKED[kind]).encode()
+    request = Request(f"http://{door.host}/v1/check-job", body, {"content-type": "application/json"})
+    request.add_header("authorization", f"Bearer {door.token}")
+    gaps, stops, answers = [0.0], [0.0], list[dict[str, Any]]()
+
+    def check() -> None:
+        with urlopen(request, timeout=CHECK_S) as answer:
+            answers.append(json.loads(answer.read()))
+
+    with ThreadPoolExecutor(1) as pool, closing(http.client.HTTPConnection(door.host, timeout=LIMIT_S)) as link:
+        checking = pool.submit(check)
+        while not checking.done():
+            stops.append(door.measure_stop())
+            for _ in range(20):
+                begun_s = time.monotonic()
+                link.request("GET", "/v1/sign-in")
+                link.getresponse().read()
+                gaps.append(time.monotonic() - begun_s)
+        checking.result()
+    sys.stdout.write(f"{kind}, {len(body)} bytes: longest stop {max(stops):.3f} s, longest gap {max(gaps):.3f} s\n")
+    assert bool(answers[0]["problems"]) is (kind == "mistakes"), answers[0]["problems"][:2]
+    assert max(stops) < STOP_S and max(gaps) < GAP_S

@@ -88,8 +88,8 @@ def count_kind(log: LogFile, kind: str) -> int:
 
 
 def require_works_again(fleet: RunningFleet, router: int, stopped_ns: int) -> None:
-    """The router is replaced, everything has stopped in time, the fleet is adopted and idle, and nothing has begun."""
-    wait_until(lambda: router not in fleet.family(), "the router that hangs is ended")
+    """The router is replaced, after a pause that grows with each restart; everything has stopped in time, the fleet is adopted and idle, and nothing has begun."""
+    wait_until(lambda: _find_routers(fleet) - {router} != set(), "the router that hangs is replaced")
     starts = {name: fleet.starts(name) for name in SLOW_AXES}
     for name in SLOW_AXES:
         last = fleet.truth(name)[-1]
@@ -97,6 +97,10 @@ def require_works_again(fleet: RunningFleet, router: int, stopped_ns: int) -> No
     fleet.works()
     sys.stdout.write(f"works again after {margin_s(stopped_ns, raw_ns()):.1f} s\n")
     assert {name: fleet.starts(name) for name in SLOW_AXES} == starts
+
+
+def _find_routers(fleet: RunningFleet) -> set[int]:
+    return {pid for pid, command in fleet.family().items() if ROUTER in command}
 
 
 # By stage: the steps of the job, the process whose log shows the stage, and what it shows then.
