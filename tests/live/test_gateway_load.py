@@ -180,15 +180,18 @@ def test_a_connection_goes_on_after_a_body_that_was_not_needed(door: Door) -> No
             assert b"HTTP/1.1 200 " in line
 
 
-LINES = 90_000
+LINES = 80_000
 FEED = "\n".join(
-    f"G1 X{20 + number // 2 * 0.001:.6f} Y{20 + number % 2 * 0.01:.6f} ; a piece of {number:08}" for number in range(LINES)
+    f"G1 X{20 + number // 2 * 0.001:.6f} Y{20 + number % 2 * 0.01:.6f} ; a piece of {number:08}"
+    for number in range(LINES)
 )
 PIECES = "\n".join(
     f"- {{piece: line, to: [{20 + number // 2 * 0.001:.6f}, {20 + number % 2 * 0.01:.5f}]}}" for number in range(LINES)
 )
 PATH = "schema: tutti.job/1\nname: long\nsteps:\n- do: path\n  axes: [gantry.x, gantry.y]\n  start: [20, 20]\n"
-MOVES = "\n".join(f"- {{do: move, to: {{gantry.x: {number % 300}, stage.u: {number % 40}}}}}" for number in range(10_000))
+MOVES = "\n".join(
+    f"- {{do: move, to: {{gantry.x: {number % 300}, stage.u: {number % 40}}}}}" for number in range(10_000)
+)
 CHECKED = {
     "program": {"program": {"name": "long.ngc", "text": f"G21 G90 G64 P0.01 F600\n{FEED}\nM2\n"}},
     "path": {"text": f"{PATH}  tolerance: 10 um\n  corner: {{within: 5 um}}\n  pieces:\n{indent(PIECES, '  ')}\n"},
