@@ -150,7 +150,7 @@ def _list_zeros(check: ProgramCheck) -> dict[str, float]:
 
 def _describe(check: ProgramCheck, program: ProgramJob, fields: list[dict[str, Any]]) -> CheckedJob:
     traces = trace_paths(program.job, program.paths)
-    shown: dict[str, Any] = {
+    details: dict[str, Any] = {
         "lines": len(check.program.lines),
         "from_line": program.settings.from_line,
         "values": {name: text for name, text in program.settings.texts.items() if name != ZEROS},
@@ -160,14 +160,14 @@ def _describe(check: ProgramCheck, program: ProgramJob, fields: list[dict[str, A
         "extents": list_extents(traces, list(program.settings.axes.values()), check.fleet, check.axes),
         "drawing": draw_program(traces, list(program.settings.axes)),
     }
-    plain = {"parameters": fields, "program": shown}
+    plain = {"parameters": fields, "program": details}
     if not program.approach:
         return CheckedJob.of(program.job, plain)
     move, remaining_job = program.split_approach()
     if _stands_at(check, program.approach):
         return CheckedJob.of(remaining_job, plain)
     places = ", ".join(f"{name} to {target}" for name, target in program.approach.items())
-    shown["approach"] = f"all axes go straight and together: {places}"
+    details["approach"] = f"all axes go straight and together: {places}"
     return CheckedJob.of(move, plain, program.job)
 
 
