@@ -57,14 +57,14 @@ class JobFiles:
             source = await open_program(tutti, body, values)
         else:
             source = JobText(self._folder, body)
-        read = self._check if source.size > MAX_AT_ONCE else self._execute
-        checked_job = await read(source.check)
+        reader = self._check if source.size > MAX_AT_ONCE else self._execute
+        checked_job = await reader(source.check)
         answer: dict[str, Any] = {"problems": [], "forecast": None, **checked_job.plain}
         if not checked_job.whole:
             return make_joined_response(answer | {"job": None, "preview": None}, {})
         forecast, preview = await self._look_ahead(tutti, checked_job)
         if forecast.problems:
-            answer["problems"] = describe_problems(await read(source.locate, forecast.problems))
+            answer["problems"] = describe_problems(await reader(source.locate, forecast.problems))
         answer["forecast"] = _describe_forecast(forecast)
         return make_joined_response(answer, {"job": checked_job.job, "preview": preview})
 
