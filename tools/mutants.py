@@ -241,6 +241,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="number of copies that are tested at the same time")
     options = parser.parse_args()
     mutants, unnoticed = draw_mutants(options.count), 0
+    print(f"{len(mutants)} changes, {options.seeds} campaign seeds each, from {FIRST_SEED}:\n")
     print("| place | change | noticed by | seeds |\n|---|---|---|---|", flush=True)
     with TemporaryDirectory(prefix="tutti-mutants-") as folder, ThreadPoolExecutor(options.jobs) as pool:
         trees: SimpleQueue[Path] = SimpleQueue()

@@ -17,6 +17,7 @@ from orchestrator.client.tracebacks import end_tracebacks
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.jobs.job import UNKNOWN_ACTOR, Job
+from orchestrator.model.jobs.parts import dump_long
 from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.jobs.service import (
     DryRun,
@@ -139,7 +140,7 @@ class JobRequests(QueueRequests):
         for first in range(0, len(job.steps), DRY_RUN_STEPS):
             part = job.model_copy(update={"steps": job.steps[first : first + DRY_RUN_STEPS]})
             request = DryRun(**self.request_fields(), job=part, first=first, begin=axes)
-            reply = await self.request_service("dry-run", request, DryRunDone, DRY_RUN_S)
+            reply = await self.request_service("dry-run", dump_long(request), DryRunDone, DRY_RUN_S)
             axes = reply.end
             steps += reply.forecast.steps
             problems += reply.forecast.problems

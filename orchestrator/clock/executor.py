@@ -15,7 +15,7 @@ from contextlib import nullcontext
 from multiprocessing import active_children, get_context
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from orchestrator.clock.collection import CollectionPause
+from orchestrator.clock.collection import CollectionPause, return_memory
 from orchestrator.clock.parent import prepare_worker
 from orchestrator.clock.realtime import reset_priority
 from orchestrator.model.errors import Refusal
@@ -83,6 +83,8 @@ CHECKING = WorkLimits(
     300, 6_000_000_000, "the job was not checked", "split its paths into several jobs", "long paths are being planned"
 )
 """Of a job with a long path: its plan takes 50 s and 1.5 GB for 100,000 pieces."""
+PLANNING = CHECKING._replace(task="the path was not planned", remedy="split it into several paths")
+"""Of a long path that is to be run."""
 
 
 class ProcessExecutor:
@@ -144,6 +146,7 @@ def _run_in_time(call_s: int, function: Callable[..., T], values: tuple[Any, ...
         return function(*values)
     finally:
         signal.alarm(0)
+        return_memory()
 
 
 def _prepare_process(parent_pid: int, max_bytes: int) -> None:

@@ -79,14 +79,14 @@ class Coordinator:
         self._leases = LeaseRegistry(access, bus, keys)
         self._positions = PositionBook(access, environment.journal, self._execute)
         publisher = StepPublisher(bus, keys)
-        plan = environment.plan
         motion = MotionServices(
             fleet=access,
             leadership=self.leadership,
             journal=environment.journal,
             execute=self._execute,
             publisher=publisher,
-            plan=plan,
+            plan=environment.plan,
+            plan_long=environment.plan_long,
         )
         self._targets = motion.targets
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)

@@ -24,7 +24,7 @@ from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
-from orchestrator.clock.executor import CHECKING, ProcessExecutor, ThreadExecutor
+from orchestrator.clock.executor import CHECKING, PLANNING, ProcessExecutor, ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import running, wait_for_first
 from orchestrator.clock.parent import die_with_parent
@@ -85,7 +85,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
     if options.existing_journal:
         require_journal(options.journal)
     journal, runs, decode = SqliteJournal(options.journal), ThreadExecutor("journal"), ProcessExecutor()
-    check = ProcessExecutor(CHECKING)
+    check, plan_long = ProcessExecutor(CHECKING), ProcessExecutor(PLANNING)
     court = CoordinatorEnvironment(
         bus=bus,
         keys=FleetKeys(fleet.fleet),
@@ -93,6 +93,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         journal=journal,
         execute=runs,
         plan=ThreadExecutor("planning", many_objects=True),
+        plan_long=plan_long,
         decode=decode,
         check=check,
         new_id=lambda: uuid.uuid4().hex,
@@ -130,8 +131,8 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         await coordinator.close()
         return 0
     finally:
-        decode.close()
-        check.close()
+        for executor in (decode, check, plan_long):
+            executor.close()
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
         await runs(journal.close)
 

@@ -56,7 +56,8 @@ Act = Callable[[Identity, Mapping[str, Any]], Awaitable[Any]]
 class GatewayOptions:
     """port: under which it is addressed. secure: with TLS. users: their file. jobs: the folder of templates.
     recordings: their folder. page: the folder of the built page. new_secret: returns 32 random bytes as text.
-    names: by which other computers reach it; with any, nothing is let in without users. decode: for large requests."""
+    names: by which other computers reach it; with any, nothing is let in without users. decode: for large requests.
+    check: for long job files and programs."""
 
     port: int
     users: Path
@@ -67,6 +68,7 @@ class GatewayOptions:
     page: Path = PAGE
     names: Sequence[str] = ()
     decode: Executor = run_inline
+    check: Executor = run_inline
 
 
 class Gateway:
@@ -84,7 +86,7 @@ class Gateway:
         self._sessions = SessionRequests(self._authentication, cookies, marks, log, options.new_secret)
         self._commands = FleetCommands(tutti, clock, log, options.decode, self._note_stop)
         self._commands.known_controllers = lambda: self.hub.state.controllers
-        self._files = JobFiles(options.jobs, execute)
+        self._files = JobFiles(options.jobs, execute, options.check)
         self._reads = FleetReads(self._commands, self.hub, self._files, options.recordings, execute)
         self._sockets: set[UserSocket] = set()
         self._acts: Mapping[str, Act] = {
@@ -204,7 +206,8 @@ class Gateway:
 
     def _make_act(self, verb: str, act: Act) -> Callable[[Request], Awaitable[Response]]:
         async def carry_out(request: Request) -> Response:
-            return JSONResponse(await act(*await self._authorise(request, verb)))
+            answer = await act(*await self._authorise(request, verb))
+            return answer if isinstance(answer, Response) else JSONResponse(answer)
 
         return carry_out
 

@@ -1,6 +1,6 @@
 """A drawing of a job before it runs: the planned position of each axis over time, as the forecast plans it."""
 
-import asyncio
+import json
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from functools import partial
@@ -10,6 +10,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.parts import join_at_once
 from orchestrator.model.names import split_name
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
@@ -25,7 +26,6 @@ from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.forecast.ways import ForecastMotion
 
 MAX_STEPS = 1000  # that are drawn
-STEPS_AT_ONCE = 20  # between two turns of other work
 POINTS_PER_SEGMENT, MAX_POINTS = 6, 4000
 DIGITS = 4
 
@@ -51,7 +51,14 @@ def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[st
     return axes
 
 
-async def draw_job(
+def draw_parts(
+    fleet: Fleet, positions: Sequence[PositionEntry], axes: Mapping[str, AxisForecast], parts: Sequence[bytes]
+) -> bytes:
+    """`draw_job` of a job in parts, as JSON."""
+    return json.dumps(draw_job(fleet, positions, axes, join_at_once(parts))).encode()
+
+
+def draw_job(
     fleet: Fleet, positions: Sequence[PositionEntry], axes: Mapping[str, AxisForecast], job: Job, repeat: int = 1
 ) -> dict[str, Any]:
     """The preview of a job that begins with `axes`; see the HTTP reference for its fields."""
@@ -67,8 +74,6 @@ async def draw_job(
             drawing.take(index, location.choose_step(partial(_find_move, fleet, location)))
         except Refusal as error:
             drawing.note_gap(index, error.text)
-        if index % STEPS_AT_ONCE == 0:
-            await asyncio.sleep(0)
     if len(order) > MAX_STEPS:
         drawing.note_gap(MAX_STEPS, f"only the first {MAX_STEPS} of {len(order)} steps are drawn")
     return drawing.finish()

@@ -24,7 +24,7 @@ from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
 from orchestrator.client import Tutti
-from orchestrator.clock.executor import ProcessExecutor, ThreadExecutor
+from orchestrator.clock.executor import CHECKING, ProcessExecutor, ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
@@ -72,8 +72,9 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         clock, keys = LiveClock(), FleetKeys(place.fleet)
         log = ProcessLog("gateway", place.fleet, clock, make_file_sink(place.log), (bus, keys))
         secure, execute, decode = context is not None, ThreadExecutor("gateway"), ProcessExecutor()
+        check = ProcessExecutor(CHECKING)
         files = place.state / USERS_FILE, token_urlsafe, place.jobs, place.state / RECORDINGS
-        options = GatewayOptions(port, *files, secure=secure, names=names, decode=decode)
+        options = GatewayOptions(port, *files, secure=secure, names=names, decode=decode, check=check)
         gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, execute, options)
         server = make_server(gateway.app, context, log.warning)
         loop = asyncio.get_running_loop()
@@ -109,6 +110,7 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         finally:
             tasks_beside.cancel_all()
             decode.close()
+            check.close()
             await gateway.close()
     finally:
         await bus.close()

@@ -1,19 +1,18 @@
 """Programs in G-code that arrive as text: what has to be chosen for them, their mistakes, their job and its drawing."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
 from orchestrator.client import Tutti
-from orchestrator.clock.executor import Executor
+from orchestrator.gateway.checked_job import CheckedJob
 from orchestrator.gateway.preview import look_at_axes
 from orchestrator.gateway.program_drawing import draw_program, list_extents
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.forecast import AxisForecast, StepProblem
 from orchestrator.model.jobs.files import FileError, FileProblem
-from orchestrator.model.jobs.job import Job
 from orchestrator.model.units import Unit, convert_units, find_dimension, parse_quantity
 from orchestrator.plan.programs.program_job import ProgramJob, make_program_job, require_unchanged
 from orchestrator.plan.programs.settings import (
@@ -31,19 +30,18 @@ MAX_SHOWN_PROBLEMS = 50
 BY_PLACE = "by where the axes stand now, as the job kept no record of its last move: see whether it is right"
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedProgram:
-    """job: what would be submitted next; whole: what is forecast. plain: what the page shows beside it."""
-
-    job: Job
-    whole: Job
-    plain: dict[str, Any]
-    program: ProgramJob
+async def open_program(tutti: Tutti, body: Mapping[str, Any], values: Mapping[str, str]) -> "ProgramCheck":
+    """A program with what it is checked with. Raises `Refusal`."""
+    program = _read_program(body)
+    fleet = await tutti.load_fleet()
+    axes = look_at_axes(fleet, await tutti.status())
+    end = await _load_end(tutti, body.get("continues"), axes)
+    return ProgramCheck(program, values, fleet, axes, end)
 
 
 @dataclass(frozen=True, slots=True)
 class ProgramCheck:
-    """What a program is checked with."""
+    """A program, and what it is checked with. values: of its form. end: of the job that it continues."""
 
     program: ProgramText
     values: Mapping[str, str]
@@ -51,21 +49,40 @@ class ProgramCheck:
     axes: Mapping[str, AxisForecast]
     end: LastMotion | None
 
+    @property
+    def size(self) -> int:
+        """The characters of the program."""
+        return len(self.program.text)
 
-async def check_program(
-    tutti: Tutti, execute: Executor, body: Mapping[str, Any], values: Mapping[str, str]
-) -> tuple[dict[str, Any], CheckedProgram | None]:
-    """Parameters and problems of a program, and without any, its job. Raises `Refusal`."""
-    program = _read_program(body)
-    fleet = await tutti.load_fleet()
-    axes = look_at_axes(fleet, await tutti.status())
-    end = await _load_end(tutti, body.get("continues"), axes)
-    return await execute(_check, ProgramCheck(program, values, fleet, axes, end))
+    def check(self) -> CheckedJob:
+        """What has to be chosen, mistakes, and without any, the job with what the page shows beside it."""
+        fields = describe_fields(self.program, self.fleet, _list_places(self), self.values)
+        try:
+            if self.end is not None:
+                fields = _take_over(self, fields, self.end)
+            program = self._make_job(fields)
+        except FileError as error:
+            problems = describe_problems(error.problems[:MAX_SHOWN_PROBLEMS])
+            return CheckedJob({"parameters": fields, "problems": problems})
+        return _describe(self, program, fields)
+
+    def locate(self, problems: Sequence[StepProblem]) -> list[FileProblem]:
+        """Problems of the forecast, at the lines of the steps that they are in."""
+        fields = describe_fields(self.program, self.fleet, _list_places(self), self.values)
+        program = self._make_job(fields if self.end is None else _take_over(self, fields, self.end))
+        return [_locate_problem(program, problem) for problem in problems]
+
+    def _make_job(self, fields: list[dict[str, Any]]) -> ProgramJob:
+        """Raises `FileError`."""
+        settings = read_settings(self.program, fields, self.values, _list_zeros(self))
+        if self.end is not None:
+            require_unchanged(self.program, settings, self.end.report.parameters_used)
+        return make_program_job(self.program, settings, self.fleet)
 
 
-def locate_in_program(program: ProgramJob, place: list[str | int], text: str) -> FileProblem:
-    """A problem of a forecast, at the lines of the step that it is in."""
-    number = next((part for part in place if isinstance(part, int)), 0)
+def _locate_problem(program: ProgramJob, problem: StepProblem) -> FileProblem:
+    text = problem.describe()
+    number = next((part for part in problem.place if isinstance(part, int)), 0)
     places = program.imported.places
     if number >= len(places) or not places[number]:
         return FileProblem(program.program.name, 0, "", text)
@@ -104,22 +121,6 @@ async def _load_end(tutti: Tutti, job_id: object, axes: Mapping[str, AxisForecas
     return LastMotion(report, recording, axes)
 
 
-def _check(check: ProgramCheck) -> tuple[dict[str, Any], CheckedProgram | None]:
-    """In a thread: a long program takes seconds."""
-    fields = describe_fields(check.program, check.fleet, _list_places(check), check.values)
-    try:
-        if check.end is not None:
-            fields = _take_over(check, fields, check.end)
-        settings = read_settings(check.program, fields, check.values, _list_zeros(check))
-        if check.end is not None:
-            require_unchanged(check.program, settings, check.end.report.parameters_used)
-        program = make_program_job(check.program, settings, check.fleet)
-    except FileError as error:
-        problems = describe_problems(error.problems[:MAX_SHOWN_PROBLEMS])
-        return {"parameters": fields, "problems": problems}, None
-    return {"parameters": fields, "problems": []}, _describe(check, program)
-
-
 def _take_over(check: ProgramCheck, fields: list[dict[str, Any]], end: LastMotion) -> list[dict[str, Any]]:
     """The fields with the values of the job that has stopped, and the line at which it stood. Raises `FileError`."""
     used = end.report.parameters_used
@@ -147,9 +148,9 @@ def _list_zeros(check: ProgramCheck) -> dict[str, float]:
     return {name: float(axis.offset) for name, axis in check.axes.items()}
 
 
-def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
+def _describe(check: ProgramCheck, program: ProgramJob, fields: list[dict[str, Any]]) -> CheckedJob:
     traces = trace_paths(program.job, program.paths)
-    plain: dict[str, Any] = {
+    details: dict[str, Any] = {
         "lines": len(check.program.lines),
         "from_line": program.settings.from_line,
         "values": {name: text for name, text in program.settings.texts.items() if name != ZEROS},
@@ -159,14 +160,15 @@ def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
         "extents": list_extents(traces, list(program.settings.axes.values()), check.fleet, check.axes),
         "drawing": draw_program(traces, list(program.settings.axes)),
     }
+    plain = {"parameters": fields, "program": details}
     if not program.approach:
-        return CheckedProgram(program.job, program.job, plain, program)
+        return CheckedJob.of(program.job, plain)
     move, remaining_job = program.split_approach()
     if _stands_at(check, program.approach):
-        return CheckedProgram(remaining_job, remaining_job, plain, program)
+        return CheckedJob.of(remaining_job, plain)
     places = ", ".join(f"{name} to {target}" for name, target in program.approach.items())
-    plain["approach"] = f"all axes go straight and together: {places}"
-    return CheckedProgram(move, program.job, plain, program)
+    details["approach"] = f"all axes go straight and together: {places}"
+    return CheckedJob.of(move, plain, program.job)
 
 
 def _stands_at(check: ProgramCheck, places: Mapping[str, str]) -> bool:

@@ -138,8 +138,9 @@ class FleetReads:
         tutti, job_id = self._connect(request), request.values["job_id"]
         planned_job = await tutti.plan_job(job_id)
         shown_job = await tutti.show_job(job_id)
-        job = {} if shown_job.job is None else await self._files.forecast_job(tutti, shown_job.job)
-        return JSONResponse({**planned_job.to_plain(), **job})
+        if shown_job.job is None:
+            return make_model_response(planned_job)
+        return await self._files.show_job(tutti, shown_job.job, planned_job.to_plain())
 
     async def _list_axes(self, request: ReadRequest) -> Response:
         """The axes that the rest of a job uses, those of its named positions too."""

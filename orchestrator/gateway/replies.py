@@ -1,6 +1,7 @@
 """Answers in JSON, and refusals with the HTTP status that fits them."""
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from starlette.responses import JSONResponse, Response
@@ -51,3 +52,10 @@ def describe_problems(problems: Iterable[FileProblem]) -> list[dict[str, Any]]:
 def make_model_response(model: Model) -> Response:
     """The answer of the fleet, as it came."""
     return Response(model.to_json(), media_type="application/json")
+
+
+def make_joined_response(plain: Mapping[str, Any], encoded: Mapping[str, bytes]) -> Response:
+    """An answer of these fields, and of some that are JSON already, because another process has written them."""
+    fields = [f"{json.dumps(name)}:".encode() + text for name, text in encoded.items()]
+    fields += [json.dumps(dict(plain), ensure_ascii=False, allow_nan=False).encode()[1:-1]] if plain else []
+    return Response(b"{" + b",".join(fields) + b"}", media_type="application/json")

@@ -54,6 +54,10 @@ class StepProblem(Model):
     remedy: str = ""
     controller: str | None = None
 
+    def describe(self) -> str:
+        """Text and remedy."""
+        return f"{self.text}; {self.remedy}" if self.remedy else self.text
+
 
 class JobForecast(Model):
     """All steps of a job. conditions: of the job as a whole, in words."""

@@ -86,7 +86,15 @@ class YamlNode:
         """Keys or indices with their nodes."""
         if isinstance(self.children, dict):
             return iter(self.children.items())
-        return iter(cast("list[tuple[str | int, YamlNode]]", list(enumerate(self.children or ()))))
+        return iter(enumerate(self.children or ()))
+
+    def find_child(self, part: str | int) -> "YamlNode | None":
+        """The node at a key or index; None if there is none."""
+        if isinstance(self.children, dict):
+            return self.children.get(str(part))
+        number = int(part) if str(part).isdecimal() else -1
+        items = self.children or []
+        return items[number] if 0 <= number < len(items) else None
 
 
 def decode_text(data: bytes, most: int = MAX_BYTES) -> str:

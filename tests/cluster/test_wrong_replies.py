@@ -1,12 +1,13 @@
 """The way back from wrong replies: from the first right one to a state that is right, and to a link that is of use."""
 
 import asyncio
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
 import pytest
-from cluster.worlds import job, line_fleet, origin_host_ns, outcome, run_fleet
+from cluster.worlds import EXAMPLES, job, line_fleet, origin_host_ns, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.campaign.arbitrary_replies import ArbitraryReplies
@@ -133,3 +134,9 @@ def test_a_state_is_right_soon_after_wrong_replies_have_ended(make: str) -> None
     assert bool(way.why) is (way.longest_s > 1.0)
     took_s = [measure_way_back(make, moves=moves) for moves in (False, True)]
     assert max(took_s) <= way.longest_s, took_s
+
+
+def test_the_page_of_failures_has_each_make_with_its_bound() -> None:
+    page = (EXAMPLES.parents[1] / "docs" / "explanation" / "failures.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\w+) \|[^|]*\|[^|]*\| ([\d.]+ \| .*) \|$", page, re.MULTILINE))
+    assert rows == {make: f"{way.longest_s} | {way.why or '–'}" for make, way in WAYS_BACK.items()}

@@ -131,3 +131,25 @@ def test_a_restart_that_keeps_the_connection_is_noticed_by_the_session_number() 
         assert not (await world.driver.poll()).restarted
 
     run_case(make_case("ascii"), main)
+
+
+def test_a_restart_is_noticed_though_the_armed_move_was_withdrawn_in_the_lock_after_it() -> None:
+    """The reset of the withdrawal clears the session number, and in the lock the controller takes none."""
+
+    async def main(world: World) -> None:
+        await world.ready()
+        assert not await world.manual.home_axes(world.axes, lambda _: None)
+        await world.arm(await world.plan(world.targets()))
+        world.hit.controller.set_power(on=False)
+        await sleep_ns(world.clock, NS_PER_S)
+        world.hit.controller.set_power(on=True)
+        await sleep_ns(world.clock, NS_PER_S)
+        await world.driver.slots.unload()
+        with pytest.raises(ControllerRestarted):
+            await world.driver.poll()
+        await world.driver.connect()
+        await world.driver.configure()
+        assert (await world.driver.poll()).restarted
+        assert not (await world.driver.poll()).restarted
+
+    run_case(make_case("ascii"), main)

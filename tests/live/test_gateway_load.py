@@ -4,6 +4,7 @@ The limits here are generous, for a busy machine; figures of a quiet one are in 
 """
 
 import contextlib
+import http.client
 import json
 import resource
 import socket
@@ -11,9 +12,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.request import Request, urlopen
 
 import pytest
@@ -26,6 +29,8 @@ from orchestrator.gateway.connections import MAX_NOT_SIGNED_IN
 pytestmark = pytest.mark.live
 
 STOP_S = 1.5  # 0.3 s on a quiet machine
+GAP_S = 1.0  # between two turns of the gateway; 0.15 s on a quiet machine
+CHECK_S = 300.0
 UTC, LATER = "2026-01-01T00:00:00.000000Z", "2999-01-01T00:00:00.000000Z"
 LENGTH = 3_900_000
 
@@ -172,3 +177,66 @@ def test_a_connection_goes_on_after_a_body_that_was_not_needed(door: Door) -> No
             while not (line := answers.readline()).rpartition(b"}")[2].startswith(b"HTTP/1.1 "):
                 assert line, "the connection has ended"
             assert b"HTTP/1.1 200 " in line
+
+
+POINTS = [f"X{20 + number // 2 * 0.001:.6f} Y{20 + number % 2 * 0.01:.6f}" for number in range(80_000)]
+LINES = [f"G1 {point} ; a piece of {number:08}" for number, point in enumerate(POINTS)]
+PATH = """- do: path
+  axes: [gantry.x, gantry.y]
+  start: [20, 20]
+  tolerance: 10 um
+  corner: {within: 5 um}
+  pieces:
+"""
+PIECES = "\n".join(f"  - {{piece: line, to: [{20 + number * 0.001:.6f}, 20.00000]}}" for number in range(1, 9_000))
+BACK = "  - {piece: line, to: [20, 20]}"
+MOVES = "\n".join(
+    f"- {{do: move, to: {{gantry.x: {number % 300}, stage.u: {number % 40}}}}}" for number in range(10_000)
+)
+
+
+def _make_program(lines: int) -> dict[str, Any]:
+    text = "\n".join(["G21 G90 G64 P0.01 F600", *LINES[:lines], "M2", ""])
+    return {"program": {"name": "long.ngc", "text": text}}
+
+
+CHECKED = {
+    "program": _make_program(10_000),
+    "longest program": _make_program(len(LINES)),
+    "path": {"text": "schema: tutti.job/1\nname: long\nsteps:\n" + 8 * f"{PATH}{PIECES}\n{BACK}\n"},
+    "steps": {"text": f"schema: tutti.job/1\nname: many\nsteps:\n{MOVES}\n"},
+    "mistakes": {"text": f"schema: tutti.job/1\nname: many\nsteps:\n{MOVES.replace('move', 'mvoe')}\n"},
+}
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=[pytest.mark.nightly] if kind in ("longest program", "path") else [])
+        for kind in CHECKED
+    ],
+)
+def test_a_stop_gets_through_the_check_of_a_long_text(door: Door, kind: str) -> None:
+    """A job file or a program of up to 4 MB is read, planned and drawn by another process."""
+    body = json.dumps(CHECKED[kind]).encode()
+    request = Request(f"http://{door.host}/v1/check-job", body, {"content-type": "application/json"})
+    request.add_header("authorization", f"Bearer {door.token}")
+    gaps, stops = [0.0], [0.0]
+
+    def check() -> bytes:
+        with urlopen(request, timeout=CHECK_S) as answer:
+            return answer.read()
+
+    with ThreadPoolExecutor(1) as pool, closing(http.client.HTTPConnection(door.host, timeout=LIMIT_S)) as link:
+        checking = pool.submit(check)
+        while not checking.done():
+            stops.append(door.measure_stop())
+            for _ in range(20):
+                begun_s = time.monotonic()
+                link.request("GET", "/v1/sign-in")
+                link.getresponse().read()
+                gaps.append(time.monotonic() - begun_s)
+    sys.stdout.write(f"{kind}, {len(body)} bytes: longest stop {max(stops):.3f} s, longest gap {max(gaps):.3f} s\n")
+    answer: dict[str, Any] = json.loads(checking.result())
+    assert (answer["job"] is None) is (kind == "mistakes"), answer["problems"][:2]
+    assert max(stops) < STOP_S and max(gaps) < GAP_S

@@ -277,7 +277,8 @@ class LineDriver(ConnectedDriver[LineConnection], ManualDriver, OutputDriver):
         unit.cancel()
         self._number = 0 if unit.must_number else unit.number
         if unit.session.restarted or unit.has_lost_session:
-            self._restarted = self._restarted or self._number != 0
+            # Also where a stop after the restart has found the lock, in which the controller takes no number.
+            self._restarted = self._restarted or unit.number != 0
         await unit.session.close()
 
     def _require_free(self) -> None:

@@ -39,12 +39,18 @@ def check_at_once(fleet: Fleet, steps: Sequence[RemainingStep]) -> float:
     """The same without a turn for other work, in a process of its own. Raises `Refusal`."""
     forecaster, least_s = JobForecaster(fleet), 0.0
     for _, number, step in steps:
-        work = forecaster.take_in_parts(number, step)
-        while (forecast := _advance(work)) is None:
-            pass
+        forecaster, forecast = forecast_at_once(forecaster, number, step)
         least_s += forecast.least_s
     _require_no_problems(steps, forecaster.problems)
     return least_s
+
+
+def forecast_at_once(forecaster: JobForecaster, number: int, step: Step) -> tuple[JobForecaster, StepForecast]:
+    """`forecast_step` without a turn for other work, in a process of its own; the forecaster as it is afterwards."""
+    work = forecaster.take_in_parts(number, step)
+    while (forecast := _advance(work)) is None:
+        pass
+    return forecaster, forecast
 
 
 def predict_s(fleet: Fleet, step: Step) -> float:

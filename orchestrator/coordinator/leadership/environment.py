@@ -39,9 +39,9 @@ class CoordinatorEnvironment:
 
     save_fleet: stores a reloaded fleet for the next start. latches: stores the e-stop latch. run_command: runs the
     command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known. plan: plans
-    paths, which may take seconds; heartbeats and stops go on meanwhile. decode: reads large requests and jobs, which
-    would hold the interpreter's lock. check: checks jobs with long paths, for the same reason. certificate: of its
-    session, if it has one.
+    paths, which may take seconds; heartbeats and stops go on meanwhile. plan_long: those of many pieces. decode: reads
+    large requests and jobs, which would hold the interpreter's lock. check: checks jobs with long paths, for the same
+    reason. certificate: of its session, if it has one.
     """
 
     bus: Bus
@@ -56,6 +56,7 @@ class CoordinatorEnvironment:
     run_command: RunCommand
     find_free: Callable[[], Awaitable[int | None]]
     plan: Executor = run_inline
+    plan_long: Executor = run_inline
     decode: Executor = run_inline
     check: Executor = run_inline
     certificate: CertificateEnd | None = None

@@ -11,6 +11,7 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
 from orchestrator.model.steps.kinds import Motion
@@ -175,7 +176,8 @@ async def _plan_from(
     try:
         if isinstance(move, FollowPath):
             starts = make_path_starts(move, context)
-            path = await services.plan(plan_path_step, move, starts, context.fleet.frames)
+            plan_elsewhere = services.plan_long if find_long_paths([move]) else services.plan
+            path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.frames)
             resolved_move = ResolvedMove(path.moves, dict(path.exact))
             return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved_move = resolve_targets(move, context, goal)

@@ -20,7 +20,8 @@ MotionListener = Callable[[StepRecording, StepReport | None], None]
 class MotionServices:
     """Services and memory that the steps of one coordinator share.
 
-    execute: calls the journal. plan: plans paths, which may take seconds. estimator: lead times of earlier steps.
+    execute: calls the journal. plan: plans paths, which may take seconds; plan_long: those with so many pieces that it
+    takes a gigabyte. estimator: lead times of earlier steps.
     targets: exact targets of axes. stop_times_ns: by controller, how long stopping its last step takes at most.
     listeners: called after each step.
     """
@@ -31,6 +32,7 @@ class MotionServices:
     execute: Executor
     publisher: StepPublisher
     plan: Executor = run_inline
+    plan_long: Executor = run_inline
     estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
     targets: ExactTargets = field(default_factory=ExactTargets)
     stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])

@@ -174,7 +174,8 @@ def format_place(path: Iterable[str | int]) -> str:
 
 def _find_tags(node: YamlNode) -> list[Any]:
     """The values of the fields that select the kind of a mapping."""
-    return [child.value for key, child in node.entries() if key in ("do", "kind", "type")]
+    fields = node.children if isinstance(node.children, dict) else {}
+    return [fields[key].value for key in ("do", "kind", "type") if key in fields]
 
 
 def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, str]:
@@ -190,7 +191,7 @@ def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, st
         if node is not tagged_node and part in _find_tags(node):
             tagged_node = node  # `output` is the kind of a step, and also one of its fields
             continue
-        entry_below = next((child for key, child in node.entries() if key == part or str(key) == str(part)), None)
+        entry_below = node.find_child(part)
         if entry_below is None:
             absent = part
             continue

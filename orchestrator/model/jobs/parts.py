@@ -70,6 +70,16 @@ def join_value(parts: Iterable[bytes]) -> Generator[None, None, Any]:
     return value
 
 
+def join_at_once(parts: Iterable[bytes]) -> Any:
+    """`join_value` without a stop, beside the loop."""
+    joining = join_value(parts)
+    while True:
+        try:
+            next(joining)
+        except StopIteration as end:
+            return end.value
+
+
 def find_long_paths(steps: Sequence[Step]) -> list[tuple[FollowPath, PackedPieces]]:
     """The long paths among steps, and inside of them, with their pieces."""
     return [(path, path.pieces) for path in find_paths(steps) if isinstance(path.pieces, PackedPieces)]

@@ -46,7 +46,7 @@ ROWS = {
     "message in a coordinator": [limits.MAX_COORDINATOR_MESSAGE_BYTES, limits.MAX_HOST_MESSAGE_BYTES],
     "fields, values": [budgets.USUAL.max_fields],
     "large requests": [executor.MAX_CALLS, executor.READING.call_s],
-    "check of a job with a path": [executor.CHECKING.call_s],
+    "check, dry run and plan of a path": [executor.CHECKING.call_s, executor.PLANNING.call_s],
     "messages that wait": [
         limits.MAX_STATES_QUEUED,
         limits.MAX_CALLS_QUEUED,

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.bus.base import BusError
-from orchestrator.coordinator.jobs.check import forecast_step
+from orchestrator.coordinator.jobs.check import forecast_at_once, forecast_step
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
@@ -14,6 +14,7 @@ from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
+from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.jobs.service import DryRun, DryRunDone
 from orchestrator.model.steps.tree import as_motion
 from orchestrator.plan.forecast.job import JobForecaster
@@ -46,7 +47,11 @@ class JobRehearsal:
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):
             index = request.first + number
-            forecast = await forecast_step(forecaster, index, step, self._services.motion.plan)
+            if find_long_paths([step]):  # by a process, which returns another forecaster
+                await _finish_rehearsals(rehearsals, steps, request.first)
+                forecaster, forecast = await self._services.check(forecast_at_once, forecaster, index, step)
+            else:
+                forecast = await forecast_step(forecaster, index, step, self._services.motion.plan)
             motion, asked_step = forecaster.motion, as_motion(step)
             steps.append(forecast)
             if asked_step is not None and motion is not None and motion.plan.profiles:
@@ -63,9 +68,7 @@ class JobRehearsal:
                 )
                 rehearsals.append(self._rehearse(planned_step, forecast, forecaster.problems))
             if len(rehearsals) == REHEARSALS_AT_ONCE or number == len(request.job.steps) - 1:
-                for done_forecast in await asyncio.gather(*rehearsals):
-                    steps[done_forecast.index - request.first] = done_forecast
-                rehearsals.clear()
+                await _finish_rehearsals(rehearsals, steps, request.first)
         self._check_certificates(request, steps, forecaster)
         return DryRunDone(forecast=forecaster.finish(steps), end=forecaster.axes)
 
@@ -129,3 +132,10 @@ class JobRehearsal:
                 referenced=state_now.referenced,
             )
         return axes
+
+
+async def _finish_rehearsals(rehearsals: list[Awaitable[StepForecast]], steps: list[StepForecast], first: int) -> None:
+    """Await rehearsals that were begun, and put their forecasts among those of the steps. first: the index of those."""
+    for done_forecast in await asyncio.gather(*rehearsals):
+        steps[done_forecast.index - first] = done_forecast
+    rehearsals.clear()
