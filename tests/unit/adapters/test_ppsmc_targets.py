@@ -6,7 +6,8 @@ from unit.adapters.ppsmc_bench import Bench, run
 from adapters.contract import LoadPlace
 from adapters.ppsmc.loading import COMPARED_NS
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.model.errors import Refusal
+from orchestrator.link.base import LinkClosed
+from orchestrator.model.errors import ControllerFault, Refusal
 
 
 async def load_behind(bench: Bench, to: int, factor: float = 1.1, place: LoadPlace = "at once") -> str:
@@ -26,11 +27,19 @@ async def load_behind(bench: Bench, to: int, factor: float = 1.1, place: LoadPla
     return b"".join(sent).decode()
 
 
+async def move_soon(bench: Bench, to: int) -> None:
+    """A step that starts as soon as it is loaded."""
+    slot, lowered = bench.driver.slots.present, await bench.lowered({"x": to})
+    t0_ns = bench.clock.now_ns() + lowered.costs.arm_ns + NS_PER_S
+    await slot.load(lowered, t0_ns, None)
+    await slot.release(advance_ns=t0_ns - bench.clock.now_ns() - (lowered.release_ns or 0))
+    assert (await bench.followed())[1].state == "done"
+
+
 def test_only_the_target_buffer_is_loaded_and_read_back() -> None:
     async def main(bench: Bench) -> None:
         await bench.ready()
-        for target in (400, 0, 400, 0, 400):  # its crystal is known then, so that the speeds stay
-            assert (await bench.move({"x": target})).state == "done"
+        await move_soon(bench, 400)
         sent = await load_behind(bench, 0)
         assert "tbs1:a0" in sent and "?tb" in sent and "?s" in sent and "?p" in sent
         assert "ffast" not in sent and "?conf" not in sent
@@ -45,7 +54,7 @@ def test_only_the_target_buffer_is_loaded_and_read_back() -> None:
 def test_everything_is_loaded_where_something_may_differ(why: str) -> None:
     async def main(bench: Bench) -> None:
         await bench.ready()
-        assert (await bench.move({"x": 4000})).state == "done"
+        await move_soon(bench, 400)
         if why == "time":
             await sleep_ns(bench.clock, COMPARED_NS)
         place: LoadPlace = "at rest" if why == "at rest" else "at once"
@@ -58,12 +67,12 @@ def test_everything_is_loaded_where_something_may_differ(why: str) -> None:
 def test_a_restart_before_loading_is_found() -> None:
     async def main(bench: Bench) -> None:
         await bench.ready()
-        assert (await bench.move({"x": 4000})).state == "done"
+        await move_soon(bench, 400)
         lowered = await bench.lowered({"x": 0})
         bench.unit.set_power(on=False)
         await sleep_ns(bench.clock, NS_PER_S // 50)
         bench.unit.set_power(on=True)
-        with pytest.raises(Exception) as caught:  # noqa: PT011 - refused, or its connection is gone
+        with pytest.raises((Refusal, ControllerFault, LinkClosed)) as caught:
             await bench.driver.slots.present.load(lowered, bench.clock.now_ns() + NS_PER_S, None, "at once")
         if isinstance(caught.value, Refusal):
             assert caught.value.code in ("not-loaded", "other-start")
