@@ -15,6 +15,7 @@ from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.jobs.files import FileError, FileProblem
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.units import Unit, convert_units, find_dimension, parse_quantity
+from orchestrator.plan.path.traces import trace_paths
 from orchestrator.plan.programs.program_job import ProgramJob, make_program_job, require_unchanged
 from orchestrator.plan.programs.settings import (
     FROM_LINE,
@@ -25,7 +26,6 @@ from orchestrator.plan.programs.settings import (
     read_settings,
 )
 from orchestrator.plan.programs.standing import LastMotion, find_standing_line
-from orchestrator.plan.programs.traces import trace_paths
 
 MAX_SHOWN_PROBLEMS = 50
 BY_PLACE = "by where the axes stand now, as the job kept no record of its last move: see whether it is right"

@@ -103,6 +103,8 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     lines: list[str] = []
     if entry.origin is not None:
         lines.append(f"retries job {entry.origin}, from {name_step(entry.from_step)} on")
+    if terms.continues is not None:
+        lines.append(f"goes on with job {terms.continues}, from where it stood")
     if terms.at is not None:
         consequence = "begins late" if terms.missed == "run" else "is skipped"
         lines.append(f"at {format_time(terms.at)}; {consequence} if no coordinator leads then")

@@ -14,8 +14,8 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.tree import find_paths
 from orchestrator.model.units import Unit, convert_units
 from orchestrator.plan.path.arc_length import Array
+from orchestrator.plan.path.traces import PathTrace, trace_paths
 from orchestrator.plan.programs.program_job import ProgramJob
-from orchestrator.plan.programs.traces import PathTrace, trace_paths
 
 MAX_SAMPLES = 300  # of a step, evenly chosen, with the last one
 NEAR = 1e-3  # of the largest distance in the path: as near as that is as near

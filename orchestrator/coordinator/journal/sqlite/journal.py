@@ -226,6 +226,7 @@ class SqliteJournal:
                 "now": int(terms.now),
                 "session": terms.session,
                 "proposed": int(terms.proposed),
+                "continues": terms.continues,
                 "request_digest": digest,
             }
             values["crc"] = find_checksum(values)
