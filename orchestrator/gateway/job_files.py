@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
-from orchestrator.gateway.preview import draw_job, look_at_axes
+from orchestrator.gateway.preview import draw_job
 from orchestrator.gateway.program_files import check_program, locate_in_program
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
@@ -16,6 +16,7 @@ from orchestrator.model.jobs.files import FileError, FileProblem, LoadedFile, re
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.templates.parameters import describe_parameter
 from orchestrator.model.templates.template import FilledJob, ParameterSetting, Template
+from orchestrator.plan.forecast.present import look_at_axes
 
 PATTERN = "*.job.yaml"
 MAX_TEMPLATES = 200

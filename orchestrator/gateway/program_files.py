@@ -6,7 +6,6 @@ from typing import Any, cast
 
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
-from orchestrator.gateway.preview import look_at_axes
 from orchestrator.gateway.program_drawing import draw_program, list_extents
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
@@ -14,8 +13,9 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.jobs.files import FileError, FileProblem
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.units import Unit, convert_units, find_dimension, parse_quantity
+from orchestrator.plan.forecast.present import look_at_axes
 from orchestrator.plan.path.traces import trace_paths
+from orchestrator.plan.programs.present import list_places, list_zeros, stand_at, take_over
 from orchestrator.plan.programs.program_job import ProgramJob, make_program_job, require_unchanged
 from orchestrator.plan.programs.settings import (
     FROM_LINE,
@@ -25,7 +25,7 @@ from orchestrator.plan.programs.settings import (
     describe_fields,
     read_settings,
 )
-from orchestrator.plan.programs.standing import LastMotion, find_standing_line
+from orchestrator.plan.programs.standing import LastMotion
 
 MAX_SHOWN_PROBLEMS = 50
 BY_PLACE = "by where the axes stand now, as the job kept no record of its last move: see whether it is right"
@@ -106,11 +106,11 @@ async def _load_end(tutti: Tutti, job_id: object, axes: Mapping[str, AxisForecas
 
 def _check(check: ProgramCheck) -> tuple[dict[str, Any], CheckedProgram | None]:
     """In a thread: a long program takes seconds."""
-    fields = describe_fields(check.program, check.fleet, _list_places(check), check.values)
+    fields = describe_fields(check.program, check.fleet, list_places(check.fleet, check.axes), check.values)
     try:
         if check.end is not None:
             fields = _take_over(check, fields, check.end)
-        settings = read_settings(check.program, fields, check.values, _list_zeros(check))
+        settings = read_settings(check.program, fields, check.values, list_zeros(check.axes))
         if check.end is not None:
             require_unchanged(check.program, settings, check.end.report.parameters_used)
         program = make_program_job(check.program, settings, check.fleet)
@@ -122,29 +122,9 @@ def _check(check: ProgramCheck) -> tuple[dict[str, Any], CheckedProgram | None]:
 
 def _take_over(check: ProgramCheck, fields: list[dict[str, Any]], end: LastMotion) -> list[dict[str, Any]]:
     """The fields with the values of the job that has stopped, and the line at which it stood. Raises `FileError`."""
-    used = end.report.parameters_used
-    fields = [{**field, "default": used.get(field["name"], field["default"])} for field in fields]
-    settings = read_settings(check.program, fields, {}, _list_zeros(check))
-    require_unchanged(check.program, settings, used)
-    program = make_program_job(check.program, settings, check.fleet)
-    standing = find_standing_line(program, end, check.fleet)
+    fields, standing = take_over(check.program, fields, end, check.fleet)
     text = "where it stood" if standing.is_recorded else BY_PLACE
-    line = {"default": str(standing.line), "description": text}
-    return [{**field, **line} if field["name"] == FROM_LINE else field for field in fields]
-
-
-def _list_places(check: ProgramCheck) -> dict[str, float]:
-    """Where the linear axes stand, mm."""
-    units = {name: Unit(check.fleet.axis(name).unit) for name in check.axes}
-    return {
-        name: float(convert_units(axis.motor + axis.offset, units[name], Unit.MM))
-        for name, axis in check.axes.items()
-        if find_dimension(units[name]) == "length"
-    }
-
-
-def _list_zeros(check: ProgramCheck) -> dict[str, float]:
-    return {name: float(axis.offset) for name, axis in check.axes.items()}
+    return [{**field, "description": text} if field["name"] == FROM_LINE else field for field in fields]
 
 
 def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
@@ -162,18 +142,8 @@ def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
     if not program.approach:
         return CheckedProgram(program.job, program.job, plain, program)
     move, remaining_job = program.split_approach()
-    if _stands_at(check, program.approach):
+    if stand_at(program.approach, check.axes, check.fleet):
         return CheckedProgram(remaining_job, remaining_job, plain, program)
     places = ", ".join(f"{name} to {target}" for name, target in program.approach.items())
     plain["approach"] = f"all axes go straight and together: {places}"
     return CheckedProgram(move, program.job, plain, program)
-
-
-def _stands_at(check: ProgramCheck, places: Mapping[str, str]) -> bool:
-    """Whether all axes are where a move would take them, to a count."""
-    for name, target in places.items():
-        axis, forecast = check.fleet.axis(name), check.axes.get(name)
-        goal = parse_quantity(target, axis.unit, name)
-        if forecast is None or abs(goal - forecast.motor - forecast.offset) * axis.counts_per_unit > 1:
-            return False
-    return True

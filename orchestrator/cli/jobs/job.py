@@ -10,6 +10,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
 from orchestrator.cli.jobs.approval import approve, plan
 from orchestrator.cli.jobs.check import check
+from orchestrator.cli.jobs.continuing import continue_job
 from orchestrator.cli.jobs.history import list_jobs, prune
 from orchestrator.cli.jobs.order import hold, override, pause, release, reorder, resume, retry
 from orchestrator.cli.jobs.plot import plot
@@ -36,7 +37,7 @@ _FILE = click.argument("file", type=click.Path(path_type=Path))
 
 @click.group(epilog="Example: tutti job submit move.job.yaml --wait")
 def job() -> None:
-    """Submit, list, show, approve, reorder, pause, cancel and retry jobs, and read their reports."""
+    """Submit, list, show, approve, reorder, pause, cancel, continue and retry jobs, and read their reports."""
 
 
 @click.command("submit", epilog="Example: tutti job submit scan.job.yaml --repeat 3 --at 22:30")
@@ -132,6 +133,7 @@ for command in (
     override,
     resume,
     retry,
+    continue_job,
 ):
     job.add_command(command)
 

@@ -128,10 +128,9 @@ def _check_values(db: sqlite3.Connection) -> Iterator[JournalDamage]:
 
 
 def _check_jobs(db: sqlite3.Connection) -> Iterator[JournalDamage]:
-    columns = JOB_COLUMNS
     remedy = "the job is not run, and ends as failed; submit it again"
-    for *row, crc in db.execute(f"SELECT {', '.join(columns)}, crc FROM jobs ORDER BY number"):
-        values: dict[str, object] = dict(zip(columns, row, strict=True))
+    for *row, crc in db.execute(f"SELECT {', '.join(JOB_COLUMNS)}, crc FROM jobs ORDER BY number"):
+        values: dict[str, object] = dict(zip(JOB_COLUMNS, row, strict=True))
         if crc not in (None, find_checksum(values)):
             yield JournalDamage(f"jobs {values['id']}", "its checksum is wrong", remedy)
         elif problem := _find_problem(Job, str(values["body"])):

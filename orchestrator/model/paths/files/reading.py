@@ -47,7 +47,7 @@ def read_path_file(path: Path, axes: Mapping[str, str], begin: GcodeStart) -> Im
     if kind not in GCODE + TABLES:
         known_kinds = ", ".join(GCODE + TABLES + TRAJECTORIES)
         raise FileError([FileProblem(name, 1, "", f"is of no known kind; its name must end in one of: {known_kinds}")])
-    text = _read_text(path)
+    text = read_path_text(path)
     digests = {path.name: digest_text(text)}
     lines = _LINE_END.split(text.removesuffix("\n").removesuffix("\r"))
     if kind in TABLES:
@@ -59,10 +59,11 @@ def read_path_file(path: Path, axes: Mapping[str, str], begin: GcodeStart) -> Im
 
 def digest_files(names: Iterable[str], folder: Path) -> dict[str, str]:
     """By name, what tells the text of each file from another one. Raises `FileError`."""
-    return {name: digest_text(_read_text(folder / name)) for name in names}
+    return {name: digest_text(read_path_text(folder / name)) for name in names}
 
 
-def _read_text(path: Path) -> str:
+def read_path_text(path: Path) -> str:
+    """The text of a file of a path. Raises `FileError`."""
     name = str(path)
     try:
         with path.open("rb") as file:
