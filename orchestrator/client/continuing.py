@@ -44,8 +44,8 @@ class RestRequests(StepRequests, PositionRequests, FleetRequests):
         from orchestrator.plan.continuing.ended_job import EndedJob
         from orchestrator.plan.forecast.present import look_at_axes
 
-        shown = await self.show_job(job_id)
-        job, report = shown.job, shown.report
+        shown_job = await self.show_job(job_id)
+        job, report = shown_job.job, shown_job.report
         if job is None or report is None or report.state not in FINISHED_STATES:
             text = f"job {job_id} has not ended"
             raise Refusal("not-ended", text, "resume it if it is paused: `tutti job resume`; or cancel it first")
@@ -75,12 +75,12 @@ class RestRequests(StepRequests, PositionRequests, FleetRequests):
             return SubmittedJob(entry.id, self, entry)
         if rest.switch is not None:
             await self.run(rest.switch)
-        shown = await self.show_job(rest.continues)
-        kept_repeat = 1 if shown.entry is None else shown.entry.terms.repeat
+        shown_job = await self.show_job(rest.continues)
+        kept_repeat = 1 if shown_job.entry is None else shown_job.entry.terms.repeat
         first = rest.retry_step, rest.point or 1
         terms = terms.model_copy(update={"repeat": kept_repeat})
-        retried = await self.retry_job(rest.continues, first, terms=terms, client_key=client_key)
-        return SubmittedJob(retried.job_id, self, retried.entry)
+        retried_job = await self.retry_job(rest.continues, first, terms=terms, client_key=client_key)
+        return SubmittedJob(retried_job.job_id, self, retried_job.entry)
 
     async def _load_last_point(self, report: JobReport) -> PointRecord | None:
         """The last point that was recorded of the scan at which a job stood."""

@@ -183,7 +183,7 @@ def test_what_cannot_be_continued_is_refused_with_a_way_out() -> None:
     async def main(fleet: VirtualFleet, client: Tutti) -> None:
         by = "{do: move, by: {gantry.x: 60}, speed: 0.05}"
         job_id, _ = await stop_at(fleet, job(f"[{by}]"), lambda x, _: x > 2)
-        with pytest.raises(Refusal, match="goes by a distance") as relative:
+        with pytest.raises(Refusal, match="depends on where gantry.x stood") as relative:
             await client.find_rest(job_id)
         assert "tutti job retry" in relative.value.remedy
         with pytest.raises(Refusal, match="was not made of a file"):

@@ -50,29 +50,28 @@ def continue_job(
     to be as it was. First shows the way back there, which the axes go straight and together; then what is switched and
     left. Each is asked for. The rest is a new job.
     """
-    is_asking = sys.stdin.isatty() and sys.stdout.isatty() and not as_json
-    if not (dry_run or is_asking or (yes_move and yes_start)):
+    if not (dry_run or (yes_move and yes_start) or (is_terminal() and not as_json)):
         text = "without a terminal for the confirmations, give --yes-move and --yes-start"
         exit_with_error(text, BAD_INPUT, "look first: `tutti job continue JOB --dry-run`")
 
     async def continue_found(tutti: "Tutti") -> None:
-        rest = await tutti.find_rest((await tutti.find_job(job)).id, file)
+        job_rest = await tutti.find_rest((await tutti.find_job(job)).id, file)
         if dry_run and as_json:
-            print_json(rest.to_plain())
+            print_json(job_rest.to_plain())
             return
         if not as_json:
-            _show_place(rest)
+            _show_place(job_rest)
         if dry_run:
-            _show_start(rest)
+            _show_start(job_rest)
             return
-        if rest.move is not None and not await _go_back(tutti, rest, asked=yes_move, quiet=as_json):
+        if job_rest.move is not None and not await _go_back(tutti, job_rest, asked=yes_move, quiet=as_json):
             return
         if not as_json:
-            _show_start(rest)
-        if not yes_start and not confirm_shown(_ask_for_start(rest)):
+            _show_start(job_rest)
+        if not yes_start and not confirm_shown(_ask_for_start(job_rest)):
             console.print("no job is submitted")
             return
-        submitted_job = await tutti.continue_job(rest)
+        submitted_job = await tutti.continue_job(job_rest)
         entry = (await submitted_job.show()).entry
         assert entry is not None
         print_json(entry.to_plain()) if as_json else print_accepted(entry)
@@ -80,39 +79,44 @@ def continue_job(
     with_fleet(connect, fleet, continue_found)
 
 
-async def _go_back(tutti: "Tutti", rest: "JobRest", *, asked: bool, quiet: bool) -> bool:
+def is_terminal() -> bool:
+    """Whether a person can be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+async def _go_back(tutti: "Tutti", job_rest: "JobRest", *, asked: bool, quiet: bool) -> bool:
     """Take the axes back. False: that was not wanted. Ends the process if they do not arrive."""
     from orchestrator.cli.jobs.foreground import run_attended
 
     if not asked and not confirm_shown("is the way free? move there?"):
         console.print("nothing moves")
         return False
-    assert rest.move is not None
-    report = await run_attended(tutti, rest.move, wait=False, quiet=quiet)
+    assert job_rest.move is not None
+    report = await run_attended(tutti, job_rest.move, wait=False, quiet=quiet)
     if report.state != "done":
         errors.print(f"the way back is {report.state}: {report.reason}", highlight=False, markup=False)
         raise SystemExit(FAILED)
     return True
 
 
-def _ask_for_start(rest: "JobRest") -> str:
-    return "switch these outputs, and go on from there?" if rest.outputs else "go on from there?"
+def _ask_for_start(job_rest: "JobRest") -> str:
+    return "switch these outputs, and go on from there?" if job_rest.outputs else "go on from there?"
 
 
-def _show_place(rest: "JobRest") -> None:
+def _show_place(job_rest: "JobRest") -> None:
     from orchestrator.monitor.tables import make_plain_table
 
-    console.print(f"{rest.name!r} stood at {rest.place}", highlight=False, markup=False)
-    if not rest.way:
+    console.print(f"{job_rest.name!r} stood at {job_rest.place}", highlight=False, markup=False)
+    if not job_rest.way:
         return
     console.print("the axes go back, straight and together:", highlight=False, markup=False)
     table = make_plain_table(["axis", "from>", "to>", "unit"])
-    for way in rest.way:
+    for way in job_rest.way:
         table.add_row(way.axis, f"{way.here:,.4f}", f"{way.to:,.4f}", way.unit)
     console.print(table)
 
 
-def _show_start(rest: "JobRest") -> None:
-    lines = [f"{output} is switched {'on' if level else 'off'}" for output, level in rest.outputs.items()]
-    for line in (*rest.confirm, *lines, "left:", *(f"  {step}" for step in rest.steps)):
+def _show_start(job_rest: "JobRest") -> None:
+    lines = [f"{output} is switched {'on' if level else 'off'}" for output, level in job_rest.outputs.items()]
+    for line in (*job_rest.confirm, *lines, "left:", *(f"  {step}" for step in job_rest.steps)):
         console.print(line, highlight=False, markup=False)

@@ -69,7 +69,7 @@ def _join_lines(lines: Sequence[int]) -> list[LineRun]:
     """Lines as few runs."""
     runs: list[LineRun] = []
     begin = 0
-    growths = [later - line for line, later in pairwise(lines)]
+    growths = [later_line - line for line, later_line in pairwise(lines)]
     while begin < len(lines):
         end = begin + 1
         while end < len(lines) and growths[end - 1] == growths[begin]:

@@ -21,15 +21,15 @@ class JobFile:
     def require_same(self, name: str, digests: Mapping[str, str]) -> None:
         """Compare the file, which was called `name`, and what it needs with what ran. Raises `FileError` with every
         text that is another one."""
-        others = [other for other in digests if other != name]
-        if others and self.folder is None:
-            text = f"its {', '.join(others)} cannot be compared here: `tutti job continue` does"
+        other_names = [other_name for other_name in digests if other_name != name]
+        if other_names and self.folder is None:
+            text = f"its {', '.join(other_names)} cannot be compared here: `tutti job continue` does"
             raise FileError([FileProblem(name, 0, "", text)])
-        present = {name: self.program.digest, **digest_files(others, self.folder or Path())}
+        present = {name: self.program.digest, **digest_files(other_names, self.folder or Path())}
         problems = [
-            FileProblem(other, 0, "", f"the text is not that of {other!r} as it ran: {SUBMIT_ANEW}")
-            for other, digest in digests.items()
-            if present[other] != digest
+            FileProblem(other_name, 0, "", f"the text is not that of {other_name!r} as it ran: {SUBMIT_ANEW}")
+            for other_name, digest in digests.items()
+            if present[other_name] != digest
         ]
         if problems:
             raise FileError(problems)

@@ -71,12 +71,12 @@ def _require_same_zeros(ended: EndedJob, recording: StepRecording, start: Mappin
     if report.feed_holds or (report.path is not None and report.path.stops):
         return  # the recording is that of the last part, which began on the way
     for name, position in start.items():
-        now, recorded = ended.axes.get(name), recording.axes.get(name)
-        if now is None or recorded is None:
+        axis_now, recorded_axis = ended.axes.get(name), recording.axes.get(name)
+        if axis_now is None or recorded_axis is None:
             continue
-        shift = float(position - now.offset) - recorded.profile.start_counts / recorded.counts_per_unit
-        if abs(shift) * abs(recorded.counts_per_unit) > MOST_ROUNDING:
-            text = f"the zero of {name} has changed since the job ran, by {-shift:.6g} {recorded.unit}"
+        shift = float(position - axis_now.offset) - recorded_axis.profile.start_counts / recorded_axis.counts_per_unit
+        if abs(shift) * abs(recorded_axis.counts_per_unit) > MOST_ROUNDING:
+            text = f"the zero of {name} has changed since the job ran, by {-shift:.6g} {recorded_axis.unit}"
             remedy = "the job is not continued; set the zero as it was, or submit a new job"
             raise Refusal("zero-changed", text, remedy)
 

@@ -3,7 +3,7 @@
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.rest import JobRest
 from orchestrator.model.paths.source import PathSource
-from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.tree import find_paths
 from orchestrator.plan.continuing.ended_job import EndedJob, find_last_step
 from orchestrator.plan.continuing.files import JobFile
 from orchestrator.plan.continuing.rest import (
@@ -36,11 +36,10 @@ def find_rest(ended: EndedJob, file: JobFile | None) -> JobRest:
 
 def _find_source(ended: EndedJob) -> PathSource | None:
     """What the path was made of at which a job stood, or that is left next; None: no file. Raises `Refusal`."""
-    for remaining in ended.order.list_remaining(find_last_step(ended).place.index):
-        for step in remaining.step.iterate_written():
-            if isinstance(step, FollowPath):
-                return step.source if step.source is not None and step.source.digests else None
-    return None
+    remaining_steps = ended.order.list_remaining(find_last_step(ended).place.index)
+    paths = find_paths(remaining_step.step for remaining_step in remaining_steps)
+    source = paths[0].source if paths else None
+    return source if source is not None and source.digests else None
 
 
 def _require_file(file: JobFile | None, name: str, ended: EndedJob) -> JobFile:
@@ -58,17 +57,17 @@ def _find_program_rest(ended: EndedJob, program: ProgramText) -> JobRest:
     last = find_last_step(ended)
     fields = describe_fields(program, fleet, list_places(fleet, axes), {})
     fields, standing = take_over(program, fields, LastMotion(ended.report, ended.recording, axes), fleet)
-    made = make_program_job(program, read_settings(program, fields, {}, list_zeros(axes)), fleet)
-    job = made.split_approach()[1] if made.approach else made.job
-    rest = describe_rest(ended, last.place, [], job.steps)
-    way = find_way(ended, find_first_places(ended, made.job.steps))
-    place = f"line {standing.line} of {program.name}" + ("" if standing.is_recorded else f", {BY_PRESENT}")
-    return rest.model_copy(
+    program_job = make_program_job(program, read_settings(program, fields, {}, list_zeros(axes)), fleet)
+    job = program_job.split_approach()[1] if program_job.approach else program_job.job
+    job_rest = describe_rest(ended, last.place, [], job.steps)
+    way = find_way(ended, find_first_places(ended, program_job.job.steps))
+    place_text = f"line {standing.line} of {program.name}" + ("" if standing.is_recorded else f", {BY_PRESENT}")
+    return job_rest.model_copy(
         update={
-            "place": place,
+            "place": place_text,
             "line": standing.line,
             "is_recorded": standing.is_recorded,
-            "confirm": made.list_confirmations(),
+            "confirm": program_job.list_confirmations(),
             "way": way,
             "move": make_move(job, way),
             "job": job,

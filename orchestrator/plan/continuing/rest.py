@@ -10,13 +10,12 @@ from orchestrator.model.jobs.rest import AxisWay, JobRest
 from orchestrator.model.names import controller_of
 from orchestrator.model.queue import MAX_STEPS
 from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.io import SetOutput
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
-from orchestrator.model.steps.tree import iterate_steps
+from orchestrator.model.steps.tree import as_path, iterate_steps
 from orchestrator.model.units import Unit, parse_quantity
 from orchestrator.plan.continuing.ended_job import EndedJob, LastStep, find_last_step
 from orchestrator.plan.continuing.outputs import find_switches
@@ -38,59 +37,60 @@ def find_job_rest(ended: EndedJob) -> JobRest:
 
 
 def _find_step_rest(ended: EndedJob, last: LastStep, switches: Sequence[Step]) -> JobRest:
-    left = [step.step for step in ended.order.list_remaining(last.place.index)]
-    if len(left) + len(switches) > MAX_STEPS:
-        text = f"what is left are {len(left)} steps; the maximum of a job is {MAX_STEPS}"
+    left_steps = [step.step for step in ended.order.list_remaining(last.place.index)]
+    if len(left_steps) + len(switches) > MAX_STEPS:
+        text = f"what is left are {len(left_steps)} steps; the maximum of a job is {MAX_STEPS}"
         raise Refusal("too-long", text, WHOLE)
-    rest = describe_rest(ended, last.place, switches, left)
-    if isinstance(left[0], FollowPath):
+    job_rest = describe_rest(ended, last.place, switches, left_steps)
+    path = as_path(left_steps[0])
+    if path is not None:
         is_recorded = last.is_under_way and ended.recording is not None
-        left[0], found = _cut(find_stood_path(ended, left[0], is_recorded=is_recorded))
-        words = f"{rest.place}{found.place}" + ("" if is_recorded else f", {BY_PRESENT}")
-        changes = {"place": words, "piece": found.piece, "line": found.line, "is_recorded": is_recorded}
-        rest = rest.model_copy(update=changes)
-    way = find_way(ended, find_first_places(ended, left))
-    job = ended.job.model_copy(update={"name": _name(ended.job, "rest of"), "steps": [*switches, *left]})
-    return rest.model_copy(update={"way": way, "move": make_move(ended.job, way), "job": job})
+        left_steps[0], cut = _cut(find_stood_path(ended, path, is_recorded=is_recorded))
+        words = f"{job_rest.place}{cut.words}" + ("" if is_recorded else f", {BY_PRESENT}")
+        changes = {"place": words, "piece": cut.piece, "line": cut.line, "is_recorded": is_recorded}
+        job_rest = job_rest.model_copy(update=changes)
+    way = find_way(ended, find_first_places(ended, left_steps))
+    job = ended.job.model_copy(update={"name": _name(ended.job, "rest of"), "steps": [*switches, *left_steps]})
+    return job_rest.model_copy(update={"way": way, "move": make_move(ended.job, way), "job": job})
 
 
 @dataclass(frozen=True, slots=True)
 class _PathCut:
     """Where a path was cut, in words, and by piece and line, from 1."""
 
-    place: str
+    words: str
     piece: int | None = None
     line: int | None = None
 
 
 def _cut(stood: StoodPath) -> tuple[FollowPath, _PathCut]:
     """The rest of a path, and where it begins."""
-    step, place = stood.step, stood.place
-    if place is None:
+    step, path_place = stood.step, stood.place
+    if path_place is None:
         return step, _PathCut(", at its start")
-    words = f", piece {place.piece + 1} of {len(step.pieces)}"
-    line = None if step.source is None else step.source.find_line(place.piece)
+    words = f", piece {path_place.piece + 1} of {len(step.pieces)}"
+    line = None if step.source is None else step.source.find_line(path_place.piece)
     if line is not None and step.source is not None:
         words += f", line {line} of {step.source.file}"
-    if place.piece == 0 and place.along == 0.0:
+    if path_place.piece == 0 and path_place.along == 0.0:
         return step, _PathCut(f"{words}, at its start", 1, line)
-    return cut_path(step, stood.path, place, stood.units), _PathCut(words, place.piece + 1, line)
+    return cut_path(step, stood.path, path_place, stood.units), _PathCut(words, path_place.piece + 1, line)
 
 
 def _find_scan_rest(ended: EndedJob, place: StepPlace, scan: Scan, switches: Sequence[Step]) -> JobRest:
     """A scan goes on with the whole of its point: its points and their numbers stay, as in a re-run."""
     assert place.point is not None
-    rest = describe_rest(ended, place, switches, [scan])
+    job_rest = describe_rest(ended, place, switches, [scan])
     target = _find_point(ended, place, scan)
     way = find_way(ended, target)
     changes: dict[str, object] = {"point": place.point + 1, "retry_step": place.first}
     if not target:
-        changes["place"] = f"{rest.place}; where that is only its table says"
+        changes["place"] = f"{job_rest.place}; where that is only its table says"
     if switches:
         changes["switch"] = ended.job.model_copy(
             update={"name": _name(ended.job, "outputs of"), "steps": list(switches), "parameters_used": {}}
         )
-    return rest.model_copy(update={**changes, "way": way, "move": make_move(ended.job, way)})
+    return job_rest.model_copy(update={**changes, "way": way, "move": make_move(ended.job, way)})
 
 
 def _find_point(ended: EndedJob, place: StepPlace, scan: Scan) -> dict[str, Fraction]:
@@ -110,17 +110,20 @@ def _find_point(ended: EndedJob, place: StepPlace, scan: Scan) -> dict[str, Frac
     return dict(zip(names, [parse_quantity(value, unit, name) for value, unit, name in values], strict=True))
 
 
-def find_first_places(ended: EndedJob, left: Sequence[Step]) -> dict[str, Fraction]:
+def find_first_places(ended: EndedJob, left_steps: Sequence[Step]) -> dict[str, Fraction]:
     """Where the first motion of what is left begins, if it is a path, or goes, if it is a move; none for others. Raises
     `Refusal` for a move by a distance."""
-    for step in iterate_steps(left):
-        if isinstance(step, FollowPath):
-            return find_start_by_axis(step, ended.fleet)
+    for step in iterate_steps(left_steps):
+        path = as_path(step)
+        if path is not None:
+            return find_start_by_axis(path, ended.fleet)
         if step.relative_axes:
-            text = f"the next motion, {step.describe()}, goes by a distance: from where it would go is not known"
+            axes = ", ".join(step.relative_axes)
+            text = f"{step.describe()}, which is left, depends on where {axes} stood, and that is not known"
             raise Refusal("relative", text, "move the axes to where it began, then `tutti job retry` from its step")
-        if isinstance(step, Move):
-            return {name: parse_quantity(to, ended.fleet.axis(name).unit, name) for name, to in step.to.items()}
+        if step.is_motion:
+            pairs = step.iterate_targets()
+            return {name: parse_quantity(target, ended.fleet.axis(name).unit, name) for name, target in pairs}
         if step.moves:
             break
     return {}
@@ -131,16 +134,16 @@ def find_way(ended: EndedJob, targets: Mapping[str, Fraction]) -> list[AxisWay]:
     way: list[AxisWay] = []
     is_elsewhere = False
     for name, target in targets.items():
-        axis, now = ended.fleet.axis(name), ended.axes.get(name)
-        if now is None:
+        axis, axis_now = ended.fleet.axis(name), ended.axes.get(name)
+        if axis_now is None:
             text = f"where {name} is cannot be known: its controller is offline"
             raise Refusal("offline", text, "check its power and cable", controller_of(name))
-        if now.referenced is False:
+        if axis_now.referenced is False:
             text = f"{name} has lost its reference, so that its way back is not known"
             raise Refusal("not-referenced", text, f"home it first: `tutti axis home {name}`", controller_of(name))
-        here = now.motor + now.offset
-        is_elsewhere = is_elsewhere or abs(target - here) * abs(axis.counts_per_unit) > 1
-        way.append(AxisWay(axis=name, unit=Unit(axis.unit), here=float(here), to=float(target)))
+        present_position = axis_now.motor + axis_now.offset
+        is_elsewhere = is_elsewhere or abs(target - present_position) * abs(axis.counts_per_unit) > 1
+        way.append(AxisWay(axis=name, unit=Unit(axis.unit), here=float(present_position), to=float(target)))
     return way if is_elsewhere else []
 
 
@@ -153,15 +156,15 @@ def make_move(job: Job, way: Sequence[AxisWay]) -> Job | None:
     return Job(_name(job, "back for"), [move], actor=job.actor)
 
 
-def describe_rest(ended: EndedJob, place: StepPlace, switches: Sequence[Step], left: Sequence[Step]) -> JobRest:
+def describe_rest(ended: EndedJob, place: StepPlace, switches: Sequence[Step], left_steps: Sequence[Step]) -> JobRest:
     """The rest as far as it is the same for all kinds of steps."""
-    steps = [step.describe() for step in (*switches, *left)]
+    steps = [step.describe() for step in (*switches, *left_steps)]
     return JobRest(
         continues=ended.report.job_id,
         name=ended.report.name,
         place=place.describe(),
         step=place.index,
-        outputs={step.output: step.value for step in switches if isinstance(step, SetOutput)},
+        outputs={output: level for step in switches for output, level in step.left_levels.items()},
         steps=steps[:MAX_DESCRIBED_STEPS],
     )
 

@@ -67,17 +67,17 @@ def find_place(path: ResolvedPath, trace: PathTrace, axes_at: Sequence[Array], t
     tolerance. None: they were nowhere near it."""
     points = trace.points if path.frame is None else trace.points @ path.frame.matrix.T + path.frame.offset
     follower = TraceFollower(points)
-    found: tuple[int, float] | None = None
+    found_place: tuple[int, float] | None = None
     for position in axes_at:
         follower.follow(position)
         if follower.distance <= tolerance:
-            found = follower.segment, follower.part
-    if found is None:
+            found_place = follower.segment, follower.part
+    if found_place is None:
         return None
-    behind = found[0] + 1
-    before = found[0] if trace.span[found[0]] == trace.span[behind] else behind
-    along = float(trace.along[before] + (trace.along[behind] - trace.along[before]) * found[1])
-    return _choose_cut(path, trace, behind, along, tolerance)
+    end_point = found_place[0] + 1
+    begin_point = found_place[0] if trace.span[found_place[0]] == trace.span[end_point] else end_point
+    along = float(trace.along[begin_point] + (trace.along[end_point] - trace.along[begin_point]) * found_place[1])
+    return _choose_cut(path, trace, end_point, along, tolerance)
 
 
 def _choose_cut(path: ResolvedPath, trace: PathTrace, point: int, along: float, margin: float) -> PathPlace:
@@ -125,12 +125,12 @@ def _cut_piece(piece: Piece, path: ResolvedPath, place: PathPlace, units: Sequen
         return piece
     part, span = _find_span(path, place.piece)
     changes: dict[str, Any] = {}
-    left = float(part.length[span]) - place.along
+    left_length = float(part.length[span]) - place.along
     if isinstance(piece, HelixPiece):
-        angle = float(part.shapes.arcs.turn[part.row[span]]) * left
+        angle = float(part.shapes.arcs.turn[part.row[span]]) * left_length
         changes = {"turns": max(0, ceil(angle / (2 * pi)) - 1)}
     elif isinstance(piece, ArcPiece) and piece.through is not None:
-        middle = np.array([place.along + left / 2])
+        middle = np.array([place.along + left_length / 2])
         (through,) = part.shapes.evaluate(part.kind[[span]], part.row[[span]], middle).q
         changes = {"through": write_point(through, units)}
     return piece.model_copy(update=changes)

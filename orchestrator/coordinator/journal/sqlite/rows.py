@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from orchestrator.coordinator.journal.records import UNREADABLE_TIME, DamagedRecord, JobRecord
 from orchestrator.model.base import ID_PATTERN, Model
 from orchestrator.model.problems import first_error_text
-from orchestrator.model.queue import parse_utc
+from orchestrator.model.queue import QueueTerms, parse_utc
 from orchestrator.model.report import JobState
 from orchestrator.model.script import WrongValue
 from orchestrator.model.text.outside_text import show_text
@@ -76,6 +76,23 @@ def scope_key(owner: str, client_key: str) -> str:
     """A client's key as it is stored: behind its owner, from schema 11 on. No key has a line break, so none of an older
     journal looks like that."""
     return f"{owner}\n{client_key}"
+
+
+def list_term_values(terms: QueueTerms) -> dict[str, Any]:
+    """The values of terms, by column, but for the originator of a hold."""
+    return {
+        "priority": terms.priority,
+        "repeat": terms.repeat,
+        "after_job": terms.after,
+        "at_utc": terms.at,
+        "missed": terms.missed,
+        "due": int(terms.at is None),
+        "expires_utc": terms.expires,
+        "now": int(terms.now),
+        "session": terms.session,
+        "proposed": int(terms.proposed),
+        "continues": terms.continues,
+    }
 
 
 def find_checksum(values: Mapping[str, Any]) -> int:

@@ -34,7 +34,7 @@ class ImportedSteps:
 
     def make_source(self, step: int) -> dict[str, Any]:
         """What the pieces of a path were made of, as a field of its step."""
-        lines = [place.line for place in self.places[step]]
+        lines = [line for line, _ in self.places[step]]
         source = PathSource.of_lines(Path(self.file).name, lines, self.digests)
         return {"source": source.model_dump(mode="json", exclude_defaults=True)}
 
