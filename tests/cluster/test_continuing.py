@@ -183,7 +183,7 @@ def test_what_cannot_be_continued_is_refused_with_a_way_out() -> None:
     async def main(fleet: VirtualFleet, client: Tutti) -> None:
         by = "{do: move, by: {gantry.x: 60}, speed: 0.05}"
         job_id, _ = await stop_at(fleet, job(f"[{by}]"), lambda x, _: x > 2)
-        with pytest.raises(Refusal, match="depends on where gantry.x stood") as relative:
+        with pytest.raises(Refusal, match=r"depends on where gantry\.x stood") as relative:
             await client.find_rest(job_id)
         assert "tutti job retry" in relative.value.remedy
         with pytest.raises(Refusal, match="was not made of a file"):
@@ -192,6 +192,54 @@ def test_what_cannot_be_continued_is_refused_with_a_way_out() -> None:
         job_id, _ = await stop_at(fleet, job(f"[{to}]"), lambda x, _: 5 < x < 40)
         rest = await client.find_rest(job_id)
         assert [(way.axis, way.to) for way in rest.way] == [("gantry.x", 60)]
+        assert (await go_on(client, rest)).state == "done"
+
+    with_fleet(main)
+
+
+def test_the_line_that_runs_is_in_the_progress(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet, client: Tutti) -> None:
+        path = tmp_path / "part.ngc"
+        path.write_text("G21 G90 F600\nG1 X20 Y0\n(corner)\nG1 X20 Y10\nG2 X40 Y10 I10 J0\nM30\n")
+        step = f"{{do: path, file: '{path}', axes: {{X: gantry.x, Y: gantry.y}}, tolerance: 100 um}}"
+        await client.start_queue()
+        job_id = await client.submit(job(f"[{step}]"))
+        seen: list[tuple[int | None, float, float]] = []
+        while (await client.show_job(job_id)).report is None:
+            progress = (await client.show_job(job_id)).progress
+            if progress is not None and progress.line is not None:
+                axes = await client.axes()
+                seen.append((progress.line, axes["gantry.x"].position, axes["gantry.y"].position))
+            await asyncio.sleep(0.1)
+        assert list(dict.fromkeys(line for line, _, _ in seen)) == [2, 4, 5]
+        for line, x, y in seen:  # as old as a poll, and as the progress
+            assert (
+                (line == 2 and x < 20.1 and y < 3) or (line == 4 and y < 10.1 and 17 < x < 22) or (line == 5 and y > 7)
+            )
+
+    with_fleet(main)
+
+
+def test_the_line_stays_while_its_path_is_held(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet, client: Tutti) -> None:
+        path = tmp_path / "part.ngc"
+        path.write_text("G21 G90 F600\nG1 X20 Y0\nG1 X20 Y10\n")
+        step = f"{{do: path, file: '{path}', axes: {{X: gantry.x, Y: gantry.y}}, tolerance: 100 um}}"
+        await client.start_queue()
+        job_id = await client.submit(job(f"[{step}]"))
+        while await client.position("gantry.y") < 4:
+            await asyncio.sleep(0.02)
+        await client.pause_job(job_id, now=True)
+        await asyncio.sleep(3)
+        progress = (await client.show_job(job_id)).progress
+        assert progress is not None and (progress.state, progress.line) == ("paused", 3)
+        await client.estop()
+        await client.wait_for_job(job_id)
+        await asyncio.sleep(1)
+        await client.reset()
+        await asyncio.sleep(1)
+        rest = await client.find_rest(job_id, path)
+        assert (rest.piece, rest.line) == (2, 3)
         assert (await go_on(client, rest)).state == "done"
 
     with_fleet(main)

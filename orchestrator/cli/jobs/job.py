@@ -146,7 +146,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
     from orchestrator.model.steps.order import StepOrder
-    from orchestrator.monitor.fleet_view import format_step
+    from orchestrator.monitor.fleet_view import format_line, format_step
     from orchestrator.monitor.report_table import describe_gap, describe_used
     from orchestrator.monitor.times import format_time, localize_times
 
@@ -172,7 +172,11 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             for inner in () if step.is_single else step.iterate_written():
                 console.print(f"      {inner.describe()}", highlight=False, markup=False, soft_wrap=True)
         if shown_job.progress is not None:
-            console.print(f"now: {format_step(shown_job.progress)}", highlight=False, markup=False)
+            console.print(
+                f"now: {format_step(shown_job.progress)}{format_line(shown_job.progress)}",
+                highlight=False,
+                markup=False,
+            )
         for change in shown_job.transitions:
             reason = f" {localize_times(change.reason)}" if change.reason else ""
             line = f"{format_time(change.utc, precise=True)} {change.state}{reason} ({change.actor})"

@@ -59,9 +59,13 @@ class PathSource(Model):
             piece -= run.pieces
         return None
 
+    def list_lines(self) -> list[int]:
+        """The lines of all pieces."""
+        return [run.line + number * run.growth for run in self.lines for number in range(run.pieces)]
+
     def cut(self, first: int, count: int) -> Self:
         """The source of `count` pieces from `first` on."""
-        lines = [run.line + number * run.growth for run in self.lines for number in range(run.pieces)]
+        lines = self.list_lines()
         return self.model_copy(update={"lines": _join_lines(lines[first : first + count])})
 
 
