@@ -7,6 +7,7 @@ from typing import Any, cast
 
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
+from orchestrator.gateway.job_rests import check_rest, load_continued
 from orchestrator.gateway.preview import draw_job
 from orchestrator.gateway.program_files import check_program, locate_in_program
 from orchestrator.gateway.replies import describe_problems
@@ -16,6 +17,7 @@ from orchestrator.model.jobs.files import FileError, FileProblem, LoadedFile, re
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.templates.parameters import describe_parameter
 from orchestrator.model.templates.template import FilledJob, ParameterSetting, Template
+from orchestrator.plan.continuing.ended_job import EndedJob
 from orchestrator.plan.forecast.present import look_at_axes
 
 PATTERN = "*.job.yaml"
@@ -45,6 +47,9 @@ class JobFiles:
         Raises `Refusal` for a body that is not as it should be, and a template that is not there.
         """
         answer: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
+        ended = await load_continued(tutti, body)
+        if ended is not None:
+            return answer | await self._check_rest(tutti, ended, body)
         if "program" in body:
             return answer | await self._check_program(tutti, body)
         parameters, problems, filled_job = await self._execute(self._fill_job, body)
@@ -67,6 +72,14 @@ class JobFiles:
             lambda problem: locate_in_program(program, problem.place, _join_remedy(problem)),
         )
         return {**answer, **forecast, "job": checked_program.job.to_plain(), "program": checked_program.plain}
+
+    async def _check_rest(self, tutti: Tutti, ended: EndedJob, body: Mapping[str, Any]) -> dict[str, Any]:
+        answer, checked_rest = await check_rest(self._execute, ended, body)
+        if checked_rest is None:
+            return answer
+        if checked_rest.job is not None:
+            answer = await self.forecast_job(tutti, checked_rest.job)
+        return {**answer, "program": checked_rest.plain}
 
     async def forecast_job(self, tutti: Tutti, job: Job, locate: LocateProblem | None = None) -> dict[str, Any]:
         """What a job will do now: its forecast, with what each controller would be sent if it is not too long, and its

@@ -56,7 +56,7 @@ async def check_program(
     tutti: Tutti, execute: Executor, body: Mapping[str, Any], values: Mapping[str, str]
 ) -> tuple[dict[str, Any], CheckedProgram | None]:
     """Parameters and problems of a program, and without any, its job. Raises `Refusal`."""
-    program = _read_program(body)
+    program = read_program(body)
     fleet = await tutti.load_fleet()
     axes = look_at_axes(fleet, await tutti.status())
     end = await _load_end(tutti, body.get("continues"), axes)
@@ -82,7 +82,8 @@ def _find_piece(text: str) -> int:
     return int(digits) if word and digits.isdecimal() else 0
 
 
-def _read_program(body: Mapping[str, Any]) -> ProgramText:
+def read_program(body: Mapping[str, Any]) -> ProgramText:
+    """The program of a request. Raises `Refusal`."""
     program = body.get("program")
     fields = cast(dict[str, object], program) if isinstance(program, dict) else {}
     name, text = fields.get("name"), fields.get("text")
@@ -130,8 +131,9 @@ def _take_over(check: ProgramCheck, fields: list[dict[str, Any]], end: LastMotio
 def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
     traces = trace_paths(program.job, program.paths)
     plain: dict[str, Any] = {
-        "lines": len(check.program.lines),
-        "from_line": program.settings.from_line,
+        "place": f"line {program.settings.from_line}",
+        "line": program.settings.from_line,
+        "retry": None,
         "values": {name: text for name, text in program.settings.texts.items() if name != ZEROS},
         "approach": "",
         "confirm": program.list_confirmations(),
