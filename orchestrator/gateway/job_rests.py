@@ -7,7 +7,7 @@ from typing import Any
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.program_drawing import draw_program
-from orchestrator.gateway.program_files import read_program
+from orchestrator.gateway.program_files import RUN_SURE, RUN_TITLE, WAY_SURE, read_program
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import FileError
@@ -51,23 +51,31 @@ async def check_rest(
         rest = await execute(find_rest, ended, file)
     except FileError as error:
         return {"problems": describe_problems(error.problems)}, None
-    return {}, _describe(rest)
+    return {}, _describe(rest, ended.report.repeat)
 
 
-def _describe(rest: JobRest) -> CheckedRest:
-    """One confirmation after the other: the move back, the outputs of a scan, the rest."""
+def _describe(rest: JobRest, repeat: int) -> CheckedRest:
+    """One confirmation after the other: the move back, the outputs of a scan, the rest. repeat: of the job."""
     switches = [f"{output} is switched {'on' if level else 'off'}" for output, level in rest.outputs.items()]
     approach, job = "", rest.job
+    title, sure, act = RUN_TITLE, RUN_SURE, ""
     if rest.move is not None:
         places = ", ".join(f"{way.axis} to {way.to:.9g} {way.unit}" for way in rest.way)
         approach, job = f"all axes go straight and together: {places}", rest.move
+        title, sure, act = f"First back: {rest.place}", WAY_SURE, "Move back"
     elif rest.switch is not None:
         approach, job = "; ".join(switches), rest.switch
+        act = "Switch outputs"
+    terms: dict[str, Any] = {} if approach else {CONTINUES: rest.continues}
     retry = None
     if job is None:
         retry = {"job_id": rest.continues, "from_step": rest.retry_step, "from_point": rest.point}
+        terms["repeat"] = repeat
     plain = {
-        "place": rest.place,
+        "title": title,
+        "sure": sure,
+        "act": act,
+        "terms": terms,
         "line": rest.line,
         "values": {},
         "approach": approach,

@@ -28,6 +28,8 @@ from orchestrator.plan.programs.settings import (
 from orchestrator.plan.programs.standing import LastMotion
 
 MAX_SHOWN_PROBLEMS = 50
+RUN_TITLE, RUN_SURE = "Before it runs", "All of this is so"
+WAY_SURE = "The way is free"
 BY_PLACE = "by where the axes stand now, as the job kept no record of its last move: see whether it is right"
 
 
@@ -131,8 +133,11 @@ def _take_over(check: ProgramCheck, fields: list[dict[str, Any]], end: LastMotio
 def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
     traces = trace_paths(program.job, program.paths)
     plain: dict[str, Any] = {
-        "place": f"line {program.settings.from_line}",
         "line": program.settings.from_line,
+        "title": RUN_TITLE,
+        "sure": RUN_SURE,
+        "act": "",
+        "terms": {} if check.end is None else {"continues": check.end.report.job_id},
         "retry": None,
         "values": {name: text for name, text in program.settings.texts.items() if name != ZEROS},
         "approach": "",
@@ -147,5 +152,7 @@ def _describe(check: ProgramCheck, program: ProgramJob) -> CheckedProgram:
     if stand_at(program.approach, check.axes, check.fleet):
         return CheckedProgram(remaining_job, remaining_job, plain, program)
     places = ", ".join(f"{name} to {target}" for name, target in program.approach.items())
-    plain["approach"] = f"all axes go straight and together: {places}"
+    line = program.settings.from_line
+    plain |= {"title": f"First to the start of line {line}", "sure": WAY_SURE, "act": f"Move to line {line}"}
+    plain |= {"approach": f"all axes go straight and together: {places}", "terms": {}}
     return CheckedProgram(move, program.job, plain, program)

@@ -232,7 +232,7 @@ def test_a_scan_goes_on_by_a_re_run(tmp_path: Path) -> None:
         rest = await ask_rest(gateway, job_id)
         retry = rest["program"]["retry"]
         assert (rest["job"], retry) == (None, {"job_id": job_id, "from_step": 1, "from_point": 3})
-        retried = await gateway.post("/v1/retry", {**retry, "terms": {"continues": job_id}})
+        retried = await gateway.post("/v1/retry", {**retry, "terms": rest["program"]["terms"]})
         report = await fleet.make_client().wait_for_job(retried.json["job_id"])
         assert report.state == "done" and report.steps[0].scan is not None and report.steps[0].scan.done == 3
 
