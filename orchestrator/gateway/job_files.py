@@ -47,9 +47,9 @@ class JobFiles:
         Raises `Refusal` for a body that is not as it should be, and a template that is not there.
         """
         answer: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
-        ended = await load_continued(tutti, body)
-        if ended is not None:
-            return answer | await self._check_rest(tutti, ended, body)
+        ended_job = await load_continued(tutti, body)
+        if ended_job is not None:
+            return answer | await self._check_rest(tutti, ended_job, body)
         if "program" in body:
             return answer | await self._check_program(tutti, body)
         parameters, problems, filled_job = await self._execute(self._fill_job, body)
@@ -73,8 +73,8 @@ class JobFiles:
         )
         return {**answer, **forecast, "job": checked_program.job.to_plain(), "program": checked_program.plain}
 
-    async def _check_rest(self, tutti: Tutti, ended: EndedJob, body: Mapping[str, Any]) -> dict[str, Any]:
-        answer, checked_rest = await check_rest(self._execute, ended, body)
+    async def _check_rest(self, tutti: Tutti, ended_job: EndedJob, body: Mapping[str, Any]) -> dict[str, Any]:
+        answer, checked_rest = await check_rest(self._execute, ended_job, body)
         if checked_rest is None:
             return answer
         if checked_rest.job is not None:

@@ -38,48 +38,48 @@ async def load_continued(tutti: Tutti, body: Mapping[str, Any]) -> EndedJob | No
         return None
     if not isinstance(job_id, str):
         raise Refusal("bad-request", f"`{CONTINUES}` must be the id of a job", "see /v1/jobs")
-    ended = await tutti.load_ended(job_id)
-    return None if DIGEST in ended.report.parameters_used and "program" in body else ended
+    ended_job = await tutti.load_ended(job_id)
+    return None if DIGEST in ended_job.report.parameters_used and "program" in body else ended_job
 
 
 async def check_rest(
-    execute: Executor, ended: EndedJob, body: Mapping[str, Any]
+    execute: Executor, ended_job: EndedJob, body: Mapping[str, Any]
 ) -> tuple[dict[str, Any], CheckedRest | None]:
     """The problems of a rest, and without any, what would be submitted. Raises `Refusal`."""
     file = JobFile(read_program(body)) if "program" in body else None
     try:
-        rest = await execute(find_rest, ended, file)
+        job_rest = await execute(find_rest, ended_job, file)
     except FileError as error:
         return {"problems": describe_problems(error.problems)}, None
-    return {}, _describe(rest, ended.report.repeat)
+    return {}, _describe(job_rest, ended_job.report.repeat)
 
 
-def _describe(rest: JobRest, repeat: int) -> CheckedRest:
+def _describe(job_rest: JobRest, repeat: int) -> CheckedRest:
     """One confirmation after the other: the move back, the outputs of a scan, the rest. repeat: of the job."""
-    switches = [f"{output} is switched {'on' if level else 'off'}" for output, level in rest.outputs.items()]
-    approach, job = "", rest.job
+    switches = [f"{output} is switched {'on' if level else 'off'}" for output, level in job_rest.outputs.items()]
+    approach, job = "", job_rest.job
     title, sure, act = RUN_TITLE, RUN_SURE, ""
-    if rest.move is not None:
-        places = ", ".join(f"{way.axis} to {way.to:.9g} {way.unit}" for way in rest.way)
-        approach, job = f"all axes go straight and together: {places}", rest.move
-        title, sure, act = f"First back: {rest.place}", WAY_SURE, "Move back"
-    elif rest.switch is not None:
-        approach, job = "; ".join(switches), rest.switch
+    if job_rest.move is not None:
+        places = ", ".join(f"{way.axis} to {way.to:.9g} {way.unit}" for way in job_rest.way)
+        approach, job = f"all axes go straight and together: {places}", job_rest.move
+        title, sure, act = f"First back: {job_rest.place}", WAY_SURE, "Move back"
+    elif job_rest.switch is not None:
+        approach, job = "; ".join(switches), job_rest.switch
         act = "Switch outputs"
-    terms: dict[str, Any] = {} if approach else {CONTINUES: rest.continues}
+    terms: dict[str, Any] = {} if approach else {CONTINUES: job_rest.continues}
     retry = None
     if job is None:
-        retry = {"job_id": rest.continues, "from_step": rest.retry_step, "from_point": rest.point}
+        retry = {"job_id": job_rest.continues, "from_step": job_rest.retry_step, "from_point": job_rest.point}
         terms["repeat"] = repeat
     plain = {
         "title": title,
         "sure": sure,
         "act": act,
         "terms": terms,
-        "line": rest.line,
+        "line": job_rest.line,
         "values": {},
         "approach": approach,
-        "confirm": [f"{rest.name} stood at {rest.place}", *rest.confirm, *switches],
+        "confirm": [f"{job_rest.name} stood at {job_rest.place}", *job_rest.confirm, *switches],
         "notes": [],
         "extents": [],
         "drawing": draw_program([], []),

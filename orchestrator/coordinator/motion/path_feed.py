@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.path_chunks import FirstChunk
@@ -102,11 +100,6 @@ class PathFeed:
         if self.held_by is not None or not self._state.t0_fleet_ns or not now_s >= 0.0 or ends_s == float("inf"):
             return None
         return now_s, max(0.0, ends_s - now_s)
-
-    @property
-    def path_now_s(self) -> float:
-        """Where on the path it is now, in the time of the path."""
-        return float(self._clock.evaluate(np.array([self._now_s()])).path_s[0])
 
     def _now_s(self) -> float:
         return (self._services.leadership.fleet_now_ns() - self._state.t0_fleet_ns) / NS_PER_S
@@ -278,7 +271,7 @@ class PathFeed:
         if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:
             text = f"at {rate:.0%} the axes may be {self._bound.predicted * rate:.3g} {self._bound.unit} off the path"
             raise Refusal("path-error", text, f"the tolerance is {self._bound.tolerance:.3g}; choose a lower speed")
-        course.require_rate(self.path_now_s, rate)
+        course.require_rate(self._clock.find_path_s(self._now_s()), rate)
         self._revision += 1
         self._wanted = rate
         async with self._lock:

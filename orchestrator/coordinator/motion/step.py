@@ -253,9 +253,9 @@ class MotionStep:
         path = None if motion is None else motion.planned.path
         if motion is None or path is None or path.lines is None or not motion.start.state.t0_fleet_ns:
             return None
-        if motion.feed is not None:
-            return path.lines.find_line(motion.feed.path_now_s)
         moved_s = (self._services.leadership.fleet_now_ns() - motion.start.state.t0_fleet_ns) / NS_PER_S
+        if motion.feed is not None:
+            return path.lines.find_line(motion.feed.chunk.clock.find_path_s(moved_s))
         return path.lines.find_line(moved_s / motion.duration_s * path.report.duration_s)
 
     @property
