@@ -51,7 +51,6 @@ from orchestrator.model.report import (
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
 from orchestrator.model.steps.base import Step
 from orchestrator.model.templates.template import Template
-from orchestrator.plan.continuing.ended_job import EndedJob
 
 
 class BlockingJob(BlockingObject[SubmittedJob]):
@@ -241,10 +240,6 @@ class BlockingTutti(BlockingObject[Tutti]):
         with code `not-ended`, `nothing-left`, `needs-file`, `zero-changed`, and `FileError` with what has changed.
         """
         return self._run(self._wrapped.find_rest(job_id, file))
-
-    def load_ended(self, job_id: str) -> EndedJob:
-        """What `find_rest` takes the place of a job from. Raises `Refusal`."""
-        return self._run(self._wrapped.load_ended(job_id))
 
     def continue_job(
         self, rest: JobRest, terms: QueueTerms | None = None, *, client_key: str | None = None

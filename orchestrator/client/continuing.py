@@ -1,6 +1,7 @@
 """Jobs that have ended on their way go on from the place where they stood."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,10 +11,12 @@ from orchestrator.client.positions import PositionRequests
 from orchestrator.client.steps import StepRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.rest import JobRest
+from orchestrator.model.jobs.service import PointsRead, ReadPoints
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import FINISHED_STATES, JobReport, PointRecord
+from orchestrator.model.report import FINISHED_STATES, PointRecord
 from orchestrator.model.state import ControllerState
 from orchestrator.model.steps.kinds import MOTION_STEPS
+from orchestrator.model.steps.order import StepPlace
 
 if TYPE_CHECKING:
     from orchestrator.plan.continuing.ended_job import EndedJob
@@ -36,32 +39,7 @@ class RestRequests(StepRequests, PositionRequests, FleetRequests):
 
         path = None if file is None else Path(file)
         job_file = None if path is None else JobFile(ProgramText(path.name, read_path_text(path)), path.parent)
-        return find_rest(await self.load_ended(job_id), job_file)
-
-    async def load_ended(self, job_id: str) -> "EndedJob":
-        """What `find_rest` takes the place of a job from. Raises `Refusal`."""
-        from orchestrator.model.positions.resolve import PositionResolver
-        from orchestrator.plan.continuing.ended_job import EndedJob
-        from orchestrator.plan.forecast.present import look_at_axes
-
-        shown_job = await self.show_job(job_id)
-        job, report = shown_job.job, shown_job.report
-        if job is None or report is None or report.state not in FINISHED_STATES:
-            text = f"job {job_id} has not ended"
-            raise Refusal("not-ended", text, "resume it if it is paused: `tutti job resume`; or cancel it first")
-        fleet, states = await self.load_fleet(), await self.status()
-        resolver = PositionResolver(fleet, await self.list_positions(), keep_unknown=True)
-        last = report.steps[-1] if report.steps else None
-        has_moved = last is not None and last.do in MOTION_STEPS
-        return EndedJob(
-            job=job.model_copy(update={"steps": resolver.resolve_steps(job.steps)}),
-            report=report,
-            recording=await self.load_recording(job_id, last.index) if last is not None and has_moved else None,
-            point=await self._load_last_point(report),
-            fleet=fleet,
-            axes=look_at_axes(fleet, states),
-            outputs=_list_outputs(states),
-        )
+        return find_rest(await load_ended_job(self, job_id), job_file)
 
     async def continue_job(
         self, rest: JobRest, terms: QueueTerms | None = None, *, client_key: str | None = None
@@ -82,14 +60,42 @@ class RestRequests(StepRequests, PositionRequests, FleetRequests):
         retried_job = await self.retry_job(rest.continues, first, terms=terms, client_key=client_key)
         return SubmittedJob(retried_job.job_id, self, retried_job.entry)
 
-    async def _load_last_point(self, report: JobReport) -> PointRecord | None:
-        """The last point that was recorded of the scan at which a job stood."""
-        scans = [step.index for step in report.steps if step.scan is not None]
-        last: PointRecord | None = None
-        if scans:
-            async for point in self.iterate_points(report.job_id, scans[-1]):
-                last = point
-        return last
+
+async def load_ended_job(requests: RestRequests, job_id: str) -> "EndedJob":
+    """What `find_rest` takes the place of a job from. Raises `Refusal`."""
+    from orchestrator.model.positions.resolve import PositionResolver
+    from orchestrator.plan.continuing.ended_job import EndedJob, find_last_step
+    from orchestrator.plan.forecast.present import look_at_axes
+
+    shown_job = await requests.show_job(job_id)
+    job, report = shown_job.job, shown_job.report
+    if job is None or report is None or report.state not in FINISHED_STATES:
+        text = f"job {job_id} has not ended"
+        raise Refusal("not-ended", text, "resume it if it is paused: `tutti job resume`; or cancel it first")
+    fleet, states = await requests.load_fleet(), await requests.status()
+    resolver = PositionResolver(fleet, await requests.list_positions(), keep_unknown=True)
+    last = report.steps[-1] if report.steps else None
+    has_moved = last is not None and last.do in MOTION_STEPS
+    ended_job = EndedJob(
+        job=job.model_copy(update={"steps": resolver.resolve_steps(job.steps)}),
+        report=report,
+        recording=await requests.load_recording(job_id, last.index) if last is not None and has_moved else None,
+        point=None,
+        fleet=fleet,
+        axes=look_at_axes(fleet, states),
+        outputs=_list_outputs(states),
+    )
+    return replace(ended_job, point=await _load_point(requests, job_id, find_last_step(ended_job).place))
+
+
+async def _load_point(requests: RestRequests, job_id: str, place: StepPlace) -> PointRecord | None:
+    """What was recorded of the point at which a job stood; None: it was at none, or nothing was recorded of it."""
+    if place.point is None:
+        return None
+    fields = {"job_id": job_id, "after_step": place.first, "after_point": place.point, "limit": 1}
+    request = ReadPoints(**requests.request_fields(), **fields)
+    points = (await requests.request_service("points", request, PointsRead)).points
+    return points[0] if points else None
 
 
 def _list_outputs(states: Mapping[str, ControllerState]) -> dict[str, bool]:

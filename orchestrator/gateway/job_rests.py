@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.client import Tutti
+from orchestrator.client.continuing import load_ended_job
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.program_drawing import draw_program
 from orchestrator.gateway.program_files import RUN_SURE, RUN_TITLE, WAY_SURE, read_program
@@ -38,7 +39,7 @@ async def load_continued(tutti: Tutti, body: Mapping[str, Any]) -> EndedJob | No
         return None
     if not isinstance(job_id, str):
         raise Refusal("bad-request", f"`{CONTINUES}` must be the id of a job", "see /v1/jobs")
-    ended_job = await tutti.load_ended(job_id)
+    ended_job = await load_ended_job(tutti, job_id)
     return None if DIGEST in ended_job.report.parameters_used and "program" in body else ended_job
 
 

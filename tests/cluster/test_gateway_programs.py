@@ -8,6 +8,7 @@ import pytest
 from cluster.gateway_client import VirtualGateway, run_with_gateway
 from cluster.worlds import EXAMPLES, PREPARE, outcome
 
+from orchestrator.model.jobs.files import FileError
 from orchestrator.model.jobs.job import Job
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -114,6 +115,29 @@ def test_a_program_goes_on_from_the_line_where_it_stood(tmp_path: Path) -> None:
         rest = await check(gateway, LAPS, job_id)
         assert rest["program"]["approach"] == "" and rest["job"]["steps"][0]["name"] == "lines 8 to 10"
         await run(fleet, gateway, rest)
+
+    run_with_gateway(main)
+
+
+def test_a_program_of_the_page_goes_on_by_command(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        job_id = await stop_midway(fleet, gateway, "estop", 0.7)
+        await outcome(fleet, PREPARE)
+        client, path = fleet.make_client(), tmp_path / "part.ngc"
+        path.write_text(LAPS + "G0 X1\n")
+        with pytest.raises(FileError, match=r"the text is not that of 'part\.ngc' as it ran"):
+            await client.find_rest(job_id, path)
+        path.write_text(LAPS)
+        rest = await client.find_rest(job_id, path)
+        assert (rest.line, rest.place, rest.is_recorded) == (8, "line 8 of part.ngc", True)
+        assert [(way.axis, way.to) for way in rest.way] == [("gantry.x", 40), ("gantry.y", 0)]
+        assert rest.confirm[-1].startswith("line 8 begins with work offset G54")
+        assert rest.move is not None
+        await client.run(rest.move)
+        await client.start_queue()
+        report = await client.wait_for_job(await client.continue_job(rest))
+        assert report.state == "done" and report.steps[0].name == "lines 8 to 10"
 
     run_with_gateway(main)
 
