@@ -24,6 +24,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.files import FileError, load_fleet
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.rest import JobRest
 from orchestrator.model.jobs.restart import FirstMotion, StartPreview
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.statistics import StatisticsRead
@@ -80,6 +81,7 @@ __all__ = [
     "JobProgress",
     "JobQueue",
     "JobReport",
+    "JobRest",
     "JobResult",
     "JobTransition",
     "Latch",

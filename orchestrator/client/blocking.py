@@ -28,6 +28,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.rest import JobRest
 from orchestrator.model.jobs.restart import StartPreview
 from orchestrator.model.jobs.service import FleetNames, JobRetried, JobShown, WireFinding
 from orchestrator.model.messages import TraceReply
@@ -231,6 +232,22 @@ class BlockingTutti(BlockingObject[Tutti]):
     def actor(self) -> str:
         """The user or program that makes the requests."""
         return self._wrapped.actor
+
+    def find_rest(self, job_id: str, file: Path | str | None = None) -> JobRest:
+        """What is left of a job that has ended, and the way back to where it stood; nothing moves.
+
+        file: that the job was made of, such as a program in G-code; it is compared with what ran. Raises `Refusal`, as
+        with code `not-ended`, `nothing-left`, `needs-file`, `zero-changed`, and `FileError` with what has changed.
+        """
+        return self._run(self._wrapped.find_rest(job_id, file))
+
+    def continue_job(
+        self, rest: JobRest, terms: QueueTerms | None = None, *, client_key: str | None = None
+    ) -> BlockingJob:
+        """Submit the rest of a job as a new job, whose terms name the old one. Its axes must stand where `rest` begins:
+        run `rest.move` before, if there is one. What `rest.outputs` names is switched first. Raises `Refusal`,
+        `JobFailed`."""
+        return BlockingJob(self._run(self._wrapped.continue_job(rest, terms, client_key=client_key)), self._worker)
 
     def run(
         self,

@@ -15,7 +15,8 @@ from orchestrator.bus.decoding import MAX_AT_ONCE
 from orchestrator.client import Tutti
 from orchestrator.clock.executor import Executor
 from orchestrator.gateway.checked_job import CheckedJob, CheckedSource
-from orchestrator.gateway.preview import draw_parts, look_at_axes
+from orchestrator.gateway.job_rests import check_rest, load_continued
+from orchestrator.gateway.preview import draw_parts
 from orchestrator.gateway.program_files import open_program
 from orchestrator.gateway.replies import describe_problems, make_joined_response
 from orchestrator.model.errors import Refusal
@@ -25,6 +26,8 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import join_at_once
 from orchestrator.model.templates.parameters import describe_parameter
 from orchestrator.model.templates.template import FilledJob, ParameterSetting, Template
+from orchestrator.plan.continuing.ended_job import EndedJob
+from orchestrator.plan.forecast.present import look_at_axes
 
 PATTERN = "*.job.yaml"
 MAX_TEMPLATES = 200
@@ -51,6 +54,9 @@ class JobFiles:
         Raises `Refusal` for a body that is not as it should be, a template that is not there, and a text whose check
         takes too much.
         """
+        ended_job = await load_continued(tutti, body)
+        if ended_job is not None:
+            return await self._check_rest(tutti, ended_job, body)
         source: CheckedSource
         if "program" in body:
             values = {name: str(setting.value) for name, setting in _read_values(body.get("values", {})).items()}
@@ -67,6 +73,15 @@ class JobFiles:
             answer["problems"] = describe_problems(await reader(source.locate, forecast.problems))
         answer["forecast"] = _describe_forecast(forecast)
         return make_joined_response(answer, {"job": checked_job.job, "preview": preview})
+
+    async def _check_rest(self, tutti: Tutti, ended_job: EndedJob, body: Mapping[str, Any]) -> Response:
+        plain, checked_rest = await check_rest(self._execute, ended_job, body)
+        if checked_rest is not None:
+            plain |= {"program": checked_rest.plain}
+            if checked_rest.job is not None:
+                return await self.show_job(tutti, checked_rest.job, {"parameters": [], **plain})
+        answer: dict[str, Any] = {"problems": [], "parameters": [], "job": None, "forecast": None, "preview": None}
+        return make_joined_response(answer | plain, {})
 
     async def show_job(self, tutti: Tutti, job: Job, plain: Mapping[str, Any]) -> Response:
         """What a job will do now, as `check_job` says it of its file. plain: more fields of the answer."""

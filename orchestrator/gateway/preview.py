@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from fractions import Fraction
 from functools import partial
 from typing import Any
 
@@ -11,11 +10,9 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import join_at_once
-from orchestrator.model.names import split_name
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import ControllerState
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.numbers import name_step
@@ -30,25 +27,6 @@ POINTS_PER_SEGMENT, MAX_POINTS = 6, 4000
 DIGITS = 4
 
 Lines = dict[str, dict[str, Any]]
-
-
-def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[str, AxisForecast]:
-    """All axes as they are now; those of silent controllers are unknown."""
-    axes: dict[str, AxisForecast] = {}
-    for name in fleet.axis_names:
-        controller, local = split_name(name)
-        state = states.get(controller)
-        axis_now = None if state is None or state.mode == "offline" else state.axes.get(local)
-        if axis_now is not None:
-            axis = fleet.axis(name)
-            axes[name] = AxisForecast(
-                motor=Fraction(axis_now.commanded_counts) / axis.counts_per_unit,
-                known=True,
-                offset=axis_now.offset,
-                enabled=axis_now.enabled or axis.enable != "manual",
-                referenced=axis_now.referenced,
-            )
-    return axes
 
 
 def draw_parts(

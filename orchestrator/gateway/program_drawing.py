@@ -9,7 +9,7 @@ import numpy as np
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.units import Unit, convert_units
-from orchestrator.plan.programs.traces import PathTrace
+from orchestrator.plan.path.traces import PathTrace
 
 SIZE, MARGIN = 200.0, 8.0  # of the drawing, in its own units
 LEAST_STEP = 0.15  # between two points that are drawn

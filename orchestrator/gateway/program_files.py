@@ -6,14 +6,15 @@ from typing import Any, cast
 
 from orchestrator.client import Tutti
 from orchestrator.gateway.checked_job import CheckedJob
-from orchestrator.gateway.preview import look_at_axes
 from orchestrator.gateway.program_drawing import draw_program, list_extents
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast, StepProblem
 from orchestrator.model.jobs.files import FileError, FileProblem
-from orchestrator.model.units import Unit, convert_units, find_dimension, parse_quantity
+from orchestrator.plan.forecast.present import look_at_axes
+from orchestrator.plan.path.traces import trace_paths
+from orchestrator.plan.programs.present import list_places, list_zeros, stand_at, take_over
 from orchestrator.plan.programs.program_job import ProgramJob, make_program_job, require_unchanged
 from orchestrator.plan.programs.settings import (
     FROM_LINE,
@@ -23,16 +24,17 @@ from orchestrator.plan.programs.settings import (
     describe_fields,
     read_settings,
 )
-from orchestrator.plan.programs.standing import LastMotion, find_standing_line
-from orchestrator.plan.programs.traces import trace_paths
+from orchestrator.plan.programs.standing import LastMotion
 
 MAX_SHOWN_PROBLEMS = 50
+RUN_TITLE, RUN_SURE = "Before it runs", "All of this is so"
+WAY_SURE = "The way is free"
 BY_PLACE = "by where the axes stand now, as the job kept no record of its last move: see whether it is right"
 
 
 async def open_program(tutti: Tutti, body: Mapping[str, Any], values: Mapping[str, str]) -> "ProgramCheck":
     """A program with what it is checked with. Raises `Refusal`."""
-    program = _read_program(body)
+    program = read_program(body)
     fleet = await tutti.load_fleet()
     axes = look_at_axes(fleet, await tutti.status())
     end = await _load_end(tutti, body.get("continues"), axes)
@@ -56,7 +58,7 @@ class ProgramCheck:
 
     def check(self) -> CheckedJob:
         """What has to be chosen, mistakes, and without any, the job with what the page shows beside it."""
-        fields = describe_fields(self.program, self.fleet, _list_places(self), self.values)
+        fields = describe_fields(self.program, self.fleet, list_places(self.fleet, self.axes), self.values)
         try:
             if self.end is not None:
                 fields = _take_over(self, fields, self.end)
@@ -68,13 +70,13 @@ class ProgramCheck:
 
     def locate(self, problems: Sequence[StepProblem]) -> list[FileProblem]:
         """Problems of the forecast, at the lines of the steps that they are in."""
-        fields = describe_fields(self.program, self.fleet, _list_places(self), self.values)
+        fields = describe_fields(self.program, self.fleet, list_places(self.fleet, self.axes), self.values)
         program = self._make_job(fields if self.end is None else _take_over(self, fields, self.end))
         return [_locate_problem(program, problem) for problem in problems]
 
     def _make_job(self, fields: list[dict[str, Any]]) -> ProgramJob:
         """Raises `FileError`."""
-        settings = read_settings(self.program, fields, self.values, _list_zeros(self))
+        settings = read_settings(self.program, fields, self.values, list_zeros(self.axes))
         if self.end is not None:
             require_unchanged(self.program, settings, self.end.report.parameters_used)
         return make_program_job(self.program, settings, self.fleet)
@@ -99,7 +101,7 @@ def _find_piece(text: str) -> int:
     return int(digits) if word and digits.isdecimal() else 0
 
 
-def _read_program(body: Mapping[str, Any]) -> ProgramText:
+def read_program(body: Mapping[str, Any]) -> ProgramText:
     program = body.get("program")
     fields = cast(dict[str, object], program) if isinstance(program, dict) else {}
     name, text = fields.get("name"), fields.get("text")
@@ -123,36 +125,20 @@ async def _load_end(tutti: Tutti, job_id: object, axes: Mapping[str, AxisForecas
 
 def _take_over(check: ProgramCheck, fields: list[dict[str, Any]], end: LastMotion) -> list[dict[str, Any]]:
     """The fields with the values of the job that has stopped, and the line at which it stood. Raises `FileError`."""
-    used = end.report.parameters_used
-    fields = [{**field, "default": used.get(field["name"], field["default"])} for field in fields]
-    settings = read_settings(check.program, fields, {}, _list_zeros(check))
-    require_unchanged(check.program, settings, used)
-    program = make_program_job(check.program, settings, check.fleet)
-    standing = find_standing_line(program, end, check.fleet)
+    fields, standing = take_over(check.program, fields, end, check.fleet)
     text = "where it stood" if standing.is_recorded else BY_PLACE
-    line = {"default": str(standing.line), "description": text}
-    return [{**field, **line} if field["name"] == FROM_LINE else field for field in fields]
-
-
-def _list_places(check: ProgramCheck) -> dict[str, float]:
-    """Where the linear axes stand, mm."""
-    units = {name: Unit(check.fleet.axis(name).unit) for name in check.axes}
-    return {
-        name: float(convert_units(axis.motor + axis.offset, units[name], Unit.MM))
-        for name, axis in check.axes.items()
-        if find_dimension(units[name]) == "length"
-    }
-
-
-def _list_zeros(check: ProgramCheck) -> dict[str, float]:
-    return {name: float(axis.offset) for name, axis in check.axes.items()}
+    return [{**field, "description": text} if field["name"] == FROM_LINE else field for field in fields]
 
 
 def _describe(check: ProgramCheck, program: ProgramJob, fields: list[dict[str, Any]]) -> CheckedJob:
     traces = trace_paths(program.job, program.paths)
     details: dict[str, Any] = {
-        "lines": len(check.program.lines),
-        "from_line": program.settings.from_line,
+        "line": program.settings.from_line,
+        "title": RUN_TITLE,
+        "sure": RUN_SURE,
+        "act": "",
+        "terms": {} if check.end is None else {"continues": check.end.report.job_id},
+        "retry": None,
         "values": {name: text for name, text in program.settings.texts.items() if name != ZEROS},
         "approach": "",
         "confirm": program.list_confirmations(),
@@ -164,18 +150,10 @@ def _describe(check: ProgramCheck, program: ProgramJob, fields: list[dict[str, A
     if not program.approach:
         return CheckedJob.of(program.job, plain)
     move, remaining_job = program.split_approach()
-    if _stands_at(check, program.approach):
+    if stand_at(program.approach, check.axes, check.fleet):
         return CheckedJob.of(remaining_job, plain)
     places = ", ".join(f"{name} to {target}" for name, target in program.approach.items())
-    details["approach"] = f"all axes go straight and together: {places}"
+    line = program.settings.from_line
+    details |= {"title": f"First to the start of line {line}", "sure": WAY_SURE, "act": f"Move to line {line}"}
+    details |= {"approach": f"all axes go straight and together: {places}", "terms": {}}
     return CheckedJob.of(move, plain, program.job)
-
-
-def _stands_at(check: ProgramCheck, places: Mapping[str, str]) -> bool:
-    """Whether all axes are where a move would take them, to a count."""
-    for name, target in places.items():
-        axis, forecast = check.fleet.axis(name), check.axes.get(name)
-        goal = parse_quantity(target, axis.unit, name)
-        if forecast is None or abs(goal - forecast.motor - forecast.offset) * axis.counts_per_unit > 1:
-            return False
-    return True

@@ -17,7 +17,7 @@ from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.job_plot import draw_job_steps, draw_step, find_plotted_steps, list_samples
 from orchestrator.gateway.openapi import make_openapi
-from orchestrator.gateway.preview import draw_path, look_at_axes
+from orchestrator.gateway.preview import draw_path
 from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
@@ -30,6 +30,7 @@ from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.templates.file_schema import make_job_file_schema
 from orchestrator.monitor.export.csv_table import CsvTable
+from orchestrator.plan.forecast.present import look_at_axes
 from orchestrator.runtime.trace_frames import FrameList
 
 MAX_RECORDINGS = 1000

@@ -76,6 +76,9 @@ class QueueTerms(ScriptModel):
         "stopped, and ends when the session does.",
     )
     proposed: bool = Field(default=False, description="It waits for the approval of its plan.")
+    continues: str | None = Field(
+        default=None, max_length=64, description="Id of the job that it goes on with, from the place where it stood."
+    )
 
 
 class QueueStop(Model):

@@ -55,6 +55,9 @@ class JobProgress(Model):
     points: Int53 | None = None
     fraction: float = Field(ge=0, le=1)
     remaining_s: float | None
+    line: Int53 | None = Field(
+        default=None, description="On a path that was made of a file: the line of it that runs now, from 1."
+    )
     override_percent: float | None = Field(
         default=None, description="On a path whose speed can be changed: that speed, in percent of the planned one."
     )

@@ -296,9 +296,14 @@ def make_job_bar(job: JobProgress) -> RenderableType:
     time_text = f", {job.remaining_s:.1f} s left" if job.remaining_s is not None else ""
     grid.add_row(
         ProgressBar(total=1.0, completed=job.fraction, width=24),
-        f"{format_step(job)}{time_text}",
+        f"{format_step(job)}{format_line(job)}{time_text}",
     )
     return Group(head, grid)
+
+
+def format_line(job: JobProgress) -> str:
+    """The line that runs of the file of its path: `, line 12`. It changes too often for lines that stay."""
+    return "" if job.line is None else f", line {job.line}"
 
 
 def format_step(job: JobProgress) -> str:

@@ -66,6 +66,10 @@ class PathClock:
         path_s = float(self.evaluate(np.array([begin_s])).path_s[0])
         return PathClock((*self.ramps, RateRamp(begin_s, path_s, self.rate, rate, ramp_s)))
 
+    def find_path_s(self, at_s: float) -> float:
+        """The path time at an instant of the motion."""
+        return float(self.evaluate(np.array([at_s])).path_s[0])
+
     def evaluate(self, times_s: Array) -> PathTimes:
         """Path times at instants of the motion."""
         starts = np.array([ramp.begin_s for ramp in self.ramps])

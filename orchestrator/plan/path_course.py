@@ -44,7 +44,7 @@ class ChunkPlan(NamedTuple):
     @property
     def stop_path_s(self) -> float:
         """The path time at which it comes to rest."""
-        return float(self.clock.evaluate(np.array([self.stop_s])).path_s[0])
+        return self.clock.find_path_s(self.stop_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class PathCourse:
         everywhere. Raises `Refusal`."""
         if rate <= 1.0:
             return self._reach_rate(clock, from_s, rate)
-        slow_s = self._find_slow(float(clock.evaluate(np.array([from_s])).path_s[0]), rate)
+        slow_s = self._find_slow(clock.find_path_s(from_s), rate)
         if clock.rate < rate:
             try:
                 faster = self.change_rate(clock, from_s, rate)

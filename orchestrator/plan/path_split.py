@@ -37,7 +37,13 @@ def split_path(
             parts.append((begin, []))
         parts[-1][1].append(piece)
         begin, is_alone = _find_end(piece), bool(moved_axes)
-    return [step.model_copy(update={"start": list(start), "pieces": pack_pieces(pieces)}) for start, pieces in parts]
+    paths: list[FollowPath] = []
+    first = 0
+    for start, pieces in parts:
+        source = None if step.source is None else step.source.cut(first, len(pieces))
+        paths.append(step.model_copy(update={"start": list(start), "pieces": pack_pieces(pieces), "source": source}))
+        first += len(pieces)
+    return paths
 
 
 def _require_rest(step: FollowPath, number: int, moved: list[str]) -> None:

@@ -24,6 +24,7 @@ from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
 from orchestrator.plan.path.resolve import parse_along, parse_speed
 from orchestrator.plan.path_course import PathCourse
 from orchestrator.plan.path_line import fit_line, sample_speeds
+from orchestrator.plan.path_lines import LineTimes, time_lines
 from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import make_axis_move
@@ -56,6 +57,7 @@ class PlannedPath:
     exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
     counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
     motion, for members that execute it in chunks; a line on a trapezoid has none.
+    lines: of the file that it was made of.
     """
 
     plan: StepPlan
@@ -68,6 +70,7 @@ class PlannedPath:
     times_s: Array
     speeds: Mapping[str, Array]
     course: PathCourse | None
+    lines: LineTimes | None = None
 
     def find_speeds(self, member: str) -> tuple[Array, Array]:
         """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""
@@ -152,6 +155,7 @@ def plan_path_step(
         times_s=times_s,
         speeds={start.name: row for start, row in zip(starts, speeds, strict=True)},
         course=course,
+        lines=time_lines(step, plan),
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
 

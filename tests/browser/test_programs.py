@@ -1,5 +1,6 @@
 """A program in G-code on the page: from its upload over its preview to its rest after an e-stop."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,15 @@ def confirm(dialog: Locator, words: str, press: str) -> None:
     button.click()
 
 
+def go_on(panel: Locator, path: Path) -> Locator:
+    """Go on with a job, and give its file."""
+    panel.get_by_role("button", name=f"Go on with {path.name}").click()
+    dialog = panel.page.get_by_role("dialog")
+    expect(dialog).to_contain_text(f"was made of the file '{path.name}', which is compared with what ran")
+    dialog.get_by_label("Choose a file").set_input_files(path)
+    return dialog
+
+
 def test_what_a_program_needs_is_asked_with_its_line(page: Page, ready: RunningFleet) -> None:
     open_page(page, ready)
     dialog = upload(page, EXAMPLES / "part.ngc")
@@ -68,6 +78,7 @@ def test_a_program_runs_and_goes_on_where_an_e_stop_has_stopped_it(
     confirm(dialog, "Before it runs", "Submit")
     panel = page.get_by_role("region", name="Running job")
     expect(panel).to_contain_text("lines 2 to 6")
+    expect(panel).to_contain_text("line 4: G1 X40 Y25")  # the one that runs
     wait_for(page, lambda: find_position(ready, "y") > 15)
     page.get_by_role("button", name="E-stop", exact=True).click()
     pressed_ns = raw_ns()
@@ -79,12 +90,11 @@ def test_a_program_runs_and_goes_on_where_an_e_stop_has_stopped_it(
     # A job that comes sooner after an e-stop is taken for one that waits for its end.
     wait_for(page, lambda: raw_ns() > pressed_ns + ESTOP_VISIBLE_NS + NS_PER_S)
     path.write_text(SLOW.replace("X40", "X41"))
-    panel.get_by_label("Go on with slow.ngc").set_input_files(path)
-    dialog = page.get_by_role("dialog")
+    dialog = go_on(panel, path)
     expect(dialog.get_by_role("alert")).to_contain_text("the text is not that of 'slow.ngc' as it ran")
     dialog.get_by_role("button", name="Close").click()
     path.write_text(SLOW)
-    panel.get_by_label("Go on with slow.ngc").set_input_files(path)
+    dialog = go_on(panel, path)
     back = dialog.get_by_role("group", name="First to the start of line 4")
     expect(back).to_contain_text("gantry.x to 40 mm, gantry.y to 5 mm")
     page.set_viewport_size(SMALL)
@@ -116,3 +126,43 @@ def test_a_program_starts_at_a_line_of_its_text(page: Page, ready: RunningFleet,
 
 def find_position(fleet: RunningFleet, axis: str) -> float:
     return float(fleet.status()["gantry"].axes[axis].raw_counts) / 1000
+
+
+BEND = """schema: tutti.job/1
+name: bend
+steps:
+  - {do: move, to: {gantry.x: 0, gantry.y: 0}}
+  - do: path
+    axes: [gantry.x, gantry.y]
+    start: [0, 0]
+    tolerance: 100 um
+    speed: 8 mm/s
+    pieces: [{piece: line, to: [30, 0]}, {piece: line, to: [30, 10]}]
+"""
+
+
+def test_a_path_goes_on_where_an_e_stop_has_stopped_it(page: Page, ready: RunningFleet, tmp_path: Path) -> None:
+    open_page(page, ready)
+    path = tmp_path / "bend.job.yaml"
+    path.write_text(BEND)
+    upload(page, path).get_by_role("button", name="Submit").click()
+    panel = page.get_by_role("region", name="Running job")
+    expect(panel).to_contain_text("step 2 of 2")
+    wait_for(page, lambda: 8 < find_position(ready, "x") < 25)
+    page.get_by_role("button", name="E-stop", exact=True).click()
+    pressed_ns = raw_ns()
+    expect(panel.get_by_text("aborted").first).to_be_visible()
+    page.get_by_role("button", name="Reset").click()
+    expect(page.get_by_role("button", name="Reset")).to_have_count(0)
+    ready.works()
+    page.get_by_role("button", name="Start queue").first.click()
+    wait_for(page, lambda: raw_ns() > pressed_ns + ESTOP_VISIBLE_NS + NS_PER_S)
+    panel.get_by_role("button", name="Go on with bend").click()
+    dialog = page.get_by_role("dialog")
+    # The axes brake on their way, or beside it.
+    expect(dialog.get_by_role("group", name=re.compile("First back|Before it runs"))).to_be_visible()
+    if dialog.get_by_role("group", name="First back: step 2 (path), piece 1 of 2").count():
+        confirm(dialog, "First back", "Move back")
+    expect(dialog.get_by_role("group", name="Before it runs")).to_contain_text("bend stood at step 2 (path), piece 1")
+    confirm(dialog, "Before it runs", "Submit")
+    wait_for(page, lambda: find_position(ready, "y") > 9.9)

@@ -8,6 +8,8 @@ import pytest
 from cluster.gateway_client import VirtualGateway, run_with_gateway
 from cluster.worlds import EXAMPLES, PREPARE, outcome
 
+from orchestrator.model.jobs.files import FileError
+from orchestrator.model.jobs.job import Job
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 PART = (EXAMPLES / "part.ngc").read_text()
@@ -108,11 +110,34 @@ def test_a_program_goes_on_from_the_line_where_it_stood(tmp_path: Path) -> None:
         moved = await check(gateway, LAPS, job_id, G54="1, 0")
         assert "'G54' is '1, 0' and was '0, 0'" in moved["problems"][0]["text"]
         back = await check(gateway, LAPS, job_id)
-        assert back["program"]["from_line"] == 8 and "gantry.x to 40 mm" in back["program"]["approach"]
+        assert back["program"]["line"] == 8 and "gantry.x to 40 mm" in back["program"]["approach"]
         await run(fleet, gateway, back)
         rest = await check(gateway, LAPS, job_id)
         assert rest["program"]["approach"] == "" and rest["job"]["steps"][0]["name"] == "lines 8 to 10"
         await run(fleet, gateway, rest)
+
+    run_with_gateway(main)
+
+
+def test_a_program_of_the_page_goes_on_by_command(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        job_id = await stop_midway(fleet, gateway, "estop", 0.7)
+        await outcome(fleet, PREPARE)
+        client, path = fleet.make_client(), tmp_path / "part.ngc"
+        path.write_text(LAPS + "G0 X1\n")
+        with pytest.raises(FileError, match=r"the text is not that of 'part\.ngc' as it ran"):
+            await client.find_rest(job_id, path)
+        path.write_text(LAPS)
+        rest = await client.find_rest(job_id, path)
+        assert (rest.line, rest.place, rest.is_recorded) == (8, "line 8 of part.ngc", True)
+        assert [(way.axis, way.to) for way in rest.way] == [("gantry.x", 40), ("gantry.y", 0)]
+        assert rest.confirm[-1].startswith("line 8 begins with work offset G54")
+        assert rest.move is not None
+        await client.run(rest.move)
+        await client.start_queue()
+        report = await client.wait_for_job(await client.continue_job(rest))
+        assert report.state == "done" and report.steps[0].name == "lines 8 to 10"
 
     run_with_gateway(main)
 
@@ -122,7 +147,7 @@ def test_a_cancelled_program_goes_on_by_where_its_axes_stand(tmp_path: Path) -> 
         gateway = await open_gateway(fleet, tmp_path)
         job_id = await stop_midway(fleet, gateway, "cancel", 0.2)
         back = await check(gateway, LAPS, job_id)
-        assert back["program"]["from_line"] == 3
+        assert back["program"]["line"] == 3
         assert "as the job kept no record" in back["parameters"][2]["description"]
 
     run_with_gateway(main)
@@ -144,5 +169,95 @@ def test_what_is_no_program_is_refused(tmp_path: Path, body: dict[str, Any]) -> 
         gateway = VirtualGateway(fleet, tmp_path, {})
         await gateway.start()
         assert (await gateway.post("/v1/check-job", body)).status in (400, 404, 409)
+
+    run_with_gateway(main)
+
+
+SQUARE = {
+    "schema": "tutti.job/1",
+    "name": "square",
+    "steps": [
+        {"do": "output", "output": "gantry.lamp", "value": True},
+        {
+            "do": "path",
+            "axes": ["gantry.x", "gantry.y"],
+            "start": [0, 0],
+            "tolerance": "100 um",
+            "speed": "10 mm/s",
+            "pieces": [{"piece": "line", "to": [20, 0]}, {"piece": "line", "to": [20, 20]}],
+        },
+    ],
+}
+SCAN = {
+    "schema": "tutti.job/1",
+    "name": "row",
+    "steps": [
+        SQUARE["steps"][0],
+        {
+            "do": "scan",
+            "axes": {"gantry.x": {"from": 0, "to": 40, "points": 5}},
+            "at_each": [{"do": "dwell", "duration": "500 ms"}],
+        },
+    ],
+}
+
+
+async def stop_job(fleet: VirtualFleet, gateway: VirtualGateway, plain: dict[str, Any], at: float) -> str:
+    """Run a job until the first axis is there, and end it by an e-stop; its id. The axes are at 0 again."""
+    job_id: str = (await gateway.post("/v1/submit", {"job": plain})).json["job_id"]
+    client = fleet.make_client()
+    while await client.position("gantry.x") < at:
+        await asyncio.sleep(0.02)
+    await gateway.post("/v1/estop", {})
+    await client.wait_for_job(job_id)
+    await asyncio.sleep(1)
+    await gateway.post("/v1/reset", {})
+    await outcome(fleet, PREPARE)
+    return job_id
+
+
+async def ask_rest(gateway: VirtualGateway, job_id: str) -> dict[str, Any]:
+    answer = await gateway.post("/v1/check-job", {"continues": job_id})
+    assert answer.status == 200, answer.json
+    return answer.json
+
+
+def test_a_path_goes_on_after_two_confirmations(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        job_id = await stop_job(fleet, gateway, SQUARE, 8)
+        back = await ask_rest(gateway, job_id)
+        assert back["program"]["approach"].startswith("all axes go straight and together: gantry.x to ")
+        assert [step["do"] for step in back["job"]["steps"]] == ["move"]
+        await run(fleet, gateway, back)
+        await gateway.post("/v1/submit", {"job": {**SQUARE, "steps": [{**SQUARE["steps"][0], "value": False}]}})
+        await asyncio.sleep(1)
+        rest = await ask_rest(gateway, job_id)
+        assert rest["program"]["approach"] == ""
+        assert rest["program"]["confirm"][0].startswith("square stood at step 2 (path), piece 1 of 2")
+        assert rest["program"]["confirm"][1:] == ["gantry.lamp is switched on"]
+        assert [step["do"] for step in rest["job"]["steps"]] == ["output", "path"]
+        await run(fleet, gateway, rest)
+
+    run_with_gateway(main)
+
+
+def test_a_scan_goes_on_by_a_re_run(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        job_id = await stop_job(fleet, gateway, SCAN, 12)
+        await outcome(fleet, Job.model_validate({**SCAN, "steps": [{**SCAN["steps"][0], "value": False}]}))
+        back = await ask_rest(gateway, job_id)
+        assert "gantry.x to 20 mm" in back["program"]["approach"]
+        await run(fleet, gateway, back)
+        switch = await ask_rest(gateway, job_id)
+        assert switch["program"]["approach"] == "gantry.lamp is switched on"
+        await run(fleet, gateway, switch)
+        rest = await ask_rest(gateway, job_id)
+        retry = rest["program"]["retry"]
+        assert (rest["job"], retry) == (None, {"job_id": job_id, "from_step": 1, "from_point": 3})
+        retried = await gateway.post("/v1/retry", {**retry, "terms": rest["program"]["terms"]})
+        report = await fleet.make_client().wait_for_job(retried.json["job_id"])
+        assert report.state == "done" and report.steps[0].scan is not None and report.steps[0].scan.done == 3
 
     run_with_gateway(main)

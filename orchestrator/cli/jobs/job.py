@@ -10,6 +10,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
 from orchestrator.cli.jobs.approval import approve, plan
 from orchestrator.cli.jobs.check import check
+from orchestrator.cli.jobs.continuing import continue_job
 from orchestrator.cli.jobs.history import list_jobs, prune
 from orchestrator.cli.jobs.order import hold, override, pause, release, reorder, resume, retry
 from orchestrator.cli.jobs.plot import plot
@@ -36,7 +37,7 @@ _FILE = click.argument("file", type=click.Path(path_type=Path))
 
 @click.group(epilog="Example: tutti job submit move.job.yaml --wait")
 def job() -> None:
-    """Submit, list, show, approve, reorder, pause, cancel and retry jobs, and read their reports."""
+    """Submit, list, show, approve, reorder, pause, cancel, continue and retry jobs, and read their reports."""
 
 
 @click.command("submit", epilog="Example: tutti job submit scan.job.yaml --repeat 3 --at 22:30")
@@ -132,6 +133,7 @@ for command in (
     override,
     resume,
     retry,
+    continue_job,
 ):
     job.add_command(command)
 
@@ -144,7 +146,7 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Show JOB: its steps and the history of its state. JOB: the beginning of its id, its name, or `last`."""
     from orchestrator.client import Tutti
     from orchestrator.model.steps.order import StepOrder
-    from orchestrator.monitor.fleet_view import format_step
+    from orchestrator.monitor.fleet_view import format_line, format_step
     from orchestrator.monitor.report_table import describe_gap, describe_used
     from orchestrator.monitor.times import format_time, localize_times
 
@@ -170,7 +172,11 @@ def show(job: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
             for inner in () if step.is_single else step.iterate_written():
                 console.print(f"      {inner.describe()}", highlight=False, markup=False, soft_wrap=True)
         if shown_job.progress is not None:
-            console.print(f"now: {format_step(shown_job.progress)}", highlight=False, markup=False)
+            console.print(
+                f"now: {format_step(shown_job.progress)}{format_line(shown_job.progress)}",
+                highlight=False,
+                markup=False,
+            )
         for change in shown_job.transitions:
             reason = f" {localize_times(change.reason)}" if change.reason else ""
             line = f"{format_time(change.utc, precise=True)} {change.state}{reason} ({change.actor})"

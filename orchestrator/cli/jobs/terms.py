@@ -100,9 +100,7 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     from orchestrator.monitor.times import format_time, localize_times
 
     terms = entry.terms
-    lines: list[str] = []
-    if entry.origin is not None:
-        lines.append(f"retries job {entry.origin}, from {name_step(entry.from_step)} on")
+    lines = _list_origins(entry)
     if terms.at is not None:
         consequence = "begins late" if terms.missed == "run" else "is skipped"
         lines.append(f"at {format_time(terms.at)}; {consequence} if no coordinator leads then")
@@ -123,3 +121,13 @@ def make_entry_lines(entry: "QueueEntry") -> list[str]:
     elif entry.state == "queued" and entry.reason != "submitted":
         lines.append(localize_times(entry.reason))
     return lines
+
+
+def _list_origins(entry: "QueueEntry") -> list[str]:
+    """What job it is the rest of, or runs again."""
+    continued_id = entry.terms.continues
+    if continued_id is not None:
+        return [f"goes on with job {continued_id}, from where it stood"]
+    if entry.origin is not None:
+        return [f"retries job {entry.origin}, from {name_step(entry.from_step)} on"]
+    return []

@@ -38,7 +38,8 @@ class JobRecord(NamedTuple):
     """A job in the journal.
 
     after: the job that must be done before. due: it has no start time, or that time has come. held_by: originator of
-    the hold, if it is held. origin: the job that it re-runs, from step `from_step` on. damage: what cannot be read of
+    the hold, if it is held. origin: the job that it re-runs, from step `from_step` on. continues:
+    the job that it goes on with. damage: what cannot be read of
     it; the other values are then those of a failed job.
     """
 
@@ -62,6 +63,7 @@ class JobRecord(NamedTuple):
     now: bool = False
     session: str | None = None
     proposed: bool = False
+    continues: str | None = None
     damage: str = ""
 
     @property
@@ -77,4 +79,5 @@ class JobRecord(NamedTuple):
             expires=self.expires_utc,
             session=self.session,
             proposed=bool(self.proposed),
+            continues=self.continues,
         )

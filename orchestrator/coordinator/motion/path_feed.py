@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.motion.negotiation import StartAgreement
 from orchestrator.coordinator.motion.path_chunks import FirstChunk
@@ -273,7 +271,7 @@ class PathFeed:
         if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:
             text = f"at {rate:.0%} the axes may be {self._bound.predicted * rate:.3g} {self._bound.unit} off the path"
             raise Refusal("path-error", text, f"the tolerance is {self._bound.tolerance:.3g}; choose a lower speed")
-        course.require_rate(float(self._clock.evaluate(np.array([self._now_s()])).path_s[0]), rate)
+        course.require_rate(self._clock.find_path_s(self._now_s()), rate)
         self._revision += 1
         self._wanted = rate
         async with self._lock:

@@ -247,6 +247,18 @@ class MotionStep:
         return None if feed is None else feed.times_s
 
     @property
+    def line(self) -> int | None:
+        """The line that runs now of the file that its path was made of; None: it is on none, or has not begun."""
+        motion = self._motion
+        path = None if motion is None else motion.planned.path
+        if motion is None or path is None or path.lines is None or not motion.start.state.t0_fleet_ns:
+            return None
+        moved_s = (self._services.leadership.fleet_now_ns() - motion.start.state.t0_fleet_ns) / NS_PER_S
+        if motion.feed is not None:
+            return path.lines.find_line(motion.feed.chunk.clock.find_path_s(moved_s))
+        return path.lines.find_line(moved_s / motion.duration_s * path.report.duration_s)
+
+    @property
     def rate(self) -> float | None:
         """The feed override, 1.0 as planned; None where the speed cannot be changed."""
         feed = self._motion.feed if self._motion is not None else None

@@ -180,6 +180,11 @@ class Step(ScriptModel):
         return []
 
     @property
+    def left_levels(self) -> dict[str, bool]:
+        """The levels at which it leaves the outputs that it switches at its turn."""
+        return {}
+
+    @property
     def trigger_outputs(self) -> list[str]:
         """The outputs that it switches on the way."""
         return []

@@ -36,6 +36,10 @@ class SetOutput(Step):
         return [self.output]
 
     @property
+    def left_levels(self) -> dict[str, bool]:
+        return {self.output: self.value == (self.pulse is None)}
+
+    @property
     def pause_ns(self) -> int:
         return self.pulse or 0
 

@@ -10,6 +10,7 @@ from orchestrator.model.paths.gcode_settings import GcodeSettings
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.paths.packed import Pieces
 from orchestrator.model.paths.pieces import Piece
+from orchestrator.model.paths.source import PathSource
 from orchestrator.model.paths.spec import PathSpec
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.base import Align, OwnSkew, Step, StepSampling
@@ -42,7 +43,7 @@ class FollowPath(Step, PathSpec):
     rests: ClassVar[bool] = True
     plans_long: ClassVar[bool] = True
     follows_path: ClassVar[bool] = True
-    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "start", "pieces", "names", "gcode"})
+    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "start", "pieces", "names", "gcode", "source"})
 
     do: Literal["path"] = "path"
     file: str | None = Field(
@@ -65,6 +66,10 @@ class FollowPath(Step, PathSpec):
         description="Where the path begins, and the axes stand; of G-code 0 without it, of tables none.",
     )
     pieces: Pieces = Field(default=[])
+    source: PathSource | None = Field(
+        default=None,
+        description="What the pieces were made of, with their lines; written where a file of another program is read.",
+    )
     tolerance: Quantity = Field(
         description="How far the axes may be off the path, in the first axis's unit or with one; a path that cannot be "
         "promised within it is refused. Corners `within` a distance are part of the path."

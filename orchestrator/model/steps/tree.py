@@ -14,6 +14,11 @@ def as_motion(step: Step) -> Motion | None:
     return step if isinstance(step, Move | FollowPath) else None
 
 
+def as_path(step: Step) -> FollowPath | None:
+    """The step, if it is a path."""
+    return step if isinstance(step, FollowPath) else None
+
+
 def iterate_steps(steps: Iterable[Step]) -> Iterator[Step]:
     """All steps as they are written, in the order in which they begin; see `Step.iterate_written`."""
     for step in steps:

@@ -112,6 +112,21 @@ class PathPlan:
                 stretches += _list_stretches(part, self.axes, t0, s0)
         return stretches
 
+    def find_piece_ends(self) -> tuple[Index, Array]:
+        """The numbers of the pieces, from 0, in their order, and when each ends; a rounded corner belongs to the piece
+        before it."""
+        pieces: list[Index] = []
+        ends_s: list[Array] = []
+        for part, t0 in zip(self.parts, self.starts_s.tolist(), strict=False):
+            if isinstance(part, TableRun):
+                pieces.append(np.array([part.piece]))
+                ends_s.append(np.array([t0 + part.duration_s]))
+            else:
+                last = np.append(np.diff(part.track.piece) != 0, True)
+                pieces.append(part.track.piece[last])
+                ends_s.append(t0 + part.motion.find_instants(part.track.start[1:][last]))
+        return np.concatenate(pieces), np.concatenate(ends_s)
+
     def _find_parts(self, starts: Array, at: Array) -> Index:
         return np.clip(np.searchsorted(starts, at, side="right") - 1, 0, len(self.parts) - 1)
 

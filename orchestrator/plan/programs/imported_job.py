@@ -46,8 +46,8 @@ def complete_steps(imported: ImportedSteps, fields: Mapping[str, Any]) -> list[d
     """The steps, in which each path has `fields`, and the lines of its file as its name: progress and reports show
     it."""
     return [
-        {**step, **fields, **_name_lines(places)} if step["do"] == "path" else step
-        for step, places in zip(imported.steps, imported.places, strict=True)
+        {**step, **fields, **_name_lines(places), **imported.make_source(number)} if step["do"] == "path" else step
+        for number, (step, places) in enumerate(zip(imported.steps, imported.places, strict=True))
     ]
 
 

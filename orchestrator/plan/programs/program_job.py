@@ -1,7 +1,8 @@
 """A program in G-code and what is chosen for it as a job, with the line of each piece."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from orchestrator.model.fleet import Fleet
@@ -62,6 +63,7 @@ def make_program_job(program: ProgramText, settings: ProgramSettings, fleet: Fle
     """The job of a program. Raises `FileError` with every mistake, by line and column."""
     reader = GcodeReader(program.name, settings.axes, settings.start, settings.gcode)
     contents = reader.read_all(program.lines, settings.from_line)
+    contents = replace(contents, digests={Path(program.name).name: program.digest})
     fields: dict[str, Any] = {"tolerance": settings.tolerance}
     if settings.corner != "stop":
         fields["corner"] = {"within": settings.corner}

@@ -1,6 +1,5 @@
 """What is chosen for a program, as texts: the fields of a form, and what its job keeps, so that it can be continued."""
 
-import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from typing import Any
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, FileProblem, validate_part
 from orchestrator.model.paths.gcode_settings import GcodeSettings
+from orchestrator.model.paths.source import digest_text
 from orchestrator.model.units import Unit, find_dimension
 
 PROGRAM, DIGEST, START, FROM_LINE = "program", "program digest", "start", "from line"
@@ -44,7 +44,7 @@ class ProgramText:
     @property
     def digest(self) -> str:
         """What tells it from another text."""
-        return hashlib.sha256(self.text.encode("utf-8", "surrogatepass")).hexdigest()[:32]
+        return digest_text(self.text)
 
     @property
     def code(self) -> str:

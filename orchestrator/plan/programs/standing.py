@@ -14,11 +14,9 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.tree import find_paths
 from orchestrator.model.units import Unit, convert_units
 from orchestrator.plan.path.arc_length import Array
+from orchestrator.plan.path.rest import TraceFollower, thin_out
+from orchestrator.plan.path.traces import PathTrace, trace_paths
 from orchestrator.plan.programs.program_job import ProgramJob
-from orchestrator.plan.programs.traces import PathTrace, trace_paths
-
-MAX_SAMPLES = 300  # of a step, evenly chosen, with the last one
-NEAR = 1e-3  # of the largest distance in the path: as near as that is as near
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +76,7 @@ def _place_samples(step: FollowPath, recording: StepRecording, axes: Mapping[str
         offset = float(axes[name].offset) if name in axes else 0.0
         columns.append((np.interp(instants, at_ns, counts) / axis.counts_per_unit + offset) * _scale(step, name, fleet))
     samples = np.column_stack(columns)
-    numbers = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MAX_SAMPLES)).astype(np.int64))
-    return samples[numbers]
+    return samples[thin_out(len(samples))]
 
 
 def _place_now(step: FollowPath, axes: Mapping[str, AxisForecast], fleet: Fleet) -> Array:
@@ -95,17 +92,8 @@ def _scale(step: FollowPath, name: str, fleet: Fleet) -> float:
 
 
 def _follow(trace: PathTrace, samples: Array, places: Sequence[Place]) -> int:
-    """The line of the piece that was followed last: a path that comes by several times is followed in time."""
-    begin, end = trace.points[:-1].copy(), trace.points[1:]
-    margin = NEAR * max(1e-9, float(np.ptp(trace.points, axis=0).max()))
-    first, piece = 0, int(trace.piece[0])
+    """The line of the piece that was followed last."""
+    follower = TraceFollower(trace.points)
     for sample in samples:
-        way = end[first:] - begin[first:]
-        size = np.maximum((way**2).sum(axis=1), 1e-30)
-        part = np.clip(((sample - begin[first:]) * way).sum(axis=1) / size, 0.0, 1.0)
-        distance = np.linalg.norm(begin[first:] + part[:, None] * way - sample, axis=1)
-        offset = int(np.argmax(distance <= distance.min() + margin))
-        first += offset
-        begin[first] += part[offset] * way[offset]  # it does not go back
-        piece = int(trace.piece[first + 1])
-    return places[piece].line
+        follower.follow(sample)
+    return places[int(trace.piece[follower.segment + 1])].line

@@ -168,6 +168,16 @@ class JobIntake:
         if terms.expires is not None and parse_utc(terms.expires) <= utc_now:
             text = f"it expires at {terms.expires}, which is in the past; it is now {format_utc(utc_now)}"
             raise Refusal("past", text, "give a later time")
+        await self._check_predecessors(terms)
+
+    async def _check_predecessors(self, terms: QueueTerms) -> None:
+        """Raises `Refusal` for a job to go on with that has not ended, and one to wait for that will not be done."""
+        services = self._services
+        if terms.continues is not None:
+            row = await services.execute(services.journal.load_record, terms.continues)
+            if row is None or row.state not in FINISHED_STATES:
+                text = f"job {terms.continues} has not ended, or does not exist: it cannot be continued"
+                raise Refusal("not-ended", text, "see `tutti job ls`")
         if terms.after is not None:
             row = await services.execute(services.journal.load_record, terms.after)
             if row is None:

@@ -67,6 +67,7 @@ class RunState:
         self._step_s = 0.0
         self._part = 0.0
         self._doing = ""
+        self._line: int | None = None
 
     @property
     def _is_on_path(self) -> bool:
@@ -81,7 +82,7 @@ class RunState:
     def begin_step(self, index: int) -> None:
         """Step number `index` begins."""
         self.step, self._step_t0_ns, self._step_s = index, 0, 0.0
-        self._part, self._doing = 0.0, ""
+        self._part, self._doing, self._line = 0.0, "", None
 
     def note_start(self, t0_fleet_ns: int, duration_s: float) -> None:
         """The present motion starts at T0, and is to take `duration_s`."""
@@ -143,10 +144,17 @@ class RunState:
             points=None if location.scan is None else location.scan.point_count,
             fraction=min(1.0, (self.step + step_share) / len(self._steps)),
             remaining_s=remaining_s,
+            line=self._find_line(),
             override_percent=None if rate is None else round(100 * rate, 3),
             reason=self._describe_reason(rate),
             utc=self._services.clock.utc(),
         )
+
+    def _find_line(self) -> int | None:
+        """The line that runs now of the file of its path; while the path rests, that at which it does."""
+        line = None if self.motion_step is None else self.motion_step.line
+        self._line = self._line if line is None else line
+        return self._line
 
     def _find_rate(self) -> float | None:
         """The rate of its path, or of its next moves; None where nothing has changed it."""

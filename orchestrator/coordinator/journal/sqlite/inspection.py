@@ -11,7 +11,7 @@ from zlib import crc32
 
 from pydantic import ValidationError
 
-from orchestrator.coordinator.journal.sqlite.rows import CHECKED_COLUMNS, COLUMNS, find_checksum, make_record
+from orchestrator.coordinator.journal.sqlite.rows import COLUMNS, JOB_COLUMNS, find_checksum, make_record
 from orchestrator.coordinator.journal.sqlite.schema import VERSION, list_statements, read_version
 from orchestrator.coordinator.journal.sqlite.transaction import (
     DATABASE_ERRORS,
@@ -128,10 +128,9 @@ def _check_values(db: sqlite3.Connection) -> Iterator[JournalDamage]:
 
 
 def _check_jobs(db: sqlite3.Connection) -> Iterator[JournalDamage]:
-    columns = (*CHECKED_COLUMNS, "proposed")
     remedy = "the job is not run, and ends as failed; submit it again"
-    for *row, crc in db.execute(f"SELECT {', '.join(columns)}, crc FROM jobs ORDER BY number"):
-        values: dict[str, object] = dict(zip(columns, row, strict=True))
+    for *row, crc in db.execute(f"SELECT {', '.join(JOB_COLUMNS)}, crc FROM jobs ORDER BY number"):
+        values: dict[str, object] = dict(zip(JOB_COLUMNS, row, strict=True))
         if crc not in (None, find_checksum(values)):
             yield JournalDamage(f"jobs {values['id']}", "its checksum is wrong", remedy)
         elif problem := _find_problem(Job, str(values["body"])):

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from orchestrator.coordinator.journal.records import UNREADABLE_TIME, DamagedRecord, JobRecord
 from orchestrator.model.base import ID_PATTERN, Model
 from orchestrator.model.problems import first_error_text
-from orchestrator.model.queue import parse_utc
+from orchestrator.model.queue import QueueTerms, parse_utc
 from orchestrator.model.report import JobState
 from orchestrator.model.script import WrongValue
 from orchestrator.model.text.outside_text import show_text
@@ -19,7 +19,7 @@ M = TypeVar("M", bound=Model)
 
 COLUMNS = (
     "id, name, actor, state, reason, submitted_utc, priority, place, repeat, after_job, at_utc, missed, due, held_by,"
-    " origin, from_step, expires_utc, now, session, proposed"
+    " origin, from_step, expires_utc, now, session, proposed, continues"
 )
 
 
@@ -41,18 +41,21 @@ CHECKED_COLUMNS = (
     "now",
     "session",
 )
-"""What never changes of a job, besides `proposed`."""
+"""What never changes of a job, besides `LATER_COLUMNS`."""
 
-_JOB_COLUMNS = (*CHECKED_COLUMNS, "proposed")
-SELECT_JOB = f"SELECT {', '.join(_JOB_COLUMNS)}, crc FROM jobs WHERE id = ?"
-BODY = _JOB_COLUMNS.index("body")
+LATER_COLUMNS = ("proposed", "continues")
+"""The same, of columns that older journals did not have: they count where they are set."""
+
+JOB_COLUMNS = (*CHECKED_COLUMNS, *LATER_COLUMNS)
+SELECT_JOB = f"SELECT {', '.join(JOB_COLUMNS)}, crc FROM jobs WHERE id = ?"
+BODY = JOB_COLUMNS.index("body")
 """Place of the body in a row of `SELECT_JOB`."""
 
 
 def is_whole(row: Sequence[Any]) -> bool:
     """Whether a row of `SELECT_JOB` is as it was stored."""
     *values, crc = row
-    return crc in (None, find_checksum(dict(zip(_JOB_COLUMNS, values, strict=True))))
+    return crc in (None, find_checksum(dict(zip(JOB_COLUMNS, values, strict=True))))
 
 
 def make_damaged_error(path: str, what: str, job_id: str, problem: str) -> DamagedRecord:
@@ -75,11 +78,29 @@ def scope_key(owner: str, client_key: str) -> str:
     return f"{owner}\n{client_key}"
 
 
+def list_term_values(terms: QueueTerms) -> dict[str, Any]:
+    """The values of terms, by column, but for the originator of a hold."""
+    return {
+        "priority": terms.priority,
+        "repeat": terms.repeat,
+        "after_job": terms.after,
+        "at_utc": terms.at,
+        "missed": terms.missed,
+        "due": int(terms.at is None),
+        "expires_utc": terms.expires,
+        "now": int(terms.now),
+        "session": terms.session,
+        "proposed": int(terms.proposed),
+        "continues": terms.continues,
+    }
+
+
 def find_checksum(values: Mapping[str, Any]) -> int:
     """Return the checksum of a job by the values of its columns."""
     checked_values = [values[column] for column in CHECKED_COLUMNS]
     # Jobs of journals that had no such column have checksums without it.
     checked_values += ["proposed"] if values["proposed"] else []
+    checked_values += ["continues", values["continues"]] if values["continues"] else []
     return crc32(repr(checked_values).encode())
 
 

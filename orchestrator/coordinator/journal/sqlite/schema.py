@@ -4,7 +4,7 @@ import sqlite3
 
 from orchestrator.coordinator.journal.records import JournalError
 
-VERSION = 11
+VERSION = 12
 SCHEMA_WITH_COPIES = 6  # the first one that keeps single values twice
 
 SCHEMA = """
@@ -113,6 +113,9 @@ CREATE TABLE commands (
     # From here on a key stands behind its owner, in `client_key`: that is unique, and cannot be made anew.
     10: """
 ALTER TABLE jobs ADD COLUMN request_digest TEXT NOT NULL DEFAULT '';
+""",
+    11: """
+ALTER TABLE jobs ADD COLUMN continues TEXT;
 """,
 }
 

@@ -1,8 +1,8 @@
 """Files of paths by their kind: `.ngc`, `.csv`, `.yaml`."""
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from orchestrator.model.jobs.files import FileError, FileProblem, read_file
@@ -11,6 +11,7 @@ from orchestrator.model.paths.files.columns import ColumnReader
 from orchestrator.model.paths.files.gcode.reader import GcodeReader
 from orchestrator.model.paths.files.trajectory import TrajectoryReader
 from orchestrator.model.paths.gcode_settings import GcodeSettings
+from orchestrator.model.paths.source import digest_text
 from orchestrator.model.yaml_reader import YamlError, decode_text
 
 GCODE = (".ngc", ".gcode", ".nc", ".tap")
@@ -42,17 +43,27 @@ def read_path_file(path: Path, axes: Mapping[str, str], begin: GcodeStart) -> Im
         raise FileError([FileProblem(name, 1, "", "is no G-code: `gcode:` and --from-line have no meaning")])
     if kind in TRAJECTORIES:
         steps = TrajectoryReader(read_file(path), axes).read_steps()
-        return ImportedSteps(name, steps, [[] for _ in steps])
+        return ImportedSteps(name, steps, [[] for _ in steps], digests=digest_files([path.name], path.parent))
     if kind not in GCODE + TABLES:
         known_kinds = ", ".join(GCODE + TABLES + TRAJECTORIES)
         raise FileError([FileProblem(name, 1, "", f"is of no known kind; its name must end in one of: {known_kinds}")])
-    lines = _read_lines(path)
+    text = read_path_text(path)
+    digests = {path.name: digest_text(text)}
+    lines = _LINE_END.split(text.removesuffix("\n").removesuffix("\r"))
     if kind in TABLES:
-        return ColumnReader(name, axes).read_all(lines)
-    return GcodeReader(name, axes, begin.places, begin.settings, begin.folder).read_all(lines, begin.from_line)
+        return replace(ColumnReader(name, axes).read_all(lines), digests=digests)
+    contents = GcodeReader(name, axes, begin.places, begin.settings, begin.folder).read_all(lines, begin.from_line)
+    table = None if begin.settings is None else begin.settings.tool_table
+    return replace(contents, digests=digests | digest_files([table] if table else [], begin.folder or Path()))
 
 
-def _read_lines(path: Path) -> list[str]:
+def digest_files(names: Iterable[str], folder: Path) -> dict[str, str]:
+    """By name, what tells the text of each file from another one. Raises `FileError`."""
+    return {name: digest_text(read_path_text(folder / name)) for name in names}
+
+
+def read_path_text(path: Path) -> str:
+    """The text of a file of a path. Raises `FileError`."""
     name = str(path)
     try:
         with path.open("rb") as file:
@@ -69,4 +80,4 @@ def _read_lines(path: Path) -> list[str]:
     if (at := text.find("\0")) >= 0:
         line = text.count("\n", 0, at) + 1
         raise FileError([FileProblem(name, line, "", "has a character of number 0; save the file as UTF-8 text")])
-    return _LINE_END.split(text.removesuffix("\n").removesuffix("\r"))
+    return text

@@ -47,7 +47,9 @@ def _read_file(step: FollowPath, file: str, folder: Path | None) -> Step:
     steps: list[Step] = []
     notes = contents.notes
     for number, (plain_step, places) in enumerate(zip(contents.steps, contents.places, strict=True)):
-        fields = {**_add_fields(step, plain_step), "name": step.name} if plain_step["do"] == "path" else plain_step
+        fields = plain_step
+        if plain_step["do"] == "path":
+            fields = {**_add_fields(step, plain_step), "name": step.name, **contents.make_source(number)}
         job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": [fields]}, Job)
         if job is None:
             field = ".".join(map(str, problems[0].place[2:]))

@@ -14,8 +14,6 @@ export interface Report {
   state: string;
   reason: string;
   steps?: StepReport[];
-  /** The program that it was made of. */
-  program?: string | undefined;
 }
 export const lastReport = signal<Report | null>(null);
 
@@ -72,7 +70,7 @@ async function load(id: string): Promise<void> {
   const { report, entry, last_motion: motion } = answer.ok;
   const before = lastReport.value;
   const running = entry && motion ? { id, name: entry.name, state: "running", reason: "", steps: [motion] } : null;
-  const shown: Report | null = report ? { id, name: report.name, state: report.state, reason: report.reason, steps: report.steps ?? [], program: report.parameters_used?.["program"] } : running;
+  const shown: Report | null = report ? { id, name: report.name, state: report.state, reason: report.reason, steps: report.steps ?? [] } : running;
   if (shown === null) return;
   if (shown.state === "running" && before?.id === id && before.state !== "running") return; // an older answer that comes late
   if (lastMotion(shown) || before === null || before.id === id || !["done", "running"].includes(shown.state)) lastReport.value = shown;

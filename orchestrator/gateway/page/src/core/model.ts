@@ -106,6 +106,7 @@ export interface QueueTerms {
   missed?: "run" | "skip";
   held?: boolean;
   expires?: string | null;
+  continues?: string | null;
 }
 
 export interface QueueEntry {
@@ -166,6 +167,8 @@ export interface JobProgress {
   points?: number | null;
   fraction: number;
   remaining_s?: number | null;
+  /** The line that runs of the file of its path. */
+  line?: number | null;
   override_percent?: number | null;
   reason: string;
   utc: string;
@@ -447,13 +450,21 @@ export interface Template {
   problem?: string | null;
 }
 
+/** A program, or the rest of a job. */
 export interface CheckedProgram {
-  from_line: number;
-  /** What was chosen, as it is to stay after the way to its first line. */
+  /** What was chosen, as it is to stay after what comes first. */
   values: Record<string, string>;
-  /** The move to its first line, in words, while the axes are not there. */
+  /** What comes first, in words: the move to its place, while the axes are not there. */
   approach: string;
   confirm: string[];
+  /** The words over what is to be confirmed, for it, and on the button of what comes first. */
+  title: string;
+  sure: string;
+  act: string;
+  /** What its job is submitted with, besides the form. */
+  terms: QueueTerms;
+  /** The rest of a scan: it is run again from its point. */
+  retry: Record<string, unknown> | null;
   notes: string[];
   extents: { axis: string; unit: string; min: number; max: number; limits: number[] | null; over: number }[];
   drawing: { axes: string[]; rapid: string; feed: string; start: number[] | null };

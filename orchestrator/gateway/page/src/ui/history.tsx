@@ -88,7 +88,7 @@ function JobDetails({ job }: { job: QueueEntry }): JSX.Element {
           {T.history.export}
         </a>
         <PlotJob id={job.id} name={job.name} />
-        {report.state === "done" ? null : <GoOn id={job.id} program={report.parameters_used?.["program"]} />}
+        {report.state === "done" ? null : <GoOn id={job.id} name={job.name} />}
         <Retry job={job} steps={report.steps?.length ?? 1} />
       </div>
       {report.steps?.map((step) => (

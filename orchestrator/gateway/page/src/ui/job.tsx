@@ -18,7 +18,7 @@ import { PlotJob } from "./jobplot.tsx";
 import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Panel, Progress } from "./parts.tsx";
 import { StartStrip } from "./strip.tsx";
-import { GoOn } from "./submit.tsx";
+import { GoOn, programTexts } from "./submit.tsx";
 import { BudgetTable, VerdictMark } from "./verdict.tsx";
 
 export const runningJobs = computed(() => Object.values(jobs.value).filter((job) => !FINISHED.has(job.state) && job.state !== "queued"));
@@ -51,6 +51,7 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
         <span>
           {T.job.step(Math.min(job.step + 1, job.steps), job.steps)} {job.step_name}
         </span>
+        {job.line ? <code>{`${T.submit.line(job.line)} ${programTexts[job.name]?.[job.line - 1] ?? ""}`}</code> : null}
         {job.point ? <span>{T.job.point(job.point, job.points ?? 0)}</span> : null}
         {typeof job.remaining_s === "number" ? <span>{T.job.remaining(formatSeconds(job.remaining_s))}</span> : null}
       </div>
@@ -149,7 +150,7 @@ function LastVerdict(): JSX.Element | null {
         <span>{step ? T.job.lastStep(report.name, step.index + 1, step.name) : T.job.lastJob(report.name)}</span>
         {step ? <VerdictMark step={step} job={report.state} /> : null}
         {ended ? <PlotJob id={report.id} name={report.name} /> : null}
-        {ended && !good ? <GoOn id={report.id} program={report.program} /> : null}
+        {ended && !good ? <GoOn id={report.id} name={report.name} /> : null}
         {ended ? <RunAgain id={report.id} name={report.name} /> : null}
       </div>
       {good ? null : (

@@ -17,15 +17,17 @@ export function ProgramParts({ program, sure, onSure }: ProgramProps): JSX.Eleme
   const todo = program.approach ? [program.approach] : confirm;
   return (
     <div class="program">
-      <figure class="path">
-        <svg viewBox="0 0 200 200" role="img" aria-label={T.preview.path(drawing.axes.join(", "))}>
-          <rect class="frame" x="0.5" y="0.5" width="199" height="199" />
-          <path class="rapid" d={drawing.rapid} />
-          <path class="feed" d={drawing.feed} />
-          {drawing.start ? <circle class="begin" cx={drawing.start[0]} cy={drawing.start[1]} r="3.5" /> : null}
-        </svg>
-        <small>{T.program.legend}</small>
-      </figure>
+      {drawing.start ? (
+        <figure class="path">
+          <svg viewBox="0 0 200 200" role="img" aria-label={T.preview.path(drawing.axes.join(", "))}>
+            <rect class="frame" x="0.5" y="0.5" width="199" height="199" />
+            <path class="rapid" d={drawing.rapid} />
+            <path class="feed" d={drawing.feed} />
+            <circle class="begin" cx={drawing.start[0]} cy={drawing.start[1]} r="3.5" />
+          </svg>
+          <small>{T.program.legend}</small>
+        </figure>
+      ) : null}
       <div>
         <table class="num" aria-label={T.program.reach}>
           {extents.map(({ axis, unit, min, max, limits, over }) => (
@@ -43,13 +45,13 @@ export function ProgramParts({ program, sure, onSure }: ProgramProps): JSX.Eleme
         ))}
         {todo.length > 0 ? (
           <fieldset class="form block">
-            <legend>{program.approach ? T.program.back(program.from_line) : T.program.confirm}</legend>
+            <legend>{program.title}</legend>
             {todo.map((text) => (
               <p key={text}>{text}</p>
             ))}
             <label class="check">
               <input type="checkbox" checked={sure} onChange={(event) => onSure(event.currentTarget.checked)} />
-              {program.approach ? T.program.free : T.program.sure}
+              {program.sure}
             </label>
           </fieldset>
         ) : null}

@@ -19,7 +19,10 @@ import { ProgramParts, ProgramText } from "./program.tsx";
 const LARGEST_FILE = 1_000_000;
 const CHECK_MS = 400;
 
-type Source = { text: string } | { template: string } | { program: { name: string; text: string }; continues?: string };
+type Source = { text: string } | { template: string } | { program?: { name: string; text: string }; continues?: string };
+
+/** The texts of programs that were submitted here, by the names of their jobs. */
+export const programTexts: Record<string, string[]> = {};
 
 const PROGRAM = /\.(ngc|nc|gcode|tap)$/i;
 
@@ -72,20 +75,18 @@ function FileInput({ onFile }: { onFile: (file: File) => void }): JSX.Element {
   );
 }
 
-/** The program of a job that was not done goes on where it stood. Its file is chosen again: it may have changed. */
-export function GoOn({ id, program }: { id: string; program: string | undefined }): JSX.Element | null {
-  if (!program) return null;
-  return (
-    <label class="act small file">
-      {T.program.goOn(program)}
-      <FileInput onFile={(file) => void openFile(file, id)} />
-    </label>
-  );
+/** A job that was not done goes on where it stood. */
+export function GoOn({ id, name }: { id: string; name: string }): JSX.Element {
+  return <Act label={T.program.goOn} name={T.program.goOnWith(name)} kind="small" onAct={() => openSource(name, { continues: id })} />;
 }
 
 /** The form of a template, with its check and its drawing. */
 export function openForm({ name, file, parameters }: Template): void {
-  openDialog(T.submit.of(name), <JobForm key={file} source={{ template: file }} parameters={parameters} name={name} />, true);
+  openSource(name, { template: file }, parameters);
+}
+
+function openSource(name: string, source: Source, parameters: Parameter[] = []): void {
+  openDialog(T.submit.of(name), <JobForm key={newKey()} source={source} parameters={parameters} name={name} />, true);
 }
 
 /** Submit a checked job; whether it was taken. `key`: the same one is the same job. */
@@ -101,8 +102,7 @@ export async function openFile(file: File, continues?: string): Promise<void> {
     return;
   }
   const text = await file.text();
-  const source = continues || PROGRAM.test(file.name) ? { program: { name: file.name, text }, ...(continues ? { continues } : {}) } : { text };
-  openDialog(T.submit.of(file.name), <JobForm key={newKey()} source={source} parameters={[]} name={file.name} />, true);
+  openSource(file.name, continues || PROGRAM.test(file.name) ? { program: { name: file.name, text }, ...(continues ? { continues } : {}) } : { text });
 }
 
 /** Whether a file is being dragged over the page. */
@@ -158,6 +158,7 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
     return () => clearTimeout(timer);
   }, [values, waiting]);
   const program = checked?.program;
+  const text = "program" in source ? source.program?.text : undefined;
   // Each confirmation is one of what is shown: the way to a line, then what runs from there.
   const toConfirm = program ? program.approach || program.confirm.join() : "";
   const away = program?.approach ? waiting : 0;
@@ -174,15 +175,19 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
   const why = firstOf(
     whyNot("submit"),
     problems.length > 0 || refused ? T.submit.hasProblems : "",
-    checked?.job ? "" : T.submit.notChecked,
+    checked?.job || program?.retry ? "" : T.submit.notChecked,
     busy ? T.submit.underWay : away ? T.program.going : "",
     sure === toConfirm ? "" : T.program.unsure,
   );
   const submit = async (): Promise<void> => {
     setBusy(true);
-    const done = await submitJob(name, checked?.job, terms, key.current);
+    const own = { ...terms, ...program?.terms };
+    const done = program?.retry
+      ? accept(T.submit.of(name), await post("retry", { ...program.retry, client_key: key.current, terms: own }, key.current))
+      : await submitJob(name, checked?.job, own, key.current);
     setBusy(false);
     if (!done) return;
+    if (text) programTexts[name] = text.split("\n");
     if (program?.approach) {
       key.current = newKey();
       setSure("");
@@ -215,6 +220,12 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
         </fieldset>
       ) : null}
       {refused ? <p class="reason bad">{`▲ ${explain(refused)}`}</p> : null}
+      {refused?.code === "needs-file" && "continues" in source ? (
+        <label class="act file">
+          {T.submit.choose}
+          <FileInput onFile={(file) => void openFile(file, source.continues)} />
+        </label>
+      ) : null}
       {problems.length > 0 ? (
         <ul class="problems" role="alert" aria-label={T.submit.problems}>
           {problems.map((problem) => (
@@ -227,12 +238,12 @@ export function JobForm({ source, parameters, name }: { source: Source; paramete
       ) : null}
       {checked === null && refused === null ? <Empty text={T.submit.checking} /> : null}
       {program ? <ProgramParts program={program} sure={sure === toConfirm} onSure={(on) => setSure(on ? toConfirm : "")} /> : null}
-      {"program" in source ? <ProgramText text={source.program.text} onStart={(line) => choose({ ...values, "from line": String(line) })} /> : null}
-      {checked?.preview && problems.length === 0 ? <PreviewPlots preview={checked.preview} drawn={program !== undefined} /> : null}
+      {text ? <ProgramText text={text} onStart={(line) => choose({ ...values, "from line": String(line) })} /> : null}
+      {checked?.preview && problems.length === 0 ? <PreviewPlots preview={checked.preview} drawn={Boolean(program?.drawing.start)} /> : null}
       {problems.length === 0 ? <ForecastSteps forecast={checked?.forecast} dryRun={checked?.dry_run} /> : null}
       <TermsForm terms={terms} onTerms={setTerms} />
       <div class="row finish">
-        <Act label={program?.approach ? T.program.move(program.from_line) : proposes() ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
+        <Act label={program?.act ? program.act : proposes() ? T.submit.propose : T.submit.submit} kind="strong" motion why={why} onAct={() => void submit()} />
         {why ? <span class="hint">{why}</span> : null}
       </div>
     </div>

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from orchestrator.model.paths.origin import Place
+from orchestrator.model.paths.source import PathSource
 
 DIGITS = 10  # of a number: more than any controller counts
 
@@ -20,6 +22,7 @@ class ImportedSteps:
     """The steps of a job that a file stands for. places: of the pieces of each path in the file; none for other steps.
 
     notes: what was left out, and why that changes nothing; modes: with which a part of a program begins, in words.
+    digests: by name, of the file and of what it needs.
     """
 
     file: str
@@ -27,6 +30,13 @@ class ImportedSteps:
     places: list[list[Place]]
     notes: list[str] = field(default_factory=list[str])
     modes: list[str] = field(default_factory=list[str])
+    digests: dict[str, str] = field(default_factory=dict[str, str])
+
+    def make_source(self, step: int) -> dict[str, Any]:
+        """What the pieces of a path were made of, as a field of its step."""
+        lines = [line for line, _ in self.places[step]]
+        source = PathSource.of_lines(Path(self.file).name, lines, self.digests)
+        return {"source": source.model_dump(mode="json", exclude_defaults=True)}
 
 
 def make_job(name: str, steps: Iterable[dict[str, Any]]) -> dict[str, Any]:

@@ -1,0 +1,28 @@
+"""The axes of a fleet as they are now, where a forecast begins."""
+
+from collections.abc import Mapping
+from fractions import Fraction
+
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.names import split_name
+from orchestrator.model.state import ControllerState
+
+
+def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[str, AxisForecast]:
+    """All axes as they are now; those of silent controllers are unknown."""
+    axes: dict[str, AxisForecast] = {}
+    for name in fleet.axis_names:
+        controller, local = split_name(name)
+        state = states.get(controller)
+        axis_now = None if state is None or state.mode == "offline" else state.axes.get(local)
+        if axis_now is not None:
+            axis = fleet.axis(name)
+            axes[name] = AxisForecast(
+                motor=Fraction(axis_now.commanded_counts) / axis.counts_per_unit,
+                known=True,
+                offset=axis_now.offset,
+                enabled=axis_now.enabled or axis.enable != "manual",
+                referenced=axis_now.referenced,
+            )
+    return axes
