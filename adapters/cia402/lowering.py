@@ -127,20 +127,23 @@ def lower_step(
         lead_ns=sync_ns(bus.bitrate) + bus.start_ns,
         drive=drive,
     )
-    # A SYNC at another instant is reserved anew; a stream, and a driven line, have theirs from the beginning.
-    if drive is None and not start.triggers and start.chunk is None:
-        release_ns = resting_step.lead_ns + ORDER_NS + full_frame_ns(bus.bitrate)
-        resting_step = replace(resting_step, release_ns=release_ns, can_advance=start.at_once)
     if profile is None or (profile.is_still and start.chunk is None):
         return resting_step
     _require_range(name, profile)
     low, high = profile.extent_counts
     # A single count has no path.
     if start.chunk is not None or (any(profile.jerks) and high - low > 1.5):
-        streamed_step = replace(resting_step, chunk=start.chunk, release_ns=None, can_advance=False)
-        return _lower_stream(streamed_step, config, options, traits, profile)
+        return _lower_stream(replace(resting_step, chunk=start.chunk), config, options, traits, profile)
     bounds = replace(axis_bounds(axis), equal_ramps=traits.equal_ramps)
-    return _lower_set_point(resting_step, bounds, drive_units(options), profile, start)
+    return _free_start(_lower_set_point(resting_step, bounds, drive_units(options), profile, start), start, bus)
+
+
+def _free_start(lowered: Cia402Lowered, start: StartOptions, bus: BusTimes) -> Cia402Lowered:
+    """A SYNC at another instant is reserved anew; a driven line, and triggers, have theirs from the beginning."""
+    if lowered.drive is not None or start.triggers:
+        return lowered
+    release_ns = lowered.lead_ns + ORDER_NS + full_frame_ns(bus.bitrate)
+    return replace(lowered, release_ns=release_ns, can_advance=start.at_once)
 
 
 def _output_commands(drive: SyncOutput | None) -> tuple[str, ...]:

@@ -120,29 +120,22 @@ def holds_profiles(unit: PpSmcState, lowered: PpSmcLowered, now_ns: int) -> bool
     return is_loaded and now_ns - unit.compared_ns < COMPARED_NS
 
 
-async def load_target_buffer(
-    unit: PpSmcState, lowered: PpSmcLowered, queries: Sequence[FormattedQuery], now_ns: int
-) -> TokenReply | None:
-    """Load the target buffer alone, where the controller holds the rest; the reply has `queries`, too. None: it does
-    not. Raises `Refusal` when the controller does not store it."""
-    if not holds_profiles(unit, lowered, now_ns):
-        return None
-    reply = await unit.session.send_repeatable(target_lines(unit, lowered.moves), *queries, ASK_TARGETS)
-    if unit.session.batches.restarted:
-        raise Refusal("not-loaded", "the controller was restarted", "home its axes, and arm it again")
-    require_targets(unit, lowered, reply.first_line(ASK_TARGETS))
-    return reply
-
-
 async def load_targets(
     unit: PpSmcState,
-    options: PpSmcOptions,
+    options: PpSmcOptions | None,
     lowered: PpSmcLowered,
     first: Sequence[str],
     more: Sequence[FormattedQuery] = (),
 ) -> TokenReply:
-    """Load speeds and the target buffer, behind the `first` commands; the reply has `more` queries. Raises `Refusal`
-    when the controller does not store them."""
+    """Load speeds and the target buffer, behind the `first` commands; the reply has `more` queries. options: None: the
+    controller holds the rest, so only the target buffer is loaded. Raises `Refusal` when the controller does not store
+    them, or was restarted."""
+    if options is None:
+        reply = await unit.session.send_repeatable(target_lines(unit, lowered.moves), *more, ASK_TARGETS)
+        if unit.session.batches.restarted:
+            raise Refusal("not-loaded", "the controller was restarted", "home its axes, and arm it again")
+        require_targets(unit, lowered, reply.first_line(ASK_TARGETS))
+        return reply
     commands = [*first, *profile_lines(lowered.moves), *target_lines(unit, lowered.moves)]
     queries = [*more, ASK_TARGETS, *([ASK_SETTINGS] if options.check_profile else [])]
     reply = await unit.session.send_repeatable(commands, *queries)

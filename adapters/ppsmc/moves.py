@@ -105,10 +105,9 @@ class PpSmcMover:
             await loading.load_program(unit, lowered)
         elif lowered.moves:
             queries = loading.check_queries(lowered) if place == "at once" else []
-            reply = None
-            if place != "at rest":
-                reply = await loading.load_target_buffer(unit, lowered, queries, checked_ns)
-            reply = reply or await loading.load_targets(unit, self._options, lowered, lock, queries)
+            is_short = place != "at rest" and loading.holds_profiles(unit, lowered, checked_ns)
+            options = None if is_short else self._options
+            reply = await loading.load_targets(unit, options, lowered, lock, queries)
             if place == "at once":
                 move.ignore_limits = loading.require_rest(unit, lowered, reply).on_limit
         if self.move is not move:
@@ -253,11 +252,9 @@ class PpSmcMover:
     # After the start
 
     async def wait_for_start(self) -> Mapping[str, HostInterval]:
-        """Return when the axes started, all of them by one command.
-
-        The start is not earlier than the write plus the shortest execution time. It is not later than the controller's
-        answer, to a query sent after the command, that they move, less the shortest answering time.
-        """
+        """Return when the axes started, all of them by one command: not earlier than the write plus the shortest
+        execution time, and not later than the controller's answer, to a query sent after the command, that they move,
+        less the shortest answering time."""
         move = self._require_move()
         try:
             return await self._start_intervals(move)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from adapters.smc30.lowering import TARGET_REGISTER, Smc30Lowered
 from adapters.smc30.session import ControllerBusy
 from adapters.smc30.step import LoadedStep
-from adapters.smc30.unitstate import Smc30State
+from adapters.smc30.unitstate import SENTINEL, SENTINEL_REGISTER, Smc30State
 from orchestrator.clock.base import Clock
 from orchestrator.model.errors import Refusal
 
@@ -47,7 +47,7 @@ class ProgramLoader:
         if not (move.behind and lowered_step.by_register and unit.program == lowered_step.program):
             await unit.load_program(lowered_step.program, since)
         if lowered_step.by_register and lowered_step.target is not None:
-            await unit.load_target(TARGET_REGISTER, lowered_step.target)
+            await self._load_target(lowered_step.target)
         loaded_ns = self._clock.now_ns()
         if lowered_step.wait is not None or lowered_step.drive is not None:
             await self._require_passive(lowered_step)
@@ -81,7 +81,7 @@ class ProgramLoader:
             return
         if move.behind and lowered_step.by_register and lowered_step.target is not None:
             # Where it stands is known from the end of the last step, unless it has lost its counter since.
-            await unit.require_target(TARGET_REGISTER, lowered_step.target)
+            await self._require_target(lowered_step.target)
             return
         await self._require_start(lowered_step)
         try:
@@ -90,6 +90,31 @@ class ProgramLoader:
             is_loaded = False
         if not is_loaded:
             raise Refusal("not-loaded", f"{unit.session.name} has lost its program", "arm it again")
+
+    async def _load_target(self, target: int) -> None:
+        """Load the target of a program that takes it from a register, and verify it. Raises `Refusal`.
+
+        The controller computes it from the sentinel: after a restart it would be another one, and its position
+        unknown."""
+        more = target - SENTINEL
+        command = f"R{TARGET_REGISTER}=R{SENTINEL_REGISTER}{'-' if more < 0 else '+'}{abs(more)}"
+        try:
+            await self._unit.session.send_setting(command)
+        except ControllerBusy:
+            raise self._unit.moving_refusal() from None
+        await self._require_target(target)
+
+    async def _require_target(self, target: int) -> None:
+        """Verify a target that was loaded, and that the controller has not been restarted since. Raises `Refusal`."""
+        unit = self._unit
+        try:
+            held_target = await unit.read_register(TARGET_REGISTER)
+        except ControllerBusy:
+            raise unit.moving_refusal() from None
+        if held_target != target:
+            await unit.require_not_restarted("loaded", "home its axis, and arm it again")
+            text = f"{unit.session.name} was given the target {target}, and reports {held_target}"
+            raise Refusal("load-garbled", text, "arm it again; check the cable, and whether another client programs it")
 
     def _begins_here(self, lowered: Smc30Lowered) -> bool:
         """Whether a step that starts by the host begins where the axis stood at the end of the last one."""

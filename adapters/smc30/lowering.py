@@ -36,6 +36,7 @@ DELAY_MAX = 32_000
 LINES_BEFORE = 5  # program lines up to and including the one that begins the motion or the edge: S, T, R, D, G or A
 GAP_LINES = 2  # between two motor commands: T, G
 TARGET_REGISTER = 509
+BY_REGISTER = f"G+(R{TARGET_REGISTER})"
 REGISTER_MAX = 65_535  # L2987
 _START_CHARACTERS = 4  # of a starting command: address, E, checksum, CR
 _ANSWER_CHARACTERS = 3  # Y, checksum, CR
@@ -143,11 +144,9 @@ def lower_step(
     target = None if profile is None or shape is None else profile.end_counts
     lead_ns = estimate.latency.usual_ns + schedule.delay_ns
     hold_ns = 0 if start.drive is None else start.drive.active_ns
-    is_plain = wait is None and drive is None and shape is not None and len(shape.parts) == 1
-    by_register = is_plain and target is not None and 0 <= target <= REGISTER_MAX
-    program = _build_program(_Motion(shape, start_counts, target), schedule.delay_ns, wait, drive, hold_ns)
-    if by_register:
-        program = (*program[:-1], f"G+(R{TARGET_REGISTER})")
+    motion = _Motion(shape, start_counts, target)
+    program = _build_program(motion, schedule.delay_ns, wait, drive, hold_ns)
+    by_register = program[-1:] == (BY_REGISTER,)
     edge = _host_terms(options, schedule, estimate.latency)
     start_class: StartClass = "host"
     if wait is not None and start.wait is not None:
@@ -161,9 +160,7 @@ def lower_step(
     duration_s = 0.0 if shape is None else shape.duration_s * scale
     costs = traits.costs
     if start.follows and wait is None and drive is None:
-        costs = withdrawable_costs(costs, lead_ns, schedule.each_ns)
-        if by_register and traits.program == program:
-            costs = costs.model_copy(update={"arm_ns": traits.target_arm_ns})
+        costs = _find_costs(costs, traits, program, lead_ns, by_register=by_register)
     return Smc30Lowered(
         start_class=start_class,
         durations_s={} if profile is None else {axis: duration_s},
@@ -174,9 +171,7 @@ def lower_step(
         clock_ppm=estimate.bound_ppm(duration_s),
         can_advance=True,
         costs=costs,
-        commands=("PO", *program, "PX", "Q", *([f"R{TARGET_REGISTER}={target}"] if by_register else ()), "E")
-        if program
-        else (),
+        commands=_list_commands(program, target if by_register else None),
         axis=axis,
         start_counts=start_counts,
         target=target,
@@ -213,6 +208,29 @@ class _Motion(NamedTuple):
     start_counts: int
     target: int | None
 
+    @property
+    def fits_register(self) -> bool:
+        """Whether one motor command is all, and its target fits into a register."""
+        is_one = self.shape is not None and len(self.shape.parts) == 1
+        return is_one and self.target is not None and 0 <= self.target <= REGISTER_MAX
+
+
+def _list_commands(program: tuple[str, ...], register_target: int | None) -> tuple[str, ...]:
+    if not program:
+        return ()
+    loads_target = () if register_target is None else (f"R{TARGET_REGISTER}={register_target}",)
+    return ("PO", *program, "PX", "Q", *loads_target, "E")
+
+
+def _find_costs(
+    costs: StepCosts, traits: ConnectionTraits, program: tuple[str, ...], lead_ns: int, *, by_register: bool
+) -> StepCosts:
+    """The costs of a step that the host starts behind another one."""
+    costs = withdrawable_costs(costs, lead_ns, traits.schedule.each_ns)
+    if not by_register or traits.program != program:
+        return costs
+    return costs.model_copy(update={"arm_ns": traits.target_arm_ns})
+
 
 def _build_program(
     motion: _Motion,
@@ -231,6 +249,7 @@ def _build_program(
         return (*parameters, f"N{wait.number}{wait.number}.{int(wait.high)}9", *moves) if moves else ()
     delay = f"D{delay_ns // DELAY_NS}"
     if drive is None:
+        moves = [BY_REGISTER] if motion.fits_register else moves
         return (*parameters, delay, *moves) if moves else ()
     left_ns = hold_ns - (0 if shape is None else round(shape.duration_s * NS_PER_S))
     hold = [f"D{min(DELAY_MAX, ceil(left_ns / DELAY_NS))}"] if left_ns > 0 else []

@@ -122,9 +122,10 @@ class Smc30State:
 
     async def holds_sentinel(self) -> bool:
         """Return whether the volatile memory is the one that was loaded. Raises `ControllerBusy`."""
-        return await self._read_register(SENTINEL_REGISTER) == SENTINEL
+        return await self.read_register(SENTINEL_REGISTER) == SENTINEL
 
-    async def _read_register(self, number: int) -> int:
+    async def read_register(self, number: int) -> int:
+        """Return the content of a user register (L3006-L3015). Raises `ControllerBusy`."""
         return int(_matched_group(await self.session.send_query(f"VR{number}", REGISTER)))
 
     async def require_not_restarted(self, while_it_was: str, remedy: str) -> None:
@@ -215,30 +216,6 @@ class Smc30State:
                 "arm it again; check the cable, and whether another client programs it",
             )
         self.program = program
-
-    async def load_target(self, register: int, target: int) -> None:
-        """Load the target of a program that takes it from a register, and verify it. Raises `Refusal`.
-
-        The controller computes it from the sentinel: after a restart it would be another one, and its position
-        unknown."""
-        more = target - SENTINEL
-        try:
-            await self.session.send_setting(f"R{register}=R{SENTINEL_REGISTER}{'-' if more < 0 else '+'}{abs(more)}")
-        except ControllerBusy:
-            raise self.moving_refusal() from None
-        await self.require_target(register, target)
-
-    async def require_target(self, register: int, target: int) -> None:
-        """Verify a target that was loaded, and that the controller has not been restarted since. Raises `Refusal`."""
-        name = self.session.name
-        try:
-            held_target = await self._read_register(register)
-        except ControllerBusy:
-            raise self.moving_refusal() from None
-        if held_target != target:
-            await self.require_not_restarted("loaded", "home its axis, and arm it again")
-            text = f"{name} was given the target {target}, and reports {held_target}"
-            raise Refusal("load-garbled", text, "arm it again; check the cable, and whether another client programs it")
 
     async def run_program(self, since: int, doing: MotionCause) -> Smc30Answer:
         """Execute the program (E), unless a stop has come since. Raises `Refusal`."""

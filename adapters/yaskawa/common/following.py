@@ -63,11 +63,8 @@ class FollowingStart:
             if positions[move.index] != move.start:
                 text = f"axis {move.axis} ends at {positions[move.index]} counts; the plan starts at {move.start}"
                 raise Refusal("other-start", text, "plan again from the present position")
-        wanted_values = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
-        wanted_values |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
         is_quick = lowered.at_once and _has_registers(present, lowered)
-        for command, values in load.registers.items() if not is_quick else [("PA", load.registers["PA"])]:
-            wanted_values |= {f"{REGISTER_VARIABLES[command]}{index + 1}": value for index, value in values.items()}
+        wanted_values = self._list_values(ticks, positions, load.registers, is_quick=is_quick)
         following = LoadedMove(
             lowered,
             ticks,
@@ -88,6 +85,17 @@ class FollowingStart:
             if held_value != value and name != "XFARM":
                 raise Refusal("read-back", f"{name} reads back as {held_value:.0f}, not {value}", "try again")
         return {"wire": self._clock.now_ns() - began_ns}
+
+    def _list_values(
+        self, ticks: int, positions: list[int], registers: Mapping[str, Mapping[int, int]], *, is_quick: bool
+    ) -> dict[str, int]:
+        """The variables of the following move. is_quick: only targets are loaded into registers."""
+        wanted_values = {"XFT": ticks, "XFGO": 0, "XFARM": 0, "XFL": 0, "XFA": 0}
+        wanted_values |= {f"{BEGIN_VARIABLE}{index + 1}": positions[index] for index in self._device.program_axes}
+        for command, values in registers.items():
+            if command == "PA" or not is_quick:
+                wanted_values |= {f"{REGISTER_VARIABLES[command]}{index + 1}": values[index] for index in values}
+        return wanted_values
 
     def gap_ticks(self, move: LoadedMove) -> int:
         """Return how many samples pass between the end of `move` and the begin of one behind it, at the least."""

@@ -175,8 +175,8 @@ class GateStart:
         mapping, waits = loaded_move.mapping, loaded_move.lowered.waits
         _, last = self._options.begin_ticks(mapping.tick_ns, interleaved=True)
         late_ns = loaded_move.lowered.window_ns[1]
-        at_once = loaded_move.lowered.at_once
-        look_ticks = loaded_move.ticks + (LATE_LOOK_TICKS if at_once else last + 1)
+        is_immediate = loaded_move.lowered.at_once
+        look_ticks = loaded_move.ticks + (LATE_LOOK_TICKS if is_immediate else last + 1)
         await sleep_until_ns(self._clock, mapping.to_host_ns(look_ticks) + mapping.bound_at_ns(loaded_move.t0_ns))
         operands = ("XACT", "XFL" if loaded_move.follows else "XLATE", f"_HX{loaded_move.thread}", "XT0")
         while True:
@@ -194,10 +194,10 @@ class GateStart:
             await sleep_ns(self._clock, SETTLE_NS)
         loaded_move.taken, loaded_move.begun_ticks = True, int(acted_tick) - 1
         bound_ns = mapping.bound_at_ns(loaded_move.t0_ns)
-        is_free = waits is not None or at_once
+        is_free = waits is not None or is_immediate
         not_before = loaded_move.begun_ticks if is_free else max(loaded_move.begun_ticks, loaded_move.ticks)
         by_ns = mapping.to_host_ns(int(acted_tick) + 1) + bound_ns
-        delayed_ns = max(0, by_ns - loaded_move.t0_ns - late_ns) if at_once else 0
+        delayed_ns = max(0, by_ns - loaded_move.t0_ns - late_ns) if is_immediate else 0
         span = HostInterval(mapping.to_host_ns(not_before) - bound_ns, by_ns, late_ns=delayed_ns)
         loaded_move.started = dict.fromkeys((move.axis for move in loaded_move.lowered.moves), span)
         return loaded_move.started

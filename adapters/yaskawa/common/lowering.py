@@ -9,6 +9,7 @@ of trapezoids either, the registers execute it all the same, and its durations s
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from adapters.contract import PathChunk, require_start_class
 from adapters.yaskawa.common import arrays, lines
@@ -107,9 +108,7 @@ def lower_moves(
         if course is not None:
             return _make_lowered(context, course, profiles, start, mapping)
     way = {axis: profile for axis, profile in profiles.items() if not profile.is_still}
-    # Nothing else depends on the samples of a step that starts at once.
-    is_placed = start.exact and start.wait is None and not start.at_once
-    places = _sample_alignments(way, mapping, start) if is_placed else {}
+    places = _sample_alignments(way, mapping, start)
     shapes, refusal_text = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: MoveLoad
     note: tuple[str, ...] = ()
@@ -170,7 +169,10 @@ def _lower_to_registers(
 def _sample_alignments(
     way: Mapping[str, Profile], mapping: TickMapping, start: StartOptions
 ) -> dict[str, SampleAlignment]:
-    """Return each axis's alignment: the samples next to the common begin and end."""
+    """Return each axis's alignment: the samples next to the common begin and end. None, where it begins at a trigger
+    line, and where nothing else depends on its samples."""
+    if not start.exact or start.wait is not None or start.at_once:
+        return {}
     at = mapping.to_ticks(mapping.host_at_ns + start.lead_ns)
     phase = round(at) - at
     places: dict[str, SampleAlignment] = {}
@@ -377,21 +379,14 @@ def _make_lowered(
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns)
     waits = None if start.wait is None else lines.resolve_wait_input(config, start.wait)
     drives = None if start.drive is None else lines.resolve_driven_output(config, start.drive, tick_ns)
-    gap_ns, disarm_ns = None, costs.disarm_ns
-    if start.follows and context.gate is not None and load.fits_beside and waits is None and drives is None:
-        # T0 of both steps is rounded to a sample.
-        gap_ns = math.ceil((context.gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
-        disarm_ns = math.ceil(context.gate.follow_before * tick_ns) + context.release_ns
-    begins_at_once = context.begins_at_once and start.at_once and gap_ns is not None
-    if begins_at_once:
-        gap_ns = math.floor(AT_ONCE_TICKS * tick_ns)
-    terms = (
-        lines.wait_terms(start.wait, waits, options, tick_ns)
-        if waits is not None and start.wait is not None
-        else lines.clock_terms(
-            bound_ns, options, mapping, start, drives_line=drives is not None or bool(start.triggers)
-        )
-    )
+    place = _find_behind(context, load, start, tick_ns)
+    disarm_ns = costs.disarm_ns if place is None else place.disarm_ns
+    if waits is None or start.wait is None:
+        drives_line = drives is not None or bool(start.triggers)
+        terms = lines.clock_terms(bound_ns, options, mapping, start, drives_line=drives_line)
+    else:
+        terms = lines.wait_terms(start.wait, waits, options, tick_ns)
+    begins_at_once = place is not None and place.begins_at_once
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: timing.length * tick_ns * 1e-9 for axis, timing in timings.items()},
@@ -402,8 +397,8 @@ def _make_lowered(
         clock_ppm=mapping.drift_ppm,
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
-        gap_ns=gap_ns,
-        release_ns=0 if begins_at_once else _find_release_ns(context, start, tick_ns, is_beside=gap_ns is not None),
+        gap_ns=None if place is None else place.gap_ns,
+        release_ns=0 if begins_at_once else _find_release_ns(context, start, tick_ns, is_beside=place is not None),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
@@ -427,6 +422,28 @@ def _make_lowered(
         drives=drives,
         at_once=begins_at_once,
     )
+
+
+class _Behind(NamedTuple):
+    """A step beside the present one: how long after that it begins at the latest, and how long withdrawing takes, ns.
+    begins_at_once: it begins at the earliest then, at no sample of its own."""
+
+    gap_ns: int
+    disarm_ns: int
+    begins_at_once: bool
+
+
+def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, tick_ns: float) -> _Behind | None:
+    """None: the controller cannot hold the step beside the present one."""
+    gate = context.gate
+    if not start.follows or gate is None or not load.fits_beside or start.wait is not None or start.drive is not None:
+        return None
+    disarm_ns = math.ceil(gate.follow_before * tick_ns) + context.release_ns
+    if context.begins_at_once and start.at_once:
+        return _Behind(math.floor(AT_ONCE_TICKS * tick_ns), disarm_ns, begins_at_once=True)
+    # T0 of both steps is rounded to a sample.
+    gap_ns = math.ceil((gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
+    return _Behind(gap_ns, disarm_ns, begins_at_once=False)
 
 
 def _find_release_ns(context: LoweringContext, start: StartOptions, tick_ns: float, *, is_beside: bool) -> int | None:

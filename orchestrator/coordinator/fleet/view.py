@@ -28,7 +28,7 @@ from orchestrator.model.state import (
 # An adapter that is silent for this long is dead or unreachable. It publishes 5 times a second; in motion only after
 # polls, which wait for requests to other controllers on the line.
 SILENT_NS = 700 * NS_PER_MS
-# added for each of them: a poll of an SMC30 takes three or four exchanges of 25 ms
+# added for each of them: a poll takes up to four exchanges of 25 ms, on the slowest lines
 OTHER_NS = 80 * NS_PER_MS
 
 OVERTAKEN_NS = 30 * NS_PER_MS  # a state may arrive this much before an event that it counts

@@ -307,12 +307,10 @@ class StartSequence:
         if loaded_replies:
             self.state.armed = {**self.state.armed, **loaded_replies}
             await self._judge_frozen_mappings()
-            declared_ns = {
-                name: costs.arm_ns for name in loaded_replies if (costs := agreement.proposals[name].costs) is not None
-            }
-            self._estimator.record_arming(
-                "behind", declared_ns, {name: loaded_replies[name].took_ns for name in declared_ns}
-            )
+            costs = {name: agreement.proposals[name].costs for name in loaded_replies}
+            declared_ns = {name: cost.arm_ns for name, cost in costs.items() if cost is not None}
+            took_ns = {name: loaded_replies[name].took_ns for name in declared_ns}
+            self._estimator.record_arming("behind", declared_ns, took_ns)
 
     async def _record_decision(self) -> None:
         request, services = self._request, self._services

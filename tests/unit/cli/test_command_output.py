@@ -217,7 +217,7 @@ def test_job_show_tells_of_each_step_how_it_followed_the_one_before(world: Comma
     steps = [line.strip() for line in world.done("job", "show", "last").splitlines() if line.startswith("  ")]
     ends = [line.partition(": done")[2] for line in steps[-4:]]
     assert ends[0] == ends[2] == ""
-    assert re.fullmatch(r", 1\d\.\d ms after step 1", ends[1])
+    assert re.fullmatch(r", \d\.\d ms after step 1", ends[1])
     assert ends[3] == ", from rest: step 3 (wait) comes before it"
 
 
