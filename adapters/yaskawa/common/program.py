@@ -129,8 +129,8 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         lines += [";".join([*stamps, "XDONE=1"]), "EN", f"#L{mask};AI XLI;{begin};JP #A{mask}"]
     for mask in range(1, 1 << axes):
         lines += following_lines(mask, axes)
-        for quick in (False, True):
-            lines += at_once_lines(mask, axes, quick=quick)
+        for is_quick in (False, True):
+            lines += at_once_lines(mask, axes, quick=is_quick)
     for mask in range(1, 1 << axes) if contours else ():
         lines += contour_lines(mask, axes)
     halts = ";".join(f"HX{thread}" for thread in STEP_THREADS)
