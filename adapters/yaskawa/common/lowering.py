@@ -379,14 +379,14 @@ def _make_lowered(
     bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns)
     waits = None if start.wait is None else lines.resolve_wait_input(config, start.wait)
     drives = None if start.drive is None else lines.resolve_driven_output(config, start.drive, tick_ns)
-    place = _find_behind(context, load, start, tick_ns)
-    disarm_ns = costs.disarm_ns if place is None else place.disarm_ns
+    beside_step = _find_behind(context, load, start, tick_ns)
+    disarm_ns = costs.disarm_ns if beside_step is None else beside_step.disarm_ns
     if waits is None or start.wait is None:
         drives_line = drives is not None or bool(start.triggers)
         terms = lines.clock_terms(bound_ns, options, mapping, start, drives_line=drives_line)
     else:
         terms = lines.wait_terms(start.wait, waits, options, tick_ns)
-    begins_at_once = place is not None and place.begins_at_once
+    begins_at_once = beside_step is not None and beside_step.begins_at_once
     return YaskawaLowered(
         start_class="clock" if waits is None else "line",
         durations_s={axis: timing.length * tick_ns * 1e-9 for axis, timing in timings.items()},
@@ -397,8 +397,8 @@ def _make_lowered(
         clock_ppm=mapping.drift_ppm,
         # On a line with slow uploads, sending another T0 takes longer than the advance is worth.
         can_advance=not isinstance(context.packets, arrays.SlowArrayTransfer),
-        gap_ns=None if place is None else place.gap_ns,
-        release_ns=0 if begins_at_once else _find_release_ns(context, start, tick_ns, is_beside=place is not None),
+        gap_ns=None if beside_step is None else beside_step.gap_ns,
+        release_ns=_find_release_ns(context, start, tick_ns, beside_step),
         costs=costs.model_copy(
             update={
                 "arm_ns": costs.arm_ns + loading_ns,
@@ -446,16 +446,20 @@ def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, 
     return _Behind(gap_ns, disarm_ns, begins_at_once=False)
 
 
-def _find_release_ns(context: LoweringContext, start: StartOptions, tick_ns: float, *, is_beside: bool) -> int | None:
+def _find_release_ns(
+    context: LoweringContext, start: StartOptions, tick_ns: float, beside_step: _Behind | None
+) -> int | None:
     """How long before T0 the gate must be opened; None where a trigger line or outputs depend on T0, or an earlier T0
-    takes longer than it is worth. is_beside: behind the present step, whose program is not looked at as often."""
+    takes longer than it is worth. Behind the present step the program is not looked at as often."""
     gate = context.gate
+    if beside_step is not None and beside_step.begins_at_once:
+        return 0
     if isinstance(context.packets, arrays.SlowArrayTransfer):
         return None
     if gate is None or start.wait is not None or start.drive is not None or start.triggers:
         return None
     spare_ns = RELEASE_SPARE_TICKS * tick_ns
-    if is_beside:
+    if beside_step is not None:
         # An earlier T0 is sent before.
         return (
             math.ceil(gate.follow_before * tick_ns + ADVANCE_COMMANDS * gate.command_ns + spare_ns) + context.release_ns
