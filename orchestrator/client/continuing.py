@@ -84,6 +84,7 @@ async def load_ended_job(requests: RestRequests, job_id: str) -> "EndedJob":
         fleet=fleet,
         axes=look_at_axes(fleet, states),
         outputs=_list_outputs(states),
+        rests=[entry for entry in (await requests.list_jobs()).jobs if entry.terms.continues == job_id],
     )
     return replace(ended_job, point=await _load_point(requests, job_id, find_last_step(ended_job).place))
 
