@@ -93,8 +93,8 @@ async def _load_point(requests: RestRequests, job_id: str, place: StepPlace) -> 
     """What was recorded of the point at which a job stood; None: it was at none, or nothing was recorded of it."""
     if place.point is None:
         return None
-    fields = {"job_id": job_id, "after_step": place.first, "after_point": place.point, "limit": 1}
-    request = ReadPoints(**requests.request_fields(), **fields)
+    fields = requests.request_fields()
+    request = ReadPoints(**fields, job_id=job_id, after_step=place.first, after_point=place.point, limit=1)
     points = (await requests.request_service("points", request, PointsRead)).points
     return points[0] if points else None
 
