@@ -84,6 +84,7 @@ async def load_ended_job(requests: RestRequests, job_id: str) -> "EndedJob":
         fleet=fleet,
         axes=look_at_axes(fleet, states),
         outputs=_list_outputs(states),
+        rests=[entry for entry in (await requests.list_jobs()).jobs if entry.terms.continues == job_id],
     )
     return replace(ended_job, point=await _load_point(requests, job_id, find_last_step(ended_job).place))
 
@@ -92,9 +93,8 @@ async def _load_point(requests: RestRequests, job_id: str, place: StepPlace) -> 
     """What was recorded of the point at which a job stood; None: it was at none, or nothing was recorded of it."""
     if place.point is None:
         return None
-    request = ReadPoints(
-        **requests.request_fields(), job_id=job_id, after_step=place.first, after_point=place.point, limit=1
-    )
+    fields = requests.request_fields()
+    request = ReadPoints(**fields, job_id=job_id, after_step=place.first, after_point=place.point, limit=1)
     points = (await requests.request_service("points", request, PointsRead)).points
     return points[0] if points else None
 

@@ -87,6 +87,7 @@ def test_a_path_goes_on_from_the_place_where_it_stood() -> None:
         assert entry is not None and entry.terms.continues == job_id
         with pytest.raises(Refusal, match="is done"):
             await client.find_rest(done.job_id)
+        assert (await client.find_rest(job_id)).confirm == [f"job {done.job_id} goes on with it already, and is done"]
 
     with_fleet(main)
 

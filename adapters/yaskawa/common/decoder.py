@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from adapters.toolkit.frames import (
-    MAX_LINE_BYTES,
     DecodedFrame,
     FrameDirection,
     LineCutter,
@@ -112,6 +111,7 @@ _ENDS = ("\\x1a", "\\\\")  # of a download, as printable text
 _MARKER = re.compile(r"<\w+>")
 _MARK = 0x80  # CW 1: program output has bit 7
 MAX_REPLY_LINES = 4  # that are shown: of a listing, the first ones
+MAX_REPLY_BYTES = 2000 * 82  # a listing of the largest program (L12254); what is longer is no reply
 MAX_COMMAND = 24  # characters of a command in the meaning of its answer
 _RECORD_BYTES = range(8, 1001)
 
@@ -186,7 +186,7 @@ class YaskawaDecoder:
             return DecodedFrame(f"{len(record)} bytes", f"data record of sample {sample}", self._address)
         reply = self._parse(self._buffer) if not self._awaits_record() else None
         if reply is None:
-            if len(self._buffer) <= MAX_LINE_BYTES:
+            if len(self._buffer) <= MAX_REPLY_BYTES:
                 return None
             text, self._buffer = self._buffer, b""
             return DecodedFrame(printable_text(text), "no reply", self._address)

@@ -1,13 +1,13 @@
 """What is known of a job that has ended: its definition, its report, the recording of its last motion."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import AxisForecast
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.report import JobReport, PointRecord, StepRecording
+from orchestrator.model.report import JobReport, PointRecord, QueueEntry, StepRecording
 from orchestrator.model.steps.order import StepOrder, StepPlace
 
 
@@ -17,6 +17,7 @@ class EndedJob:
 
     job: with quantities in the place of named positions. recording: of the last step of the report; point: the last one
     that was recorded of a scan. axes: as they are now; outputs: their present levels, by `controller.output`.
+    rests: the newest jobs that go on with it already.
     """
 
     job: Job
@@ -26,6 +27,7 @@ class EndedJob:
     fleet: Fleet
     axes: Mapping[str, AxisForecast]
     outputs: Mapping[str, bool]
+    rests: Sequence[QueueEntry] = ()
 
     @property
     def order(self) -> StepOrder:

@@ -67,7 +67,7 @@ def _find_program_rest(ended: EndedJob, program: ProgramText) -> JobRest:
             "place": place_text,
             "line": standing.line,
             "is_recorded": standing.is_recorded,
-            "confirm": program_job.list_confirmations(),
+            "confirm": [*job_rest.confirm, *program_job.list_confirmations()],
             "way": way,
             "move": make_move(job, way),
             "job": job,

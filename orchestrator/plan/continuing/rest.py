@@ -165,6 +165,7 @@ def describe_rest(ended: EndedJob, place: StepPlace, switches: Sequence[Step], l
         place=place.describe(),
         step=place.index,
         outputs={output: level for step in switches for output, level in step.left_levels.items()},
+        confirm=[f"job {entry.id} goes on with it already, and is {entry.state}" for entry in ended.rests],
         steps=steps[:MAX_DESCRIBED_STEPS],
     )
 
