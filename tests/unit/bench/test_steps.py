@@ -107,10 +107,10 @@ def test_a_row_tells_the_wire_from_the_frames_that_were_sent() -> None:
 
 def test_each_reply_belongs_to_the_line_before_it() -> None:
     row, exchanges = measure_virtual(FLEETS["1 SMC30, 400 ms"], STEPS)
-    assert [exchange.out[1:3] for exchange in exchanges if exchange.need == "target"] == ["PO", "G+", "PX"]
-    replies = {exchange.out[1:2]: exchange.back for exchange in exchanges if exchange.need}
-    assert replies["F"].startswith("RR") and replies["V"].startswith("V+") and "G+" in replies["Q"]
-    assert row.wire_ms == pytest.approx(92, rel=0.04) and row.live_more_ms == 10.0
+    assert [exchange.out[1:6] for exchange in exchanges if exchange.need == "target"] == ["R509="]
+    replies = {exchange.out[1:3]: exchange.back for exchange in exchanges if exchange.need}
+    assert replies["V1"].startswith("V+") and replies["VR"].startswith("R509=") and replies["R5"].startswith("Y")
+    assert row.wire_ms == pytest.approx(56, rel=0.05) and row.live_more_ms == 10.0
 
 
 def test_what_is_asked_behind_the_begin_is_no_evidence_of_the_end() -> None:
