@@ -10,6 +10,17 @@ SETTING_CHANGED = "setting-changed"
 NOT_REFERENCED = "not-referenced"
 """Code of an axis whose position is not known: it must be homed before it moves to a position."""
 
+MAX_ERROR_TEXT = 2000  # characters; what a controller has sent may be in it, and need not end
+_SHOWN_BEGIN, _SHOWN_END = 1600, 300
+
+
+def shorten_text(text: str) -> str:
+    """Return a text without its middle if it is longer than an error needs."""
+    if len(text) <= MAX_ERROR_TEXT:
+        return text
+    left_out = len(text) - _SHOWN_BEGIN - _SHOWN_END
+    return f"{text[:_SHOWN_BEGIN]} … ({left_out} characters are left out) … {text[-_SHOWN_END:]}"
+
 
 class TuttiError(Exception):
     """The root of all errors that Tutti raises on purpose."""
@@ -23,9 +34,9 @@ class Refusal(TuttiError):
     """
 
     def __init__(self, code: str, text: str, remedy: str = "", controller: str | None = None) -> None:
-        super().__init__(text)
+        self.text = shorten_text(text)
+        super().__init__(self.text)
         self.code = code
-        self.text = text
         self.remedy = remedy
         self.controller = controller
         if remedy:
@@ -48,8 +59,8 @@ class ControllerFault(TuttiError):
     """
 
     def __init__(self, code: str, text: str, remedy: str, axis: str | None = None) -> None:
-        super().__init__(text)
+        self.text = shorten_text(text)
+        super().__init__(self.text)
         self.code = code
-        self.text = text
         self.remedy = remedy
         self.axis = axis

@@ -20,7 +20,7 @@ from orchestrator.coordinator.jobs.run.step_run import StepRun
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.steps.context import StepContext
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import Refusal, shorten_text
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import StopMode
 from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
@@ -171,7 +171,8 @@ class JobRun:
         ended_interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
         if error is not None:
             ended_interrupt = JobInterrupted("failed", f"a defect of the coordinator: {error!r}", "coordinator")
-        return JobOutcome(ended_interrupt.state, ended_interrupt.reason, ended_interrupt.actor, self._make_report())
+        reason = shorten_text(ended_interrupt.reason)
+        return JobOutcome(ended_interrupt.state, reason, ended_interrupt.actor, self._make_report())
 
     def _make_report(self) -> JobReport:
         return self._report.model_copy(update={"steps": self._reports.reports})
@@ -214,7 +215,8 @@ class JobRun:
             await services.fleet.stop_members(self._rest.members, "decelerate", "coordinator", reason)
         finally:
             await self._chain.drop("its job has ended", self.row.actor)
-        return JobOutcome(state, reason, actor, self._make_report())
+        # A reason that its record does not take would leave the job without an end.
+        return JobOutcome(state, shorten_text(reason), actor, self._make_report())
 
     async def _prepare(self) -> None:
         """Do all that comes before the first step. Raises `Refusal`, `AxesInUse`, `PlanDeviates`, `SettingsDiffer`,
