@@ -19,6 +19,7 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.steps import JobFailed
+from orchestrator.model.axis_info import AxisInfo
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
@@ -58,6 +59,7 @@ __version__ = _version("tutti")
 
 __all__ = [
     "AlarmRecord",
+    "AxisInfo",
     "AxisState",
     "BlockingJob",
     "BlockingManualControl",

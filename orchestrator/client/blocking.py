@@ -24,6 +24,7 @@ from orchestrator.client.points import OnPoints
 from orchestrator.client.ready import ReadyCallback
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
+from orchestrator.model.axis_info import AxisInfo
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
@@ -562,6 +563,11 @@ class BlockingTutti(BlockingObject[Tutti]):
         """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""
         return self._run(self._wrapped.axes())
 
+    def axis(self, name: str) -> AxisInfo:
+        """What does not change about `controller.axis` while a program runs: unit, resolution, limits, make. Raises
+        `Refusal`: codes `unknown-axis`, and `absent` while its offset is not known."""
+        return self._run(self._wrapped.axis(name))
+
     def position(self, axis: str) -> float:
         """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
         return self._run(self._wrapped.position(axis))
@@ -569,8 +575,9 @@ class BlockingTutti(BlockingObject[Tutti]):
     def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> Iterator[dict[str, float]]:
         """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
 
-        An axis whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's
-        `poll` states how often. Raises `Refusal`: code `unknown-axis`.
+        For a display: what was where at an event is in the report of its step, and in the points of a scan. An axis
+        whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's `poll`
+        states how often. Raises `Refusal`: code `unknown-axis`.
         """
         return self._iterate(self._wrapped.positions(axes, hz))
 

@@ -8,9 +8,11 @@ from pydantic import ValidationError
 
 from orchestrator.bus.base import BusSample
 from orchestrator.client.fleet import FleetRequests
+from orchestrator.model.axis_info import AxisInfo, describe_axis
+from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.names import split_name
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 
 MAX_WAITING_EVENTS = 10_000  # of a reader that is too slow; the oldest are dropped
@@ -23,6 +25,21 @@ class ReadingRequests(FleetRequests):
         """The state of every axis, by `controller.axis`; those of controllers that are offline are old."""
         states = await self.status()
         return {f"{name}.{axis}": axis_now for name, state in states.items() for axis, axis_now in state.axes.items()}
+
+    async def axis(self, name: str) -> AxisInfo:
+        """What does not change about `controller.axis` while a program runs: unit, resolution, limits, make. Raises
+        `Refusal`: codes `unknown-axis`, and `absent` while its offset is not known."""
+        fleet = await self.load_fleet()
+        try:
+            config = fleet.axis(name)
+        except UnknownName as error:
+            raise Refusal("unknown-axis", str(error), "see `tutti axis ls`") from None
+        axis_now = (await self.axes()).get(name)
+        controller = controller_of(name)
+        if axis_now is None:
+            text = f"{controller}: its adapter does not answer, so that the offset of {name} is not known"
+            raise Refusal("absent", text, "is its adapter host running?", controller)
+        return describe_axis(name, fleet.controllers[controller], config, axis_now)
 
     async def position(self, axis: str) -> float:
         """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
@@ -39,8 +56,9 @@ class ReadingRequests(FleetRequests):
     async def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> AsyncGenerator[dict[str, float]]:
         """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
 
-        An axis whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's
-        `poll` states how often. Raises `Refusal`: code `unknown-axis`.
+        For a display: what was where at an event is in the report of its step, and in the points of a scan. An axis
+        whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's `poll`
+        states how often. Raises `Refusal`: code `unknown-axis`.
         """
         if not 0 < hz <= 1000:
             raise Refusal("bad-rate", f"{hz:g} Hz is not a rate", "choose 0.001 to 1000 Hz")
