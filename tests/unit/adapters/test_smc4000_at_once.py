@@ -37,11 +37,7 @@ def test_a_move_begins_as_soon_as_the_one_before_has_ended(profiles: dict[str, P
     async def body(pair: Pair) -> None:
         await load_at_once(pair, profiles)
         await pair.driver.slots.following.release()
-        first = await pair.driver.slots.present.wait_for_end()
-        pair.driver.slots.advance()
-        started = await pair.driver.slots.present.wait_for_start()
-        second = await pair.driver.slots.present.wait_for_end()
-        assert (first.state, second.state) == ("done", "done")
+        first, started, second = await pair.follow_both()
         before, after = pair.motions()
         assert NS_PER_MS < after.start_ns - before.end_ns < most_ms * NS_PER_MS
         assert pair.lowered is not None

@@ -1,14 +1,14 @@
 """A move loaded behind the present one of an SMC-4000, against the simulated controller in virtual time."""
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from typing import Any, cast
 
 import pytest
 from unit.adapters.test_smc4000_bench import FLEET, World, run, trapezoid
 
-from adapters.contract import HostInterval, Lowered
+from adapters.contract import HostInterval, Lowered, MoveOutcome
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns, sleep_until_ns
@@ -53,6 +53,15 @@ class Pair:
         """Follow the first move to its end."""
         return (await self.driver.slots.present.wait_for_end()).state
 
+    async def follow_both(self) -> tuple[MoveOutcome, Mapping[str, HostInterval], MoveOutcome]:
+        """Follow both moves, which are done; return the end of the first one, and start and end of the second."""
+        first = await self.driver.slots.present.wait_for_end()
+        self.driver.slots.advance()
+        started = await self.driver.slots.present.wait_for_start()
+        second = await self.driver.slots.present.wait_for_end()
+        assert (first.state, second.state) == ("done", "done")
+        return first, started, second
+
     def motions(self) -> list[Any]:
         return list(self.world.controller.commanded_motions)
 
@@ -95,11 +104,7 @@ def test_a_released_move_begins_in_its_window_and_both_have_their_stamps() -> No
         await pair.load()
         await pair.driver.slots.following.verify()
         await pair.driver.slots.following.release()
-        first = await pair.driver.slots.present.wait_for_end()
-        pair.driver.slots.advance()
-        started = await pair.driver.slots.present.wait_for_start()
-        second = await pair.driver.slots.present.wait_for_end()
-        assert (first.state, second.state) == ("done", "done")
+        first, started, second = await pair.follow_both()
         before, after = pair.motions()
         assert pair.lowered is not None
         earliest_ns, latest_ns = pair.lowered.window_ns
