@@ -67,6 +67,19 @@ def test_what_a_program_needs_is_asked_with_its_line(page: Page, ready: RunningF
     expect(problems).to_contain_text("line 8:")
 
 
+def stop_and_reset(page: Page, panel: Locator, ready: RunningFleet) -> None:
+    """Press the e-stop while a job runs, reset it, and start the queue again."""
+    page.get_by_role("button", name="E-stop", exact=True).click()
+    pressed_ns = raw_ns()
+    expect(panel.get_by_text("aborted").first).to_be_visible()
+    page.get_by_role("button", name="Reset").click()
+    expect(page.get_by_role("button", name="Reset")).to_have_count(0)
+    ready.works()
+    page.get_by_role("button", name="Start queue").first.click()
+    # A job that comes sooner after an e-stop is taken for one that waits for its end.
+    wait_for(page, lambda: raw_ns() > pressed_ns + ESTOP_VISIBLE_NS + NS_PER_S)
+
+
 def test_a_program_runs_and_goes_on_where_an_e_stop_has_stopped_it(
     page: Page, ready: RunningFleet, tmp_path: Path
 ) -> None:
@@ -80,15 +93,7 @@ def test_a_program_runs_and_goes_on_where_an_e_stop_has_stopped_it(
     expect(panel).to_contain_text("lines 2 to 6")
     expect(panel).to_contain_text("line 4: G1 X40 Y25")  # the one that runs
     wait_for(page, lambda: find_position(ready, "y") > 15)
-    page.get_by_role("button", name="E-stop", exact=True).click()
-    pressed_ns = raw_ns()
-    expect(panel.get_by_text("aborted").first).to_be_visible()
-    page.get_by_role("button", name="Reset").click()
-    expect(page.get_by_role("button", name="Reset")).to_have_count(0)
-    ready.works()
-    page.get_by_role("button", name="Start queue").first.click()
-    # A job that comes sooner after an e-stop is taken for one that waits for its end.
-    wait_for(page, lambda: raw_ns() > pressed_ns + ESTOP_VISIBLE_NS + NS_PER_S)
+    stop_and_reset(page, panel, ready)
     path.write_text(SLOW.replace("X40", "X41"))
     dialog = go_on(panel, path)
     expect(dialog.get_by_role("alert")).to_contain_text("the text is not that of 'slow.ngc' as it ran")
@@ -149,14 +154,7 @@ def test_a_path_goes_on_where_an_e_stop_has_stopped_it(page: Page, ready: Runnin
     panel = page.get_by_role("region", name="Running job")
     expect(panel).to_contain_text("step 2 of 2")
     wait_for(page, lambda: 8 < find_position(ready, "x") < 25)
-    page.get_by_role("button", name="E-stop", exact=True).click()
-    pressed_ns = raw_ns()
-    expect(panel.get_by_text("aborted").first).to_be_visible()
-    page.get_by_role("button", name="Reset").click()
-    expect(page.get_by_role("button", name="Reset")).to_have_count(0)
-    ready.works()
-    page.get_by_role("button", name="Start queue").first.click()
-    wait_for(page, lambda: raw_ns() > pressed_ns + ESTOP_VISIBLE_NS + NS_PER_S)
+    stop_and_reset(page, panel, ready)
     panel.get_by_role("button", name="Go on with bend").click()
     dialog = page.get_by_role("dialog")
     # The axes brake on their way, or beside it.
