@@ -22,7 +22,7 @@ from orchestrator.runtime.examples import find_example
 pytestmark = pytest.mark.live
 
 PIECES = 10_000
-GAP_S = 0.1  # 13 ms on a quiet machine
+TURN_S = 0.06  # of a processor, in one turn of the loop
 
 
 def refuse() -> None:
@@ -68,7 +68,11 @@ def read_memory_mb(pid: int) -> int:
 
 
 def test_a_long_path_is_planned_beside_the_loop_and_its_memory_is_returned() -> None:
-    """A thread was silent for 133 ms with 100,000 pieces, and 0.7 GB stayed."""
+    """A thread kept the loop waiting for 133 ms with 100,000 pieces, and 0.7 GB stayed.
+
+    Measured is the processor time of this process from turn to turn: planning in a thread of it counts, work of others
+    on a busy machine does not.
+    """
     fleet = load_fleet(find_example("demo.fleet.yaml"))
     axes = ("gantry.x", "gantry.y")
     points = [[90 + number * 0.01, 50 + number % 2 * 0.01] for number in range(1, PIECES + 1)]
@@ -83,7 +87,7 @@ def test_a_long_path_is_planned_beside_the_loop_and_its_memory_is_returned() -> 
 
     async def note_turns() -> None:
         while True:
-            turns.append(time.monotonic())
+            turns.append(time.process_time())
             await asyncio.sleep(0.005)
 
     async def main() -> None:
@@ -109,5 +113,5 @@ def test_a_long_path_is_planned_beside_the_loop_and_its_memory_is_returned() -> 
 
     asyncio.run(main())
     longest_s = max(late - early for early, late in pairwise(turns))
-    sys.stdout.write(f"longest gap of the loop: {longest_s * 1e3:.0f} ms\n")
-    assert longest_s < GAP_S
+    sys.stdout.write(f"most work of this process in a turn of its loop: {longest_s * 1e3:.0f} ms\n")
+    assert longest_s < TURN_S
