@@ -8,7 +8,7 @@ from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
-from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass, TimeInterval
+from orchestrator.model.state import AxisEvidence, ClockMapping, ReadPosition, StartClass, TimeInterval
 from orchestrator.model.text.text_fields import SHOW_TEXT
 from orchestrator.model.units import Unit
 
@@ -389,6 +389,11 @@ class StepReport(Model):
     latch: LatchReport | None = None
     path: PathReport | None = None
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
+    positions: dict[str, ReadPosition] = Field(
+        default={},
+        description="Of a move that is done, by axis: where it was read at rest behind it, and when. An axis that a "
+        "following step has moved before its next reading is left out.",
+    )
 
     @property
     def steps_done(self) -> int:

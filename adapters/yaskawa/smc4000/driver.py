@@ -13,6 +13,7 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     ExamplePlace,
+    HostInterval,
     LatchedPosition,
     Lowered,
     require_no_problems,
@@ -173,6 +174,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             outputs=_BITS[record.outputs],
             faults=await self._read_faults(record),
             restarted=is_restarted,
+            sampled=HostInterval(record.sent_ns, record.received_ns),
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
