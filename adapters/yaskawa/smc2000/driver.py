@@ -14,7 +14,6 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     ExamplePlace,
-    HostInterval,
     Lowered,
     require_no_problems,
     validate_options,
@@ -191,7 +190,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
             outputs=_point_levels(record.outputs, self._points[1]),
             faults=await self._read_faults(record),
             restarted=is_restarted,
-            sampled=HostInterval(record.sent_ns, record.received_ns),
+            sampled=self._device.find_sampling_interval(record),
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:

@@ -13,7 +13,6 @@ from adapters.contract import (
     DriverCapabilities,
     DriverSetup,
     ExamplePlace,
-    HostInterval,
     LatchedPosition,
     Lowered,
     require_no_problems,
@@ -174,7 +173,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             outputs=_BITS[record.outputs],
             faults=await self._read_faults(record),
             restarted=is_restarted,
-            sampled=HostInterval(record.sent_ns, record.received_ns),
+            sampled=self._device.find_sampling_interval(record),
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
