@@ -147,11 +147,11 @@ def _refuse_name(axis: str, known_axes: Iterable[str]) -> Refusal:
 
 def _require_axes(axes: Sequence[str] | None, known_axes: Iterable[str]) -> list[str]:
     """The axes that are meant, each once. Raises `Refusal`."""
-    known = list(known_axes)
-    wanted = known if axes is None else [axes] if isinstance(axes, str) else list(dict.fromkeys(axes))
-    if not wanted:
+    fleet_axes = list(known_axes)
+    axis_names = fleet_axes if axes is None else [axes] if isinstance(axes, str) else list(dict.fromkeys(axes))
+    if not axis_names:
         raise Refusal("no-axes", "no axis is named", "name some, or leave `axes` out for all of the fleet")
-    for axis in wanted:
-        if axis not in known:
-            raise _refuse_name(axis, known)
-    return wanted
+    for axis in axis_names:
+        if axis not in fleet_axes:
+            raise _refuse_name(axis, fleet_axes)
+    return axis_names

@@ -64,7 +64,7 @@ class StateStream:
         if name not in self._names:
             return
         if self._counts[name] >= MAX_WAITING_STATES:
-            self._waiting = deque(waiting for waiting in self._waiting if waiting.controller != name)
+            self._waiting = deque(entry for entry in self._waiting if entry.controller != name)
             self._counts[name] = 0
         self._waiting.append(state)
         self._counts[name] += 1
@@ -86,24 +86,25 @@ class StateStream:
                 await self._change_event.wait()
             state = self._waiting.popleft()
             self._counts[state.controller] -= 1
-            missed = self._count_missed(state)
-            if missed is not None:
-                return self._make_reading(state, missed)
+            missed_count = self._count_missed(state)
+            if missed_count is not None:
+                return self._make_reading(state, missed_count)
 
     def _count_missed(self, state: ControllerState) -> int | None:
         """How many states came between the one before of this controller and this one; None: it has been taken."""
-        instance, last = self._last.get(state.controller, ("", 0))
-        if instance == state.instance and state.seq <= last:
+        instance, last_seq = self._last.get(state.controller, ("", 0))
+        if instance == state.instance and state.seq <= last_seq:
             return None
         self._last[state.controller] = (state.instance, state.seq)
         if not instance:
             return 0
         # An adapter that was started again counts from 1.
-        return state.seq - last - 1 if instance == state.instance else max(0, state.seq - 1)
+        return state.seq - last_seq - 1 if instance == state.instance else max(0, state.seq - 1)
 
-    def _make_reading(self, state: ControllerState, missed: int) -> StateReading:
-        name, read, utc = state.controller, state.read_within, state.utc
-        if read is not None and state.fleet_ns is not None:
-            utc = format_utc_ns(parse_utc_ns(utc) + (read.earliest_ns + read.latest_ns) // 2 - state.fleet_ns)
+    def _make_reading(self, state: ControllerState, missed_count: int) -> StateReading:
+        name, interval, utc = state.controller, state.read_within, state.utc
+        if interval is not None and state.fleet_ns is not None:
+            middle_ns = (interval.earliest_ns + interval.latest_ns) // 2
+            utc = format_utc_ns(parse_utc_ns(utc) + middle_ns - state.fleet_ns)
         axes = {f"{name}.{axis}": state.axes[axis] for axis in self._names[name] if axis in state.axes}
-        return StateReading(name, state.mode, axes, read, utc, missed)
+        return StateReading(name, state.mode, axes, interval, utc, missed_count)

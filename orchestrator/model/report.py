@@ -384,16 +384,16 @@ class StepReport(Model):
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
     scan: ScanSummary | None = None
-    sampling: SamplingReport | None = None
-    triggers: list[TriggerReport] = Field(default=[])
-    latch: LatchReport | None = None
-    path: PathReport | None = None
-    chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
     positions: dict[str, ReadPosition] = Field(
         default={},
         description="Of a move that is done, by axis: where it was read at rest behind it, and when. An axis that a "
         "following step has moved before its next reading is left out.",
     )
+    sampling: SamplingReport | None = None
+    triggers: list[TriggerReport] = Field(default=[])
+    latch: LatchReport | None = None
+    path: PathReport | None = None
+    chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
     @property
     def steps_done(self) -> int:

@@ -1,20 +1,12 @@
-"""Clocks and instants as they are published on the bus and recorded in a job's report."""
+"""A controller's clock mapping as it is published on the bus and recorded in a job's report."""
 
 from collections.abc import Iterable
 
-from adapters.contract import HostInterval
 from adapters.controller.state.armed_step import PastStep
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
-from orchestrator.model.state import ClockMapping, LearnedCrystal, LearnedStart, TimeInterval
-
-
-def fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
-    """Convert an interval of host time to fleet time."""
-    earliest_ns, latest_ns = scale.to_fleet_span(span.earliest_ns, span.latest_ns)
-    return TimeInterval(earliest_ns=earliest_ns, latest_ns=latest_ns)
+from orchestrator.model.state import ClockMapping, LearnedCrystal, LearnedStart
 
 
 def clock_mapping(controller: str, mapping: TickMapping, now_ns: int) -> ClockMapping:

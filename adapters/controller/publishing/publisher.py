@@ -10,8 +10,9 @@ from pydantic import BaseModel
 
 from adapters.abilities import LearningDriver
 from adapters.contract import ControllerReading
-from adapters.controller.publishing.clock import clock_mapping, fleet_interval, learned_crystal, learned_starts
+from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.publishing.events import EventRing
+from adapters.controller.publishing.positions import read_interval, rest_positions
 from adapters.controller.publishing.tracing import read_trace_part
 from adapters.controller.state.armed_step import ArmedStep
 from adapters.controller.state.context import ControllerContext
@@ -39,9 +40,7 @@ from orchestrator.model.state import (
     LinkTotals,
     Mode,
     ReadPosition,
-    TimeInterval,
 )
-from orchestrator.model.units import Unit
 from orchestrator.model.version import PROTOCOL, find_own_version
 
 STATES_PER_CLOCK = 10  # states between two publications of what changes slowly
@@ -138,7 +137,7 @@ class StatePublisher:
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
             read_fleet_ns=None if reading is None else self._in_fleet_time(reading.at_ns),
-            read_within=self._read_within(reading),
+            read_within=read_interval(reading, self._context.scale()),
             mode=self.current_mode(),
             axes={name: self._axis_state(name, reading) for name in self._config.axes},
             inputs=_named_points(self._config.inputs, reading.inputs) if reading else {},
@@ -229,22 +228,13 @@ class StatePublisher:
         scale = self._context.scale()
         return None if scale is None else scale.to_fleet_ns(host_ns)
 
-    def _read_within(self, reading: ControllerReading | None) -> TimeInterval | None:
-        scale, sampled = self._context.scale(), None if reading is None else reading.sampled
-        return None if scale is None or sampled is None else fleet_interval(sampled, scale)
-
     def _positions_behind(self, ended_step: ArmedStep) -> dict[str, ReadPosition]:
         """Return where the axes of a step that is done were read at rest; none if they have not been read since."""
         reading = self._status.reading
-        within = self._read_within(reading)
-        if reading is None or within is None or self._steps.reading_is_old:
+        interval = read_interval(reading, self._context.scale())
+        if interval is None or self._steps.reading_is_old:
             return {}
-        states = {name: self._axis_state(name, reading) for name in ended_step.axes}
-        return {
-            name: ReadPosition(position=axis.position, unit=Unit(axis.unit), read=within)
-            for name, axis in states.items()
-            if not axis.moving
-        }
+        return rest_positions({name: self._axis_state(name, reading) for name in ended_step.axes}, interval)
 
     # Events
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.controller.monitoring.settling import SettlingResult
-from adapters.controller.publishing.clock import fleet_interval
+from adapters.controller.publishing.positions import fleet_interval
 from adapters.controller.state.armed_step import ArmedStep
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.interval import find_other_duration

@@ -37,8 +37,8 @@ class LineReader:
     def make_reading(self, state: LineUnitState, enabled: Set[str], *, restarted: bool) -> ControllerReading:
         """Return the reading of a state, which is the last one from now on. enabled: the axes that are enabled."""
         self._note_alarm(state)
-        sampled = HostInterval(state.reply.sent_ns, state.reply.at_ns)
-        at_ns = (sampled.earliest_ns + sampled.latest_ns) // 2
+        interval = HostInterval(state.reply.sent_ns, state.reply.at_ns)
+        at_ns = (interval.earliest_ns + interval.latest_ns) // 2
         is_locked = state.status.state == "alarm" and self._dialect.traits.switches_motors
         axes: dict[str, AxisReading] = {}
         for name, axis in self._config.axes.items():
@@ -56,7 +56,7 @@ class LineReader:
         faults: list[FaultReport] = []
         if self._has_alarm:
             faults.append(FaultReport(code="alarm", text=state.status.alarm, remedy="clear it with `tutti reset`"))
-        self.last = ControllerReading(at_ns, axes, faults=faults, restarted=restarted, sampled=sampled)
+        self.last = ControllerReading(at_ns, axes, faults=faults, restarted=restarted, sampled=interval)
         return self.last
 
     def _note_alarm(self, state: LineUnitState) -> None:

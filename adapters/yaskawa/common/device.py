@@ -4,9 +4,8 @@ record."""
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
-from math import ceil
 
-from adapters.contract import NULL_LOG, ControllerIdentity, ControllerRestarted, HostInterval
+from adapters.contract import NULL_LOG, ControllerIdentity, ControllerRestarted
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import (
@@ -27,7 +26,6 @@ from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord, RecordFormat
 from adapters.yaskawa.wire.session import CommandSession, print_command, session_tag
 from adapters.yaskawa.wire.stops import SharedStops, StopHandle
 from orchestrator.clock.base import NS_PER_US, Clock
-from orchestrator.clock.estimator import MAX_PPM
 from orchestrator.link.base import Link, LinkClosed, OpenLink
 
 
@@ -227,11 +225,6 @@ class SmcDevice:
             self.log.warning("the sample counter was interrupted", restarted=self._reconnect_required)
         is_restarted, self._restarted = self._restarted, False
         return record, is_restarted
-
-    def find_sampling_interval(self, record: DataRecord) -> HostInterval:
-        """Return when the controller sampled the positions of a record: it shows those of the last servo sample."""
-        sample_ns = ceil(self.samples.tick_ns * (1 + MAX_PPM * 1e-6))
-        return HostInterval(self._earliest_ns(record.sent_ns) - sample_ns, record.received_ns)
 
     async def _read_time(self) -> bool:
         """Read the whole counter. Return False when the controller was restarted since the last reading."""
