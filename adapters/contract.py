@@ -73,6 +73,9 @@ class ControllerReading:
     """One poll of the whole controller.
 
     at_ns: the middle of the interval in which the controller sampled its state.
+    sampled: the interval in which it sampled the positions of all axes, guaranteed; None: during the call of
+    `Driver.poll` that returns this. A driver states it where that is wrong (a position that came unsolicited, or that
+    was asked for before), or needlessly wide (the call waits for its turn on a line).
     inputs, outputs: by number; true = electrically high / on.
     restarted: the controller has lost its volatile state since the last poll (power cycle, reset); its axes are no
     longer referenced and nothing is armed in it.
@@ -84,6 +87,7 @@ class ControllerReading:
     outputs: Mapping[int, bool] = field(default_factory=dict[int, bool])
     faults: Sequence[FaultReport] = ()
     restarted: bool = False
+    sampled: "HostInterval | None" = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,7 @@ from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.manual import ManualControl
 from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
+from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.axis_info import AxisInfo
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
@@ -41,7 +42,14 @@ from orchestrator.model.report import (
     StepReport,
 )
 from orchestrator.model.script import WrongValue
-from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo, ControllerState
+from orchestrator.model.state import (
+    AxisState,
+    ControllerEvent,
+    ControllerInfo,
+    ControllerState,
+    ReadPosition,
+    TimeInterval,
+)
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
 from orchestrator.model.steps.io import SetOutput, WaitInput
@@ -93,6 +101,7 @@ __all__ = [
     "PositionEntry",
     "QueueEntry",
     "QueueTerms",
+    "ReadPosition",
     "ReadyToBegin",
     "Refusal",
     "Repeat",
@@ -100,12 +109,14 @@ __all__ = [
     "SetOutput",
     "SetPosition",
     "StartPreview",
+    "StateReading",
     "StatisticsRead",
     "Step",
     "StepRecording",
     "StepReport",
     "SubmittedJob",
     "Template",
+    "TimeInterval",
     "Tutti",
     "TuttiError",
     "WaitInput",

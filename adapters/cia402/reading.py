@@ -10,7 +10,8 @@ from adapters.cia402.fleetaxes import POINTS
 from adapters.cia402.moves import Cia402Mover
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
-from adapters.contract import AxisReading, ControllerReading
+from adapters.cia402.sampling import find_arrival_delay_ns
+from adapters.contract import AxisReading, ControllerReading, HostInterval
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.state import FaultReport
@@ -67,7 +68,17 @@ class DriveReader:
             outputs={number: bool(node.outputs & point_bit(number)) for number in POINTS} if node.has_outputs else {},
             faults=self._drive_faults(),
             restarted=restarted,
+            sampled=self._find_interval(is_moving=is_moving),
         )
+
+    def _find_interval(self, *, is_moving: bool) -> HostInterval:
+        """Return an interval in which the drive was where its last message shows it. At rest any message shows that: it
+        would have sent another position within its inhibit time."""
+        node = self._node
+        before_ns = find_arrival_delay_ns(self._options, len(node.bus.units), node.bus.bitrate)
+        if is_moving and node.state_ns:
+            return HostInterval(node.state_ns - before_ns, node.state_ns)
+        return HostInterval(node.heard_ns - node.inhibit_ns - before_ns, node.heard_ns)
 
     def _velocity(self) -> float:
         """Return its velocity, counts/s; without 606Ch it is that of its positions."""

@@ -18,6 +18,11 @@ PDOS = 4  # of each drive, which may be sent before this one
 MOST_SAMPLES = 1_000_000  # in the memory of this computer
 
 
+def find_arrival_delay_ns(options: Cia402Options, drives: int, bitrate: int) -> int:
+    """How long before its arrival a position may have been taken. drives: on the bus."""
+    return (options.cycle_us + options.wire_jitter_us) * NS_PER_US + PDOS * drives * full_frame_ns(bitrate)
+
+
 class PdoSampling:
     """The samples of one drive. axis: its only axis."""
 
@@ -44,8 +49,7 @@ class PdoSampling:
         positions, self._node.positions = self._node.positions, None
         if positions is None:
             raise Refusal("no-samples", "nothing is being recorded", "begin it first")
-        before_ns = (self._options.cycle_us + self._options.wire_jitter_us) * NS_PER_US
-        before_ns += PDOS * drives * full_frame_ns(bitrate)
+        before_ns = find_arrival_delay_ns(self._options, drives, bitrate)
         counts: Sequence[int] = [actual for _, actual in positions]
         return SampledPositions(
             [at_ns - before_ns // 2 for at_ns, _ in positions], before_ns // 2 + 1, {self._axis: counts}

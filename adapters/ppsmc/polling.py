@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from fractions import Fraction
 
-from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
+from adapters.contract import AxisReading, ControllerReading, ControllerRestarted, HostInterval
 from adapters.ppsmc import fleetaxes
 from adapters.ppsmc.options import PpSmcOptions
 from adapters.ppsmc.replies import (
@@ -45,6 +45,7 @@ class PpSmcPoller:
         measured_motors = self._encoders | unit.closed
         errors: dict[int, tuple[int, str]] = {}
         actual: dict[int, float] = {}
+        interval: HostInterval | None = None
         try:
             if session.blocked:
                 raise ControllerFault("blocked", "", "")
@@ -56,8 +57,10 @@ class PpSmcPoller:
         else:
             look = unit.parse_state(reply.first_line(ASK_STATUS), reply.first_line(ASK_POSITIONS), reply.written_ns)
             errors = parse_errors(reply.reply_texts(ASK_ERRORS))
+            interval = HostInterval(look.begun_ns, look.at_ns)
             if ASK_ENCODERS in reply:
                 actual = _parse_distances(reply.first_text(ASK_ENCODERS), unit.gears)
+                interval = HostInterval(look.begun_ns, reply.first_line(ASK_ENCODERS).at_ns)
             if ASK_INPUTS in reply:
                 self._inputs = port_levels(int(reply.first_text(ASK_INPUTS)))
             if ASK_OUTPUTS in reply:
@@ -76,6 +79,7 @@ class PpSmcPoller:
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
             faults=faults,
+            sampled=interval,
         )
 
     def _poll_queries(self, measured: set[int]) -> list[FormattedQuery]:

@@ -6,7 +6,7 @@ repeated.
 
 from typing import Literal
 
-from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
+from adapters.contract import AxisReading, ControllerReading, ControllerRestarted, HostInterval
 from adapters.shrc203 import fleetaxes
 from adapters.shrc203.options import ShrcOptions
 from adapters.shrc203.unitstate import CountsReading, ShrcState
@@ -47,10 +47,11 @@ class ShrcPoller:
         states = parse_status(line.text, unit.controllable)
         if unit.timing is not None:
             unit.timing.add_reading("Q:SPC", line, states)
-        actual = states
+        actual, latest_ns = states, line.at_ns
         if any(unit.closed_loop.values()):
             scales = parse_status(await session.send_query("Q:SPE", STATUS), unit.controllable)
             actual = {m: scales[m] if unit.closed_loop.get(m) else state for m, state in states.items()}
+            latest_ns = self._clock.now_ns()
         if unit.trigger_set:
             counts = {motor: state.counts for motor, state in states.items()}
             unit.readings.append(CountsReading(line.command_ns, line.at_ns, counts))
@@ -90,6 +91,7 @@ class ShrcPoller:
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
             faults=faults,
+            sampled=HostInterval(line.command_ns, latest_ns),
         )
 
     def _drop_completions(self, busy: set[int], at_ns: int) -> None:

@@ -4,7 +4,7 @@ A controller that executes a program answers only that it is busy (L1519-L1522);
 Otherwise the position is taken from the profile.
 """
 
-from adapters.contract import AxisReading, ControllerReading, ControllerRestarted
+from adapters.contract import AxisReading, ControllerReading, ControllerRestarted, HostInterval
 from adapters.smc30.hand import Smc30ManualMotion
 from adapters.smc30.mover import Smc30Mover
 from adapters.smc30.ramp import Smc30Ramp, Smc30Shape
@@ -68,6 +68,7 @@ class Smc30Poller:
             inputs=dict(self._inputs),
             outputs=dict(self._outputs),
             faults=self._controller_faults(),
+            sampled=HostInterval(status.sent_ns, self._clock.now_ns()),
         )
 
     async def _query_activity(self) -> ActivityReading:

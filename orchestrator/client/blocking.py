@@ -23,6 +23,7 @@ from orchestrator.client.manual import VALID_MS, ManualControl
 from orchestrator.client.points import OnPoints
 from orchestrator.client.ready import ReadyCallback
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
+from orchestrator.client.states import StateReading
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
 from orchestrator.model.axis_info import AxisInfo
 from orchestrator.model.errors import Refusal
@@ -575,11 +576,22 @@ class BlockingTutti(BlockingObject[Tutti]):
     def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> Iterator[dict[str, float]]:
         """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
 
-        For a display: what was where at an event is in the report of its step, and in the points of a scan. An axis
-        whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's `poll`
-        states how often. Raises `Refusal`: code `unknown-axis`.
+        For a display: where the axes are now, by the last state of each. What was where at an event is in the report of
+        its move (`positions`), in the points of a scan, and in `states`, which have instants. An axis whose controller
+        is offline has the position NaN. A position is as old as its poll: the fleet file's `state` says how often.
+        Raises `Refusal`: code `unknown-axis`.
         """
         return self._iterate(self._wrapped.positions(axes, hz))
+
+    def states(self, axes: Sequence[str] | None = None) -> Iterator[StateReading]:
+        """Every state of the controllers of axes (None: of all) once, as they come, until the loop is left.
+
+        Each has the interval of fleet time in which its positions were sampled, and UTC; the first ones are those of
+        now. A consumer that is 100 states of a controller behind goes on with the newest, which counts what was missed;
+        it delays no other. While a controller or the router is away its states pause, and go on by themselves. Raises
+        `Refusal`: codes `unknown-axis`, `no-axes`, and `closed` when the connection is closed meanwhile.
+        """
+        return self._iterate(self._wrapped.states(axes))
 
     def events(self, controller: str | None = None) -> Iterator[ControllerEvent]:
         """The events of the fleet, or of one controller, as they come: starts, ends, faults, limits, e-stops."""

@@ -52,6 +52,7 @@ class FleetConnection:
         self._bus = None if isinstance(connect, str) else connect
         self._loop: asyncio.AbstractEventLoop | None = None
         self._keys = None if fleet is None else FleetKeys(fleet)
+        self._close_listeners = set[Callable[[], None]]()
         self._leader = ""  # as the bus names the process that has answered last
         self.actor = actor
         self.new_id = new_id
@@ -102,6 +103,8 @@ class FleetConnection:
 
     async def close(self) -> None:
         """Disconnect. Safe to call twice."""
+        for listener in list(self._close_listeners):
+            listener()
         bus, self._bus = self._bus, None
         if bus is not None:
             await bus.close()

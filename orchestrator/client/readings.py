@@ -2,16 +2,18 @@
 
 import asyncio
 import math
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Iterable, Sequence
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import BusSample
+from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.client.fleet import FleetRequests
+from orchestrator.client.states import StateReading, StateStream
 from orchestrator.model.axis_info import AxisInfo, describe_axis
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.fleet_names import DefinedNames
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 
@@ -56,9 +58,10 @@ class ReadingRequests(FleetRequests):
     async def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> AsyncGenerator[dict[str, float]]:
         """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
 
-        For a display: what was where at an event is in the report of its step, and in the points of a scan. An axis
-        whose controller is offline has the position NaN. A position is as old as its poll: the fleet file's `poll`
-        states how often. Raises `Refusal`: code `unknown-axis`.
+        For a display: where the axes are now, by the last state of each. What was where at an event is in the report of
+        its move (`positions`), in the points of a scan, and in `states`, which have instants. An axis whose controller
+        is offline has the position NaN. A position is as old as its poll: the fleet file's `state` says how often.
+        Raises `Refusal`: code `unknown-axis`.
         """
         if not 0 < hz <= 1000:
             raise Refusal("bad-rate", f"{hz:g} Hz is not a rate", "choose 0.001 to 1000 Hz")
@@ -90,6 +93,29 @@ class ReadingRequests(FleetRequests):
             for declaration in subscriptions:
                 await declaration.undeclare()
 
+    async def states(self, axes: Sequence[str] | None = None) -> AsyncGenerator[StateReading]:
+        """Every state of the controllers of axes (None: of all) once, as they come, until the loop is left.
+
+        Each has the interval of fleet time in which its positions were sampled, and UTC; the first ones are those of
+        now. A consumer that is 100 states of a controller behind goes on with the newest, which counts what was missed;
+        it delays no other. While a controller or the router is away its states pause, and go on by themselves. Raises
+        `Refusal`: codes `unknown-axis`, `no-axes`, and `closed` when the connection is closed meanwhile.
+        """
+        stream = StateStream(_require_axes(axes, (await self.list_names()).axes))
+        subscriptions: list[BusDeclaration] = []
+        self._close_listeners.add(stream.close)
+        try:
+            for controller in stream.controllers:
+                subscriptions.append(await self.bus.subscribe(self.keys.state(controller), stream.receive_state))
+            for state in (await self.status()).values():
+                stream.add_state(state)
+            while True:
+                yield await stream.take_next()
+        finally:
+            self._close_listeners.discard(stream.close)
+            for declaration in subscriptions:
+                await declaration.undeclare()
+
     async def events(self, controller: str | None = None) -> AsyncGenerator[ControllerEvent]:
         """The events of the fleet, or of one controller, as they come: starts, ends, faults, limits, e-stops."""
         async with self.subscribe_samples(self.keys.event(controller)) as samples:
@@ -111,5 +137,21 @@ def _find_position(states: dict[str, ControllerState], axis: str) -> float:
 
 
 def _unknown_axis(axis: str, states: dict[str, ControllerState]) -> Refusal:
-    axis_list = ", ".join(f"{name}.{axis_name}" for name, state in states.items() for axis_name in state.axes)
-    return Refusal("unknown-axis", f"the fleet has no axis {axis!r}; its axes are: {axis_list}", "see `tutti axis ls`")
+    return _refuse_name(axis, [f"{name}.{axis_name}" for name, state in states.items() for axis_name in state.axes])
+
+
+def _refuse_name(axis: str, known_axes: Iterable[str]) -> Refusal:
+    text = DefinedNames(axes=list(known_axes)).explain_unknown(axis, "axis")
+    return Refusal("unknown-axis", text or f"the fleet has no axis {axis[:80]!r}", "see `tutti axis ls`")
+
+
+def _require_axes(axes: Sequence[str] | None, known_axes: Iterable[str]) -> list[str]:
+    """The axes that are meant, each once. Raises `Refusal`."""
+    fleet_axes = list(known_axes)
+    axis_names = fleet_axes if axes is None else [axes] if isinstance(axes, str) else list(dict.fromkeys(axes))
+    if not axis_names:
+        raise Refusal("no-axes", "no axis is named", "name some, or leave `axes` out for all of the fleet")
+    for axis in axis_names:
+        if axis not in fleet_axes:
+            raise _refuse_name(axis, fleet_axes)
+    return axis_names

@@ -8,7 +8,7 @@ from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
-from orchestrator.model.state import AxisEvidence, ClockMapping, StartClass, TimeInterval
+from orchestrator.model.state import AxisEvidence, ClockMapping, ReadPosition, StartClass, TimeInterval
 from orchestrator.model.text.text_fields import SHOW_TEXT
 from orchestrator.model.units import Unit
 
@@ -384,6 +384,11 @@ class StepReport(Model):
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
     scan: ScanSummary | None = None
+    positions: dict[str, ReadPosition] = Field(
+        default={},
+        description="Of a move that is done, by axis: where it was read at rest behind it, and when. An axis that a "
+        "following step has moved before its next reading is left out.",
+    )
     sampling: SamplingReport | None = None
     triggers: list[TriggerReport] = Field(default=[])
     latch: LatchReport | None = None

@@ -8,6 +8,7 @@ from pydantic import Field
 from orchestrator.model.base import HostNs, Id, Int53, Label, Model, Rational
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.queue import Utc
+from orchestrator.model.units import Unit
 from orchestrator.model.version import ProtocolText
 
 Mode = Literal["offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault"]
@@ -95,6 +96,22 @@ class EstopLatch(Model):
     utc: str
 
 
+class TimeInterval(Model):
+    """An instant of fleet time that is known only as an interval; the true instant is inside, ends included."""
+
+    earliest_ns: Int53
+    latest_ns: Int53
+
+
+class ReadPosition(Model):
+    """A position of an axis as it was read. position: of the user, in `unit`; read: the interval in which the axis was
+    there, fleet time."""
+
+    position: float
+    unit: Unit
+    read: TimeInterval
+
+
 class ControllerState(Model):
     """The full state of a controller: published on change, at the fleet file's rates, and as heartbeat."""
 
@@ -104,7 +121,12 @@ class ControllerState(Model):
     seq: Int53
     utc: str
     fleet_ns: Int53 | None
-    read_fleet_ns: Int53 | None = Field(default=None, description="When the poll's answer had arrived.")
+    read_fleet_ns: Int53 | None = Field(default=None, description="The middle of the poll, or when what it shows came.")
+    read_within: TimeInterval | None = Field(
+        default=None,
+        description="The interval in which the positions were sampled, guaranteed; None: of an adapter before 0.5, or "
+        "while it has no fleet time, or is offline.",
+    )
     mode: Mode
     axes: dict[str, AxisState]
     inputs: dict[str, bool]
@@ -120,13 +142,6 @@ class ControllerState(Model):
     event_seq: Int53 = Field(
         default=0, description="The last event's number, so that a reader that missed it can query it."
     )
-
-
-class TimeInterval(Model):
-    """An instant of fleet time that is known only as an interval; the true instant is inside, ends included."""
-
-    earliest_ns: Int53
-    latest_ns: Int53
 
 
 class AxisEvidence(Model):
@@ -164,6 +179,9 @@ class ControllerEvent(Model):
     job: str | None = None
     step: int | None = None
     evidence: dict[str, AxisEvidence] = Field(default={})
+    positions: dict[str, ReadPosition] = Field(
+        default={}, description="With `done`: of the axes of the step, read at rest behind it; empty: not read there."
+    )
     fault: FaultReport | None = None
 
 

@@ -1,10 +1,11 @@
 """Polls of a controller: at the rate of its state, never in the quiet time before T0; each reading is evaluated and
 published."""
 
+from dataclasses import replace
 from typing import Protocol
 from zlib import crc32
 
-from adapters.contract import ControllerReading
+from adapters.contract import ControllerReading, HostInterval
 from adapters.controller.publishing.publisher import StatePublisher
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
@@ -59,6 +60,8 @@ class StatePolling:
             raise LinkClosed("the controller is not connected yet")
         self._steps.polled_ns = self._context.clock.now_ns()
         self._steps.poll_takes_ns = self._steps.polled_ns - began_ns
+        if reading.sampled is None:
+            reading = replace(reading, sampled=HostInterval(began_ns, self._steps.polled_ns))
         require_sound_reading(reading)
         self.listener.handle_reading(reading)
         self._publisher.publish_state()

@@ -12,6 +12,7 @@ from adapters.abilities import LearningDriver
 from adapters.contract import ControllerReading
 from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.publishing.events import EventRing
+from adapters.controller.publishing.positions import read_interval, rest_positions
 from adapters.controller.publishing.tracing import read_trace_part
 from adapters.controller.state.armed_step import ArmedStep
 from adapters.controller.state.context import ControllerContext
@@ -38,6 +39,7 @@ from orchestrator.model.state import (
     FaultReport,
     LinkTotals,
     Mode,
+    ReadPosition,
 )
 from orchestrator.model.version import PROTOCOL, find_own_version
 
@@ -135,6 +137,7 @@ class StatePublisher:
             utc=self._clock.utc(),
             fleet_ns=self._fleet_ns(),
             read_fleet_ns=None if reading is None else self._in_fleet_time(reading.at_ns),
+            read_within=read_interval(reading, self._context.scale()),
             mode=self.current_mode(),
             axes={name: self._axis_state(name, reading) for name in self._config.axes},
             inputs=_named_points(self._config.inputs, reading.inputs) if reading else {},
@@ -225,6 +228,14 @@ class StatePublisher:
         scale = self._context.scale()
         return None if scale is None else scale.to_fleet_ns(host_ns)
 
+    def _positions_behind(self, ended_step: ArmedStep) -> dict[str, ReadPosition]:
+        """Return where the axes of a step that is done were read at rest; none if they have not been read since."""
+        reading = self._status.reading
+        interval = read_interval(reading, self._context.scale())
+        if interval is None or self._steps.reading_is_old:
+            return {}
+        return rest_positions({name: self._axis_state(name, reading) for name in ended_step.axes}, interval)
+
     # Events
 
     def emit_event(
@@ -249,6 +260,7 @@ class StatePublisher:
             job=armed_step.job if armed_step else None,
             step=armed_step.step if armed_step else None,
             evidence=dict(evidence or {}),
+            positions=self._positions_behind(armed_step) if armed_step is not None and kind == "done" else {},
             fault=fault,
         )
         self._bus.put(self._keys.event(self._controller), self._events.add_event(event), Priority.EVENT)

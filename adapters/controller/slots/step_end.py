@@ -4,10 +4,11 @@ from collections.abc import Mapping
 
 from adapters.contract import HostInterval, MoveOutcome
 from adapters.controller.monitoring.settling import SettlingResult
+from adapters.controller.publishing.positions import fleet_interval
 from adapters.controller.state.armed_step import ArmedStep
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.interval import find_other_duration
-from orchestrator.model.state import AxisEvidence, EventKind, TimeInterval
+from orchestrator.model.state import AxisEvidence, EventKind
 
 _KIND_OF_END: dict[str, EventKind] = {"done": "done", "stopped": "stopped", "fault": "failed"}
 
@@ -51,7 +52,7 @@ class MotionEnd:
         for axis, span in self.outcome.ended.items():
             if axis in evidence and span.earliest_ns <= span.latest_ns:
                 end_evidence = {
-                    "end": _fleet_interval(span, self.moving.scale),
+                    "end": fleet_interval(span, self.moving.scale),
                     "settled_s": self._settled.settled_s.get(axis),
                 }
                 evidence[axis] = evidence[axis].model_copy(update=end_evidence)
@@ -82,10 +83,4 @@ def _without_axes(evidence: Mapping[str, AxisEvidence], axes: set[str]) -> dict[
 
 
 def _start_evidence(span: HostInterval, scale: FleetScale) -> AxisEvidence:
-    return AxisEvidence(start=_fleet_interval(span, scale), late_ns=span.late_ns)
-
-
-def _fleet_interval(span: HostInterval, scale: FleetScale) -> TimeInterval:
-    """Convert an interval of host time to fleet time."""
-    earliest_ns, latest_ns = scale.to_fleet_span(span.earliest_ns, span.latest_ns)
-    return TimeInterval(earliest_ns=earliest_ns, latest_ns=latest_ns)
+    return AxisEvidence(start=fleet_interval(span, scale), late_ns=span.late_ns)

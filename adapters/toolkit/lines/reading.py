@@ -3,7 +3,7 @@
 from collections.abc import Set
 from dataclasses import replace
 
-from adapters.contract import AxisReading, ControllerReading
+from adapters.contract import AxisReading, ControllerReading, HostInterval
 from adapters.toolkit.lines.dialect import LineDialect
 from adapters.toolkit.lines.unit import LineUnitState
 from orchestrator.clock.base import NS_PER_S
@@ -27,7 +27,8 @@ class LineReader:
         self.last: ControllerReading | None = None
 
     def repeat_moving(self, at_ns: int) -> ControllerReading | None:
-        """Return the last reading again, with all axes in motion: a controller that searches may not answer."""
+        """Return the last reading again, with all axes in motion: a controller that searches may not answer. Its
+        positions are as old as they are."""
         if self.last is None:
             return None
         axes = {name: replace(axis, moving=True) for name, axis in self.last.axes.items()}
@@ -36,7 +37,8 @@ class LineReader:
     def make_reading(self, state: LineUnitState, enabled: Set[str], *, restarted: bool) -> ControllerReading:
         """Return the reading of a state, which is the last one from now on. enabled: the axes that are enabled."""
         self._note_alarm(state)
-        at_ns = (state.reply.sent_ns + state.reply.at_ns) // 2
+        interval = HostInterval(state.reply.sent_ns, state.reply.at_ns)
+        at_ns = (interval.earliest_ns + interval.latest_ns) // 2
         is_locked = state.status.state == "alarm" and self._dialect.traits.switches_motors
         axes: dict[str, AxisReading] = {}
         for name, axis in self._config.axes.items():
@@ -54,7 +56,7 @@ class LineReader:
         faults: list[FaultReport] = []
         if self._has_alarm:
             faults.append(FaultReport(code="alarm", text=state.status.alarm, remedy="clear it with `tutti reset`"))
-        self.last = ControllerReading(at_ns, axes, faults=faults, restarted=restarted)
+        self.last = ControllerReading(at_ns, axes, faults=faults, restarted=restarted, sampled=interval)
         return self.last
 
     def _note_alarm(self, state: LineUnitState) -> None:

@@ -5,7 +5,9 @@ long as records arrive at least twice in the 64 s in which those bits wrap aroun
 """
 
 from dataclasses import dataclass
+from math import ceil
 
+from adapters.contract import HostInterval
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import MAX_PPM, CounterSample, TickEstimator, TickMapping
 
@@ -44,6 +46,10 @@ class SampleClock:
         self._mapped: CounterSample | None = None
         self._taken = 0
         self._second: _ChosenReadings | None = None
+
+    def find_sampling_interval(self, sent_ns: int, received_ns: int) -> HostInterval:
+        """Return when the positions in an answer were sampled: they are those of the last sample."""
+        return HostInterval(sent_ns - ceil(self.tick_ns * (1 + MAX_PPM * 1e-6)), received_ns)
 
     def add_full_reading(self, sent_ns: int, received_ns: int, ticks: int) -> bool:
         """Add a reading of TIME. Return False when the counter did not continue from the last reading: the controller

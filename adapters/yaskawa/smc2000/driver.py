@@ -190,6 +190,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
             outputs=_point_levels(record.outputs, self._points[1]),
             faults=await self._read_faults(record),
             restarted=is_restarted,
+            sampled=self._device.samples.find_sampling_interval(record.sent_ns, record.received_ns),
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:

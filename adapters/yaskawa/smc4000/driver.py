@@ -173,6 +173,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             outputs=_BITS[record.outputs],
             faults=await self._read_faults(record),
             restarted=is_restarted,
+            sampled=self._device.samples.find_sampling_interval(record.sent_ns, record.received_ns),
         )
 
     def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:

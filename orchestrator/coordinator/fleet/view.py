@@ -1,7 +1,7 @@
 """The coordinator's view of the fleet: every controller's last state, its information, its events."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 
 from pydantic import ValidationError
@@ -23,7 +23,9 @@ from orchestrator.model.state import (
     ControllerState,
     EventsReply,
     EventsRequest,
+    ReadPosition,
 )
+from orchestrator.model.units import Unit
 
 # An adapter that is silent for this long is dead or unreachable. It publishes 5 times a second; in motion only after
 # polls, which wait for requests to other controllers on the line.
@@ -104,6 +106,17 @@ class FleetView:
         if state is None or self.is_silent(controller) or state.mode == "offline":
             return None
         return state.axes.get(name)
+
+    def read_positions(self, axes: Iterable[str]) -> dict[str, ReadPosition]:
+        """By axis, where it was read last; without those that are offline or silent, or were read at no known
+        instant."""
+        positions: dict[str, ReadPosition] = {}
+        for axis in axes:
+            axis_now, state = self.axis_now(axis), self._states.get(split_name(axis)[0])
+            if axis_now is not None and state is not None and state.read_within is not None:
+                unit = Unit(axis_now.unit)
+                positions[axis] = ReadPosition(position=axis_now.position, unit=unit, read=state.read_within)
+        return positions
 
     def describe_absence(self, controller: str, instance: str | None) -> str | None:
         """Why the adapter `instance` (None: any instance) is gone; None while it is there."""

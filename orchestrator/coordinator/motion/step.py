@@ -191,7 +191,15 @@ class MotionStep:
         self._goal = {axis: exact for axis, (exact, _) in planned_step.resolved.exact.items()}
         if not planned_step.plan.profiles:
             name = request.move.name or ""
-            return StepReport(index=request.index, do=request.move.do, name=name, state="done", reason="already there")
+            positions = services.fleet.view.read_positions(self._goal)
+            return StepReport(
+                index=request.index,
+                do=request.move.do,
+                name=name,
+                state="done",
+                reason="already there",
+                positions=positions,
+            )
         motion = self._motion = await PlannedMotion.agree(services, planned_step)
         whole_plan = (
             planned_step.plan if planned_step.path is not None and not planned_step.begun_s else motion.agreement.plan
@@ -351,4 +359,4 @@ class MotionStep:
             return report
         view = self._services.fleet.view
         states = {member: state for member in agreement.proposals if (state := view.last_state(member)) is not None}
-        return judge_completed_step(report, agreement, states)
+        return judge_completed_step(report, agreement, states).model_copy(update={"positions": watch.positions})

@@ -12,7 +12,7 @@ from orchestrator.coordinator.motion.report import find_t0, make_member_report, 
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import StartState
 from orchestrator.model.report import MemberReport
-from orchestrator.model.state import ControllerEvent
+from orchestrator.model.state import ControllerEvent, ReadPosition
 
 STARTED_NS = 400 * NS_PER_MS  # after T0: by then every member has reported its start
 STARTED_TURN_NS = 150 * NS_PER_MS  # added for each other controller on its line
@@ -53,6 +53,8 @@ class StepWatch:
             services.fleet.permits.add_loss_listener(lambda: self._events.put_nowait(None)),
         ]
         self.reports: dict[str, MemberReport] = {}
+        self.positions: dict[str, ReadPosition] = {}
+        """By axis, where its controller has read it at rest behind the step."""
         self.failure: Failure | None = None
         self.paused = False
         self.feed: PathFeed | None = None
@@ -128,6 +130,7 @@ class StepWatch:
             self._add_evidence(member, event)
         if has_ended:
             self._waiting_end.discard(member)
+            self.positions.update({f"{member}.{axis}": position for axis, position in event.positions.items()})
             self.paused = self.paused or event.kind == "stopped"
         elif event.kind in ("failed", "stopped", "disarmed"):
             self.failure = (event.kind, f"{member}: {event.text}")
