@@ -74,6 +74,7 @@ CONTEXT = """
 CLASSES = {
     "SubmittedJob": ("BlockingJob", False, ("id", "waits_for")),
     "ManualControl": ("BlockingManualControl", True, ("axes", "lost", "holder")),
+    "LiveJob": ("BlockingLiveJob", True, ("id", "axes", "result")),
     "Attendance": ("BlockingAttendance", True, ("session",)),
     "Tutti": ("BlockingTutti", False, ("actor",)),
 }
@@ -85,7 +86,8 @@ LEFT_OUT = {
 ATTRIBUTES = {
     "id": ("str", "The id as plain text."),
     "waits_for": ("str", "What the job waited for when it was submitted; empty: nothing."),
-    "axes": ("list[str]", "The leased axes, as `controller.axis`."),
+    "axes": ("list[str]", "The axes that it has, as they were named or as `controller.axis`."),
+    "result": ("JobResult | None", "The record of the job; None while it runs."),
     "lost": ("Refusal | None", "Why the lease ended before it was released; None while it lasts."),
     "holder": ("str", "The holder of the lease, as others are shown it."),
     "session": ("str", "The session, for the terms of jobs that belong to it."),
@@ -187,11 +189,12 @@ def write_classes() -> str:
     from orchestrator.client.api import Tutti
     from orchestrator.client.attendance import Attendance
     from orchestrator.client.jobs import SubmittedJob
+    from orchestrator.client.live import LiveJob
     from orchestrator.client.manual import ManualControl
 
     imports = Imports()
     parts: list[str] = []
-    for wrapped in (SubmittedJob, ManualControl, Attendance, Tutti):
+    for wrapped in (SubmittedJob, ManualControl, LiveJob, Attendance, Tutti):
         name, is_context, attributes = CLASSES[wrapped.__name__]
         imports.found[wrapped.__name__] = wrapped.__module__
         doc = inspect.getdoc(wrapped) or ""

@@ -13,8 +13,9 @@ a job that is not done raises `JobFailed`, with its `report`. Both are a `TuttiE
 from importlib.metadata import version as _version
 
 from orchestrator.client.api import Tutti
-from orchestrator.client.blocking import BlockingJob, BlockingManualControl, BlockingTutti
+from orchestrator.client.blocking import BlockingJob, BlockingLiveJob, BlockingManualControl, BlockingTutti
 from orchestrator.client.jobs import SubmittedJob
+from orchestrator.client.live import LiveJob, StepFailed
 from orchestrator.client.manual import ManualControl
 from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
@@ -54,6 +55,7 @@ from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.latch import Latch
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
@@ -70,6 +72,7 @@ __all__ = [
     "AxisInfo",
     "AxisState",
     "BlockingJob",
+    "BlockingLiveJob",
     "BlockingManualControl",
     "BlockingTutti",
     "ControllerEvent",
@@ -95,6 +98,8 @@ __all__ = [
     "JobResult",
     "JobTransition",
     "Latch",
+    "Live",
+    "LiveJob",
     "ManualControl",
     "Move",
     "PointRecord",
@@ -112,6 +117,7 @@ __all__ = [
     "StateReading",
     "StatisticsRead",
     "Step",
+    "StepFailed",
     "StepRecording",
     "StepReport",
     "SubmittedJob",

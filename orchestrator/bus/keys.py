@@ -124,6 +124,10 @@ class FleetKeys:
         """Positions that controllers have sampled by themselves; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/samples"
 
+    def job_live(self, job: str | None = None) -> str:
+        """What became of each step that a live job was asked for; published by the coordinator."""
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/live"
+
     def job_triggers(self, job: str | None = None) -> str:
         """What outputs did on the way of a step; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/triggers"

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 from orchestrator.model.base import Model
+from orchestrator.model.jobs.live import AskLive, LiveAsked, LiveRead, ReadLive
 from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPreview, StartQueue
 from orchestrator.model.jobs.service import (
     AcquireAxes,
@@ -71,13 +72,15 @@ class ServiceVerb(NamedTuple):
     """A verb of a service.
 
     request, reply: its models. least_role: the least role that may use it. reads: it changes nothing, and may be
-    executed twice. subject: what a request is about, in words for the log of commands; empty: the whole fleet.
+    executed twice. logged: whether the log of commands has it; steps of a live job are in the record of the job.
+    subject: what a request is about, in words for the log of commands; empty: the whole fleet.
     """
 
     request: type[Request]
     reply: type[Model]
     least_role: UserRole
     reads: bool = False
+    logged: bool = True
     subject: Callable[[Any], str] = lambda _: ""
 
 
@@ -161,6 +164,10 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "pause": ServiceVerb(PauseJob, Reply, "operator", subject=_describe_pause),
     "resume": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
     "override": ServiceVerb(OverrideJob, Reply, "operator", subject=_describe_override),
+    "ask-live": ServiceVerb(AskLive, LiveAsked, "operator", logged=False),
+    "read-live": ServiceVerb(ReadLive, LiveRead, "viewer", reads=True),
+    "stop-live": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
+    "end-live": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
     "prune": ServiceVerb(PruneJobs, JobsPruned, "maintainer", subject=_describe_age),
     "stop": ServiceVerb(StopFleet, Reply, "viewer", subject=_describe_stop),
     "start-queue": ServiceVerb(StartQueue, Reply, "operator"),

@@ -8,7 +8,7 @@ async with Tutti("tcp/127.0.0.1:7447") as tutti:
 """
 
 from orchestrator.client.axes import AxisRequests
-from orchestrator.client.continuing import RestRequests
+from orchestrator.client.live import LiveRequests
 from orchestrator.client.operation import OperationRequests
 from orchestrator.client.positions import PositionRequests
 from orchestrator.client.readings import ReadingRequests
@@ -16,5 +16,5 @@ from orchestrator.client.tracebacks import end_tracebacks
 
 
 @end_tracebacks
-class Tutti(RestRequests, AxisRequests, PositionRequests, ReadingRequests, OperationRequests):
+class Tutti(LiveRequests, AxisRequests, PositionRequests, ReadingRequests, OperationRequests):
     """A connection to one fleet, with all requests; use it as a context. For its arguments see `FleetConnection`."""

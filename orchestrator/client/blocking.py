@@ -19,6 +19,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
+from orchestrator.client.live import LiveJob
 from orchestrator.client.manual import VALID_MS, ManualControl
 from orchestrator.client.points import OnPoints
 from orchestrator.client.ready import ReadyCallback
@@ -49,9 +50,12 @@ from orchestrator.model.report import (
     PointRecord,
     QueueEntry,
     StepRecording,
+    StepReport,
 )
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerInfo
 from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.templates.template import Template
 
 
@@ -130,7 +134,7 @@ class BlockingManualControl(BlockingObject[ManualControl]):
 
     @property
     def axes(self) -> list[str]:
-        """The leased axes, as `controller.axis`."""
+        """The axes that it has, as they were named or as `controller.axis`."""
         return self._wrapped.axes
 
     @property
@@ -174,6 +178,119 @@ class BlockingManualControl(BlockingObject[ManualControl]):
     def stop(self) -> None:
         """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
         answer."""
+        self._run(self._wrapped.stop())
+
+
+class BlockingLiveJob(BlockingObject[LiveJob]):
+    """A live job; use it as a context, which begins and ends it. It has its axes for itself from beginning to end, and
+    is one job in the journal, with a row for each move. It ends with this program: also when that is interrupted,
+    suspended or killed, or loses its connection, its axes stop within a second."""
+
+    def __enter__(self) -> Self:
+        self._run(self._wrapped.__aenter__())
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._run(self._wrapped.__aexit__(*error))
+
+    @property
+    def id(self) -> str:
+        """The id as plain text."""
+        return self._wrapped.id
+
+    @property
+    def axes(self) -> list[str]:
+        """The axes that it has, as they were named or as `controller.axis`."""
+        return self._wrapped.axes
+
+    @property
+    def result(self) -> JobResult | None:
+        """The record of the job; None while it runs."""
+        return self._wrapped.result
+
+    def begin(self) -> None:
+        """Begin: its axes are this program's when this returns. Raises `Refusal`, and `JobFailed` if it is refused
+        then."""
+        self._run(self._wrapped.begin())
+
+    def end(self) -> JobResult:
+        """End it behind the steps that were asked for, and return its record. Raises `JobFailed` if it was not done.
+        May be called twice."""
+        return self._run(self._wrapped.end())
+
+    def cancel(self) -> None:
+        """Stop its axes and end it. Raises nothing: without a connection it ends within a second."""
+        self._run(self._wrapped.cancel())
+
+    def move(
+        self,
+        to: Mapping[str, int | float | str] | str | None = None,
+        by: Mapping[str, int | float | str] | None = None,
+        *,
+        speed: float | str | Mapping[str, float | str] | None = None,
+        sync: Literal["time", "phase", "none"] = "time",
+    ) -> StepReport:
+        """Move axes together, as `Tutti.move` does; the report has where each was read behind it, `positions`. Raises
+        `Refusal`, `StepFailed`, `JobFailed`."""
+        return self._run(self._wrapped.move(to, by, speed=speed, sync=sync))
+
+    def path(self, path: FollowPath) -> StepReport:
+        """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
+        return self._run(self._wrapped.path(path))
+
+    def home(self, *axes: str) -> StepReport:
+        """Find the reference of axes; without any, of all of this live job. Raises as `move` does."""
+        return self._run(self._wrapped.home(*axes))
+
+    def enable(self, *axes: str) -> StepReport:
+        """Switch motors on; without axes, of all of this live job. Raises as `move` does."""
+        return self._run(self._wrapped.enable(*axes))
+
+    def disable(self, *axes: str) -> StepReport:
+        """Switch motors off; without axes, of all of this live job. Raises as `move` does."""
+        return self._run(self._wrapped.disable(*axes))
+
+    def output(self, output: str, *, on: bool = True, pulse_s: float | None = None) -> StepReport:
+        """Switch the output `controller.output`; back after `pulse_s`. Raises as `move` does."""
+        return self._run(self._wrapped.output(output, on=on, pulse_s=pulse_s))
+
+    def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> StepReport:
+        """Wait until the input `controller.input` is active (`on=False`: passive). Raises as `move` does."""
+        return self._run(self._wrapped.wait_input(name, on=on, timeout_s=timeout_s))
+
+    def dwell(self, seconds: float) -> StepReport:
+        """Wait, as a step of the fleet's own. Raises as `move` does."""
+        return self._run(self._wrapped.dwell(seconds))
+
+    def run(self, step: Step) -> StepReport:
+        """Run one step, and return its report when it is done; a cancelled task stops it. Raises as `move` does."""
+        return self._run(self._wrapped.run(step))
+
+    def make_move(
+        self,
+        to: Mapping[str, int | float | str] | str | None = None,
+        by: Mapping[str, int | float | str] | None = None,
+        *,
+        speed: float | str | Mapping[str, float | str] | None = None,
+        sync: Literal["time", "phase", "none"] = "time",
+    ) -> Move:
+        """A move for `submit`, at the speed of this live job if none is given. Raises `WrongValue`."""
+        return self._wrapped.make_move(to, by, speed=speed, sync=sync)
+
+    def submit(self, *steps: Step) -> list[int]:
+        """Ask for steps, up to 100 ahead, and return their numbers when they are accepted: moves are then chained, each
+        loaded while the one before it moves. None is accepted if one is refused. Raises `Refusal`: codes `ended`,
+        `too-many`, `not-of-job`, and those of a check; and `FileError`."""
+        return self._run(self._wrapped.submit(*steps))
+
+    def wait_for(self, number: int) -> StepReport:
+        """Wait until a submitted step is done, and return its report; those of the last 200 are kept. Raises as `move`
+        does."""
+        return self._run(self._wrapped.wait_for(number))
+
+    def stop(self) -> None:
+        """Stop its axes by their ramps and forget the steps that wait; the live job goes on. Raises nothing: a program
+        without a connection ends its live job."""
         self._run(self._wrapped.stop())
 
 
@@ -234,6 +351,24 @@ class BlockingTutti(BlockingObject[Tutti]):
     def actor(self) -> str:
         """The user or program that makes the requests."""
         return self._wrapped.actor
+
+    def live(
+        self,
+        axes: Sequence[str] | str | Job,
+        *,
+        name: str = "live",
+        speed: float | str = "manual",
+        gather: str = "0 ms",
+        wait: bool = False,
+    ) -> BlockingLiveJob:
+        """A live job, which begins when its context is entered: `with tutti.live(["gantry.x"]) as live:`.
+
+        axes: that it may move, as axes, groups or controllers; nothing else moves them while it lasts. Or a job with
+        one `Live` step, which may state skews, and outputs of other controllers. speed: of its moves, as in `move`.
+        gather: moves of different axes that are asked for within this time are one synchronised move. wait: for axes
+        that are in use; otherwise that is refused. Raises `WrongValue`.
+        """
+        return BlockingLiveJob(self._wrapped.live(axes, name=name, speed=speed, gather=gather, wait=wait), self._worker)
 
     def find_rest(self, job_id: str, file: Path | str | None = None) -> JobRest:
         """What is left of a job that has ended, and the way back to where it stood; nothing moves.

@@ -35,6 +35,8 @@ class CommandLog:
             return None
         if isinstance(request, AcquireAxes) and self._is_renewal(request):
             return None
+        if not SERVICE_VERBS[verb].logged:
+            return None
         subject = SERVICE_VERBS[verb].subject(request)
         if isinstance(request, ReleaseAxes):
             subject = " ".join(self._find_leased(request.holder)) or request.holder

@@ -75,7 +75,7 @@ def _make_coordinator(keys: FleetKeys, name: str, _: Mapping[str, Sequence[str]]
         _find_reading(keys)
         + _find_own(keys, "coordinator", None)
         + Rights(
-            puts=(keys.leader, keys.queue, keys.leases, keys.alarm(), *jobs, keys.job_triggers()),
+            puts=(keys.leader, keys.queue, keys.leases, keys.alarm(), *jobs, keys.job_triggers(), keys.job_live()),
             serves=(
                 keys.service(),
                 keys.time,

@@ -54,6 +54,11 @@ class StepAhead:
         """Whether it starts, or may start, whatever the job does now."""
         return self._motion is not None and self._motion.start.state.decided
 
+    @property
+    def released(self) -> PlannedMotion | None:
+        """The step, once all members will start it."""
+        return self._motion if self._stage == "released" else None
+
     def allow_arming(self) -> None:
         """The step before is the present one."""
         self._may_arm.set()

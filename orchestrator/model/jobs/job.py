@@ -63,6 +63,21 @@ class Job(ScriptModel):
         check_job_outputs(steps, (output for step in steps for output in step.switched_outputs))
         return self
 
+    @model_validator(mode="after")
+    def _open_alone(self) -> "Job":
+        number = next((number for number, step in enumerate(self.steps) if step.is_open), None)
+        if number is not None and len(self.steps) > 1:
+            raise ValueError(
+                f"steps[{number}]: a live step ends with the program that asks for its moves, so it stands alone in "
+                "its job; ask for the other steps there"
+            )
+        return self
+
+    @property
+    def is_open(self) -> bool:
+        """Whether its steps are asked for while it runs."""
+        return self.steps[0].is_open
+
     @field_validator("max_start_skew", "max_end_skew", "max_path_skew")
     @classmethod
     def _above_zero(cls, value: int | None) -> int | None:

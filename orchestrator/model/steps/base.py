@@ -80,6 +80,8 @@ class Step(ScriptModel):
     """Its speed is changed along its path, while it moves."""
     acts: ClassVar[bool] = False
     """Whether it waits for a controller that does something."""
+    is_open: ClassVar[bool] = False
+    """Whether what it runs is asked for while it runs, so that it is the only step of its job."""
 
     name: Annotated[str, PLAIN_TEXT] | None = Field(
         default=None, max_length=80, description="Shown in progress and report."
@@ -197,6 +199,16 @@ class Step(ScriptModel):
     @property
     def pause_ns(self) -> int | None:
         """How long it lasts between two motions; None for a step behind which the next motion begins from rest."""
+        return None
+
+    @property
+    def can_join(self) -> bool:
+        """Whether it can be one step together with another one."""
+        return False
+
+    def join_step(self, other: "Step") -> "Step | None":
+        """One step that does both at once; None where they must stay two."""
+        del other
         return None
 
     @property

@@ -4,13 +4,16 @@ from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.latch import Latch
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 
-SingleStep = Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Latch | Scan | FollowPath
+SingleStep = (
+    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Latch | Scan | FollowPath | Live
+)
 
 Motion = Move | FollowPath
 """A step that is one motion with an agreed start."""

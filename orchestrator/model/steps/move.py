@@ -9,10 +9,13 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.names import ALL_AXES, MoveTarget, Target, is_position_name
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.base import MotionOptions, Step, StepSampling, TargetResolver
+from orchestrator.model.steps.speed import join_speeds
 from orchestrator.model.steps.words import describe_trigger
 from orchestrator.model.triggers import Triggers, check_step_triggers
 from orchestrator.model.units import AxisQuantity, Quantity
 
+_LIKE_FIELDS = [name for name in MotionOptions.model_fields if name not in ("do", "name", "speed")]
+"""What moves that are joined have in common."""
 NAME_AXES = "name the axes of the position that are to move: `to: {axis: position}`"
 
 
@@ -74,6 +77,19 @@ class Move(MotionOptions, MoveTargets):
     @property
     def placed_axes(self) -> list[str]:
         return [*self.to, *self.by]
+
+    @property
+    def can_join(self) -> bool:
+        return not (self.triggers or self.record or self.name or ALL_AXES in self.to)
+
+    def join_step(self, other: Step) -> "Move | None":
+        if not isinstance(other, Move) or not (self.can_join and other.can_join):
+            return None
+        are_alike = all(getattr(self, name) == getattr(other, name) for name in _LIKE_FIELDS)
+        speed = join_speeds((self.speed, self.named_axes), (other.speed, other.named_axes))
+        if not are_alike or speed is None or set(self.named_axes) & set(other.named_axes):
+            return None
+        return self.model_copy(update={"to": self.to | other.to, "by": self.by | other.by, "speed": speed})
 
     def describe_relative(self, number: int, axes: str) -> str:
         return f"step {number} moves {axes} by a distance, from the current position"

@@ -12,6 +12,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.repeat import Repeat
@@ -30,9 +31,11 @@ class RemainingStep(NamedTuple):
 class StepPlace:
     """Where a numbered step stands.
 
-    index: its number. step: as it is written; for a point, the whole scan. first: the number of the first step of the
-    scan, or of the step itself. point: of a scan, from 0. part: 0 is the move to the point, k the k-th step at it.
-    passes: pass and number of passes of each repeat around it, from 1, the outermost first.
+    index: its number. step: as it is written; for a point, the whole scan; for what a live job was asked for, its live
+    step. first: the number of the first step of the scan, or of the step itself. point: of a scan or a live step, from
+    0. part: 0 is the move to the point, k the k-th step at it. passes: pass and number of passes of each repeat around
+    it, from 1, the outermost first. asked, asked_count: of a live job, the step that was asked for, None while it waits
+    for one; and for how many it was asked so far.
     """
 
     index: int
@@ -41,6 +44,18 @@ class StepPlace:
     point: int | None = None
     part: int = 0
     passes: tuple[tuple[int, int], ...] = ()
+    asked: Step | None = None
+    asked_count: int = 0
+
+    @property
+    def series(self) -> Scan | Live | None:
+        """The step that has one report for all that runs in it, to which this one belongs."""
+        return self.step if isinstance(self.step, Scan | Live) else None
+
+    @property
+    def point_count(self) -> int | None:
+        """The number of points of its scan, or of the steps that its live job was asked for."""
+        return self.asked_count if self.step.is_open else None if self.scan is None else self.scan.point_count
 
     @property
     def scan(self) -> Scan | None:
@@ -51,12 +66,12 @@ class StepPlace:
     def kind(self) -> str:
         """What the numbered step does: that of its own, of a point its move or the step at it."""
         if self.scan is None:
-            return self.step.kind
+            return self.step.kind if self.asked is None else self.asked.kind
         return self.scan.at_each[self.part - 1].kind if self.part else "move"
 
     @property
     def is_later_point(self) -> bool:
-        """Whether it belongs to a scan, and is not its first step."""
+        """Whether it belongs to a scan or a live step, and is not its first step."""
         return self.point is not None and self.index > self.first
 
     def describe(self, *, kinds: bool = True) -> str:
@@ -64,12 +79,14 @@ class StepPlace:
         words = name_step(self.first) + f" ({self.step.kind})" * kinds
         if self.scan is not None and self.point is not None:
             words += f", point {self.point + 1} of {self.scan.point_count}" + f" ({self.kind})" * kinds
+        elif self.asked is not None and self.point is not None:
+            words += f", move {self.point + 1}" + f" ({self.kind})" * kinds
         return words + "".join(f", pass {number} of {times}" for number, times in self.passes)
 
     def choose_step(self, find_move: Callable[[Scan], Move]) -> Step:
         """The step that runs: of a scan, the move to its point, or the step there. find_move: returns the move."""
         if self.scan is None:
-            return self.step
+            return self.asked or self.step
         return self.scan.at_each[self.part - 1] if self.part else find_move(self.scan)
 
 

@@ -31,6 +31,8 @@ class Repeat(Step):
         count = sum(1 for _ in self.iterate_written())
         if count > MAX_REPEATED:
             raise ValueError(f"has {count} steps inside; the maximum is {MAX_REPEATED}")
+        if any(step.is_open for step in self.iterate_written()):
+            raise ValueError("a live step runs until its program ends it, and cannot be repeated")
         return self
 
     @property

@@ -1,6 +1,6 @@
 """The speed of a move as people write it: a fraction of the limits, a speed with its unit, or one for each axis."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import inf
 from typing import Annotated, Any, Literal, cast
 
@@ -82,3 +82,19 @@ def describe_speed(speed: float | str | Mapping[str, float | str]) -> str:
     if isinstance(speed, Mapping):
         return " ".join(f"{axis}={describe_speed(value)}" for axis, value in speed.items())
     return speed if isinstance(speed, str) else f"{100 * speed:.6g} %"
+
+
+def join_speeds(*parts: tuple["Speed", Sequence[str]]) -> "Speed | None":
+    """The speed of one move for several, each with its speed and its axes; None where there is none: a speed along a
+    line is not that of its axes, and `manual` stands for all axes."""
+    first = parts[0][0]
+    if not isinstance(first, str | dict) or first == MANUAL:
+        are_alike = all(speed == first for speed, _ in parts)
+        if are_alike or first == MANUAL:
+            return first if are_alike else None
+    by_axis: dict[str, float | str] = {}
+    for speed, axes in parts:
+        if speed == MANUAL or (isinstance(speed, str) and len(axes) > 1):
+            return None
+        by_axis |= speed if isinstance(speed, dict) else dict.fromkeys(axes, speed)
+    return by_axis

@@ -29,6 +29,9 @@ BY_PRESENT = "by where the axes are now: the job kept no recording of its last m
 
 def find_job_rest(ended: EndedJob) -> JobRest:
     """What is left of a job, and the way back to where it stood. Raises `Refusal`, with why it cannot go on there."""
+    if ended.job.is_open:
+        text = "it was a live job: its moves came from a program, and are not kept"
+        raise Refusal("live", text, "run that program again")
     last = find_last_step(ended)
     switches = find_switches(ended.job.steps, ended.report.repeat, last.place.index, ended.outputs)
     if last.place.scan is not None:

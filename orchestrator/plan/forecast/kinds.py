@@ -8,6 +8,7 @@ from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.latch import Latch
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
@@ -19,6 +20,7 @@ from orchestrator.plan.forecast.dwell import forecast_dwell
 from orchestrator.plan.forecast.home import forecast_home
 from orchestrator.plan.forecast.io import forecast_output, forecast_wait
 from orchestrator.plan.forecast.latch import forecast_latch
+from orchestrator.plan.forecast.live import forecast_live
 from orchestrator.plan.forecast.motors import forecast_motors
 from orchestrator.plan.forecast.move import forecast_move
 from orchestrator.plan.forecast.path import forecast_path
@@ -46,6 +48,7 @@ FORECASTERS: Mapping[type[Step], Callable[[ForecastState, ForecastContext, Any],
     SetOutput: forecast_output,
     WaitInput: forecast_wait,
     Latch: forecast_latch,
+    Live: forecast_live,
     Repeat: _forecast_repeat,
 }
 """By kind, what runs a step forward: it changes the state, notes problems and conditions, and returns the duration."""

@@ -41,6 +41,7 @@ class JobIntake:
         first_job = await self._keys.find_job(request)
         if first_job is not None:
             return await self._describe_job(first_job.job_id)
+        _require_program(request.job, request.terms)
         job = await split_paths(self._services, await self.points.resolve_points(request.job))
         _order_steps(job, request.terms)
         order = self._services.positions.make_resolver().resolve_remaining(job.steps, request.terms.repeat)
@@ -60,6 +61,9 @@ class JobIntake:
         if record.state not in FINISHED_STATES:
             text = f"job {record.id} is {record.state}; only a finished job can be re-run"
             raise Refusal("not-ended", text, "wait for its end, or cancel it")
+        if job.is_open:
+            text = f"job {record.id} was a live job: its moves came from a program, and are not kept"
+            raise Refusal("live", text, "run that program again")
         terms = await self._keep_proposal(record, request.terms or QueueTerms(repeat=record.repeat))
         order = _order_steps(job, terms)
         from_step = _find_first_step(record.id, order, request)
@@ -200,6 +204,17 @@ class JobIntake:
             enabled=axis_now.enabled,
             referenced=axis_now.referenced,
         )
+
+
+def _require_program(job: Job, terms: QueueTerms) -> None:
+    """Raise `Refusal` for a live job without a program that it ends with."""
+    if not job.is_open:
+        return
+    if terms.session is None:
+        text = "a live job runs what a program asks for, and ends with that program: it cannot be submitted as a file"
+        raise Refusal("live", text, "begin it with `tutti live`, or with `tutti.live(...)` in Python")
+    if terms.repeat > 1:
+        raise Refusal("live", "a live job cannot be repeated", "ask for its moves again")
 
 
 def _order_steps(job: Job, terms: QueueTerms) -> StepOrder:

@@ -1,12 +1,13 @@
 """Execution of one job: its steps one after the other, its pauses, its end, and its report."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import suppress
 
 from orchestrator.clock.owner import running
 from orchestrator.coordinator.fleet.leases import AxesInUse
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
+from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.motors import JobMotors
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
@@ -24,6 +25,7 @@ from orchestrator.model.errors import Refusal, shorten_text
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import StopMode
 from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.order import StepOrder
 
 
@@ -37,9 +39,7 @@ class JobRun:
         self.job = job
         self.task: asyncio.Task[JobOutcome] | None = None
         self._services = services
-        self._steps = StepSequence(
-            StepOrder(job.steps, row.repeat), services.view.fleet, services.journal.points, services.execute
-        )
+        self._steps = _make_sequence(services, row, job, self._prepare_added)
         self._state = RunState(services, row, self._steps, needs)
         self._rest = RestMonitor(services, self._steps, row.from_step)
         self._motors = JobMotors(services, row, self._steps)
@@ -75,6 +75,12 @@ class JobRun:
         return f"job {self.row.name!r} {self.row.id} of {self.row.actor}"
 
     @property
+    def live_steps(self) -> LiveSequence:
+        """The steps that it was asked for, if it is a live job."""
+        assert isinstance(self._steps, LiveSequence)
+        return self._steps
+
+    @property
     def last_motion(self) -> StepReport | None:
         """The report of the last motion step that has ended."""
         return self._reports.last_motion
@@ -92,6 +98,14 @@ class JobRun:
             await self._services.fleet.stop_members(self._rest.members, mode, interrupt.actor, interrupt.reason)
         if not self._over:
             self.task.cancel()
+
+    async def stop_steps(self, actor: str) -> None:
+        """Of a live job: stop the present motion, and forget the steps that wait. The job goes on."""
+        reason = f"stopped by {actor}"
+        self.live_steps.stop(reason)
+        await self._chain.drop(reason, actor)
+        if self._state.motion_step is not None:
+            await self._services.fleet.stop_members(self._rest.members, "decelerate", actor, reason)
 
     # Pause
 
@@ -144,6 +158,7 @@ class JobRun:
     def abandon(self, interrupt: JobInterrupted) -> None:
         """Begin no further step. Motion is left to the originator of the stop."""
         self._state.pause.give_up(interrupt)
+        self._steps.end()
 
     # Execution
 
@@ -184,11 +199,14 @@ class JobRun:
         reason, actor = "", self.row.actor
         try:
             await self._prepare()
-            for index in range(self.row.from_step, len(self._steps)):
+            async for index in self._iterate_steps():
                 self._state.begin_step(index)
                 await self._step_run.wait_while_paused()
                 report = await self._run_numbered_step(index)
-                if report.state != "done":
+                goes_on = self._steps.note_report(index, report)
+                if goes_on and report.state != "done":
+                    await self._chain.drop("the move before it was not done", actor)
+                if not goes_on:
                     state = "aborted" if report.state == "stopped" else "failed"
                     reason = f"{self._steps.locate(index).describe()}: {report.reason}"
                     if self._interrupt is not None:
@@ -215,6 +233,7 @@ class JobRun:
             await services.fleet.stop_members(self._rest.members, "decelerate", "coordinator", reason)
         finally:
             await self._chain.drop("its job has ended", self.row.actor)
+            self._steps.drop_waiting("its job has ended")
         # A reason that its record does not take would leave the job without an end.
         return JobOutcome(state, shorten_text(reason), actor, self._make_report())
 
@@ -233,6 +252,28 @@ class JobRun:
         if await self._motors.enable_by_policy(self._context):
             self._rest.seen_ns = None
 
+    async def _iterate_steps(self) -> AsyncGenerator[int]:
+        """The numbers of the steps, each when it can begin. Raises `JobInterrupted`, `JournalError`."""
+        number = await self._wait_for_step(self.row.from_step)
+        while number is not None:
+            yield number
+            number = await self._wait_for_step(number + 1)
+
+    async def _wait_for_step(self, index: int) -> int | None:
+        """The number of the next step, `index` or behind it; None: there is none any more."""
+        if self.job.is_open and not self._steps.has_step(index):
+            await self._state.note_waiting(index)
+        number = await self._steps.find_next(index)
+        if number is None and self.job.is_open and self._state.pause.given_up is not None:
+            raise self._state.pause.given_up
+        return number
+
+    def _prepare_added(self) -> None:
+        """A step was added: it may be the one that follows the present motion."""
+        step = self._state.motion_step
+        if step is not None and step.motion is not None:
+            self._chain.look_again(step.motion)
+
     async def _run_numbered_step(self, index: int) -> StepReport:
         """Run step number `index`, and record its report. Raises `JournalError`, `JobInterrupted`."""
         location, step = self._steps.locate(index), await self._steps.read_step(index)
@@ -249,3 +290,12 @@ class JobRun:
 
     def _holds_axes(self) -> bool:
         return any(held_lease.holder == self.row.id for held_lease in self._services.leases.all_leases)
+
+
+def _make_sequence(
+    services: JobServices, row: JobRecord, job: Job, on_added: Callable[[], None]
+) -> StepSequence | LiveSequence:
+    order, live = StepOrder(job.steps, row.repeat), job.steps[0]
+    if isinstance(live, Live):
+        return LiveSequence(order, services, row.id, live, on_added)
+    return StepSequence(order, services.view.fleet, services.journal.points, services.execute)

@@ -54,6 +54,15 @@ class MotionChain:
         if self._ahead is not None:
             self._ahead.allow_arming()
 
+    def look_again(self, motion: PlannedMotion) -> None:
+        """A step was added: prepare it if it is the next one behind `motion`, the present one."""
+        if not motion.start.state.decided or self._paused:
+            return
+        if self._ahead is None:
+            self.look_ahead(motion)
+        elif self._after_next is None and (ahead_motion := self._ahead.released) is not None:
+            self._plan_after(self._ahead, ahead_motion)
+
     def _plan_after(self, ahead: StepAhead, motion: PlannedMotion) -> None:
         """Plan the step behind `ahead`, which is released: only its arming waits until that one moves."""
         if ahead is self._ahead and not self._paused:

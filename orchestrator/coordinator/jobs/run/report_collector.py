@@ -1,4 +1,4 @@
-"""The reports of a running job: one for each step, and one for each scan whose points it sums up.
+"""The reports of a running job: one for each step, and one for each scan, or live step, whose points it sums up.
 
 The points themselves are rows in the journal, written in batches. Memory does not grow with the points.
 """
@@ -11,6 +11,7 @@ from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.coordinator.motion.budget import worse_verdict
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
 
@@ -31,10 +32,11 @@ class PositionReader(Protocol):
 
 @dataclass(slots=True)
 class _ScanProgress:
-    """What the points of a scan have done so far. begun_ns: of the scan; point_ns: of the present point."""
+    """What the points of a scan have done so far; of a live step, what it was asked for. place: of the present point.
+    begun_ns: of the scan; point_ns: of the present point."""
 
     place: StepPlace
-    scan: Scan
+    scan: Scan | Live
     begun_ns: int
     point_ns: int
     points: int = 0
@@ -80,9 +82,11 @@ class ReportCollector:
         if self._scan is not None and (place.point is None or place.first != self._scan.place.first):
             self._reports += self._make_scan_reports()
             self._scan = None
-        if place.scan is not None and self._scan is None:
+        if place.series is not None and self._scan is None:
             now_ns = self._clock.now_ns()
-            self._scan = _ScanProgress(place, place.scan, now_ns, now_ns)
+            self._scan = _ScanProgress(place, place.series, now_ns, now_ns)
+        if self._scan is not None:
+            self._scan.place, self._scan.ended = place, None  # what a live job goes on behind is not its end
 
     async def add_report(self, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         """Take the report of a step that has begun. target: of the point it belongs to. Raises `JournalError`."""
@@ -166,7 +170,7 @@ class ReportCollector:
         if scan is None:
             return []
         summary = ScanSummary(
-            points=scan.scan.point_count,
+            points=scan.place.point_count or 0,
             done=scan.points,
             steps_done=scan.steps_done,
             verdicts=dict(scan.verdicts),
@@ -181,7 +185,7 @@ class ReportCollector:
         worst = scan.worst_report
         report = StepReport(
             index=scan.place.first,
-            do="scan",
+            do=scan.scan.kind,
             name=scan.scan.name or "",
             state="done",
             actual_s=(scan.point_ns - scan.begun_ns) / NS_PER_S,

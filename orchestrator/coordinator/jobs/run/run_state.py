@@ -12,6 +12,7 @@ from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.model.report import JobProgress, JobState
 
 PROGRESS_NS = NS_PER_S // 5
+WAITS_FOR_MOVES = "waits for moves of its program"
 
 
 class JobPause:
@@ -88,6 +89,13 @@ class RunState:
         """The present motion starts at T0, and is to take `duration_s`."""
         self._step_t0_ns, self._step_s = t0_fleet_ns, duration_s
 
+    async def note_waiting(self, index: int) -> None:
+        """A live job waits for step `index`, for which its program has not asked yet. Raises `JournalError`."""
+        self.begin_step(index)
+        await self.change_state("running", WAITS_FOR_MOVES)
+        self._reason = WAITS_FOR_MOVES
+        self.publish_progress()
+
     def note_part(self, part: float, doing: str) -> None:
         """A part of the present step is done, from 0 to 1."""
         self._part, self._doing = part, doing
@@ -141,8 +149,8 @@ class RunState:
             step_name=self._doing or location.step.name or location.step.kind,
             scan_step=location.first if within_scan else None,
             point=location.point + 1 if location.point is not None else None,
-            points=None if location.scan is None else location.scan.point_count,
-            fraction=min(1.0, (self.step + step_share) / len(self._steps)),
+            points=location.point_count,
+            fraction=min(1.0, (self.step + step_share) / max(1, len(self._steps))),
             remaining_s=remaining_s,
             line=self._find_line(),
             override_percent=None if rate is None else round(100 * rate, 3),

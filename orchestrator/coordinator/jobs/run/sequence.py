@@ -7,6 +7,7 @@ from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.store import PointUploads
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import StepReport
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
@@ -60,6 +61,26 @@ class StepSequence:
     def locate(self, index: int) -> StepPlace:
         """Where step number `index` stands. Raises `IndexError`."""
         return self.order.locate(index)
+
+    def has_step(self, index: int) -> bool:
+        """Whether step `index` is known."""
+        return index < len(self)
+
+    def end(self) -> None:
+        """No further step begins."""
+
+    async def find_next(self, index: int) -> int | None:
+        """The number of the next step to run, `index` or behind it, once there is one; None: there is none any more."""
+        return index if index < len(self) else None
+
+    def note_report(self, index: int, report: StepReport) -> bool:
+        """Step `index` has ended; return whether another one may begin."""
+        del index
+        return report.state == "done"
+
+    def drop_waiting(self, reason: str) -> None:
+        """The job has ended: steps that were asked for and have not begun do not begin."""
+        del reason
 
     async def read_step(self, index: int) -> Step:
         """Step number `index`; at most a block of points is read. Raises `JournalError`."""

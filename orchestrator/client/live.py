@@ -1,0 +1,357 @@
+"""A live job: a program moves axes step by step, and has them for itself meanwhile.
+
+async with tutti.live(["gantry", "stage.u"], name="alignment") as live:
+    for x in range(10):
+        await live.move({"gantry.x": x, "stage.u": x / 2})
+"""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from itertools import accumulate
+from typing import Any, Literal, Self
+
+from orchestrator.bus.base import BusDeclaration, BusSample
+from orchestrator.client.attendance import Attendance
+from orchestrator.client.continuing import RestRequests
+from orchestrator.client.jobs import POLL_S
+from orchestrator.client.results import JobResult
+from orchestrator.client.steps import JobFailed
+from orchestrator.model.errors import Refusal, TuttiError
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.live import AskLive, LiveAsked, LiveRead, LiveResult, ReadLive, require_room
+from orchestrator.model.jobs.service import JobReference
+from orchestrator.model.messages import Reply
+from orchestrator.model.paths.files.steps import read_path_steps
+from orchestrator.model.queue import QueueTerms
+from orchestrator.model.report import FINISHED_STATES, JobProgress, StepReport
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.dwell import Dwell
+from orchestrator.model.steps.home import Home
+from orchestrator.model.steps.io import SetOutput, WaitInput
+from orchestrator.model.steps.live import MAX_AHEAD, Live
+from orchestrator.model.steps.motors import Disable, Enable
+from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.path import FollowPath
+
+ANSWER_S = 10.0  # a path is checked before it is accepted
+KEPT_RESULTS = 2 * MAX_AHEAD
+
+
+class StepFailed(TuttiError):
+    """A step of a live job that was not done; the live job goes on, unless it has moved. report: of the step."""
+
+    def __init__(self, report: StepReport) -> None:
+        super().__init__(f"{report.do} is {report.state}: {report.reason}")
+        self.report = report
+
+
+class LiveJob:
+    """A live job; use it as a context, which begins and ends it. It has its axes for itself from beginning to end, and
+    is one job in the journal, with a row for each move. It ends with this program: also when that is interrupted,
+    suspended or killed, or loses its connection, its axes stop within a second.
+
+    A step that is refused before anything moves raises `Refusal`, and the live job goes on. One that fails in motion
+    raises `StepFailed`, and ends the live job, as a stop, an e-stop or a lost permit does: `JobFailed`.
+    """
+
+    def __init__(self, requests: RestRequests, job: Job, speed: float | str = "manual", *, wait: bool = False) -> None:
+        """job: with one live step. speed: of moves for which none is given. wait: for axes that are in use."""
+        self.id = ""
+        self.result: JobResult | None = None
+        self._requests = requests
+        self._job = job
+        self._speed = speed
+        self._terms = QueueTerms(now=not wait)
+        self._attendance = Attendance(requests)
+        self._declared: list[BusDeclaration] = []
+        self._results: dict[int, StepReport] = {}
+        self._progress: JobProgress | None = None
+        self._changed = asyncio.Event()
+
+    def __repr__(self) -> str:
+        state = "not begun" if not self.id else "ended" if self.result is not None else "running"
+        return f"<LiveJob {self._job.name!r} {self.id} {state}>"
+
+    @property
+    def axes(self) -> list[str]:
+        """The axes, groups and controllers that it was begun with."""
+        return self._job.steps[0].named_axes
+
+    # Beginning and end
+
+    async def __aenter__(self) -> Self:
+        await self.begin()
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        if not error or error[0] is None:
+            await self.end()
+        else:
+            await self.cancel()
+
+    async def begin(self) -> None:
+        """Begin: its axes are this program's when this returns. Raises `Refusal`, and `JobFailed` if it is refused
+        then."""
+        if self.id:
+            raise Refusal("ended", f"live job {self.id} was begun already", "begin another one: `tutti.live(...)`")
+        requests = self._requests
+        await self._attendance.__aenter__()
+        try:
+            terms = self._terms.model_copy(update={"session": self._attendance.session})
+            self.id = (await requests.enqueue_job(self._job, None, terms)).id
+            for key, receive in (
+                (requests.keys.job_live(self.id), self._receive_result),
+                (requests.keys.job_state(self.id), self._receive_progress),
+            ):
+                self._declared.append(await requests.bus.subscribe(key, receive))
+            await self._wait_for_begin()
+        except BaseException:
+            await self._close()
+            raise
+
+    async def end(self) -> JobResult:
+        """End it behind the steps that were asked for, and return its record. Raises `JobFailed` if it was not done.
+        May be called twice."""
+        if self.result is None:
+            try:
+                with suppress(Refusal):  # it has ended by itself
+                    await self._requests.request_service("end-live", self._make_reference(), Reply)
+                await self._load_result()
+            except BaseException:
+                await self.cancel()
+                raise
+        assert self.result is not None
+        if self.result.state != "done":
+            raise JobFailed(self.result)
+        return self.result
+
+    async def cancel(self) -> None:
+        """Stop its axes and end it. Raises nothing: without a connection it ends within a second."""
+        if self.result is not None or not self.id:
+            return
+        with suppress(Refusal, TimeoutError):
+            async with asyncio.timeout(ANSWER_S):
+                await self._requests.cancel_job(self.id)
+                await self._load_result()
+        await self._close()
+
+    # Steps, each until it is done
+
+    async def move(
+        self,
+        to: Mapping[str, int | float | str] | str | None = None,
+        by: Mapping[str, int | float | str] | None = None,
+        *,
+        speed: float | str | Mapping[str, float | str] | None = None,
+        sync: Literal["time", "phase", "none"] = "time",
+    ) -> StepReport:
+        """Move axes together, as `Tutti.move` does; the report has where each was read behind it, `positions`. Raises
+        `Refusal`, `StepFailed`, `JobFailed`."""
+        return await self.run(self.make_move(to, by, speed=speed, sync=sync))
+
+    async def path(self, path: FollowPath) -> StepReport:
+        """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
+        return await self.run(path)
+
+    async def home(self, *axes: str) -> StepReport:
+        """Find the reference of axes; without any, of all of this live job. Raises as `move` does."""
+        return await self.run(Home(axes=list(axes) or self.axes))
+
+    async def enable(self, *axes: str) -> StepReport:
+        """Switch motors on; without axes, of all of this live job. Raises as `move` does."""
+        return await self.run(Enable(axes=list(axes) or self.axes))
+
+    async def disable(self, *axes: str) -> StepReport:
+        """Switch motors off; without axes, of all of this live job. Raises as `move` does."""
+        return await self.run(Disable(axes=list(axes) or self.axes))
+
+    async def output(self, output: str, *, on: bool = True, pulse_s: float | None = None) -> StepReport:
+        """Switch the output `controller.output`; back after `pulse_s`. Raises as `move` does."""
+        pulse = None if pulse_s is None else f"{pulse_s:.9f} s"
+        return await self.run(SetOutput(output=output, value=on, pulse=pulse))
+
+    async def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> StepReport:
+        """Wait until the input `controller.input` is active (`on=False`: passive). Raises as `move` does."""
+        return await self.run(WaitInput(input=name, value=on, timeout=f"{timeout_s:.9f} s"))
+
+    async def dwell(self, seconds: float) -> StepReport:
+        """Wait, as a step of the fleet's own. Raises as `move` does."""
+        return await self.run(Dwell(duration=f"{seconds:.9f} s"))
+
+    async def run(self, step: Step) -> StepReport:
+        """Run one step, and return its report when it is done; a cancelled task stops it. Raises as `move` does."""
+        try:
+            (number,) = await self.submit(step)
+            return await self.wait_for(number)
+        except asyncio.CancelledError:
+            await self.stop()
+            raise
+
+    # Steps ahead
+
+    def make_move(
+        self,
+        to: Mapping[str, int | float | str] | str | None = None,
+        by: Mapping[str, int | float | str] | None = None,
+        *,
+        speed: float | str | Mapping[str, float | str] | None = None,
+        sync: Literal["time", "phase", "none"] = "time",
+    ) -> Move:
+        """A move for `submit`, at the speed of this live job if none is given. Raises `WrongValue`."""
+        target = to if isinstance(to, str) else dict(to or {})
+        return Move(to=target, by=dict(by or {}), speed=self._speed if speed is None else speed, sync=sync)
+
+    async def submit(self, *steps: Step) -> list[int]:
+        """Ask for steps, up to 100 ahead, and return their numbers when they are accepted: moves are then chained, each
+        loaded while the one before it moves. None is accepted if one is refused. Raises `Refusal`: codes `ended`,
+        `too-many`, `not-of-job`, and those of a check; and `FileError`."""
+        self._require_begun()
+        written = read_path_steps(Job.model_construct(steps=list(steps))).steps
+        parts = [list(step.iterate_written()) for step in written]  # a file that stops on its way is several
+        asked_steps: list[Any] = [part for group in parts for part in group]
+        require_room(0, len(asked_steps))
+        request = AskLive(**self._requests.request_fields(), job_id=self.id, steps=asked_steps)
+        try:
+            reply = await self._requests.request_service("ask-live", request, LiveAsked, ANSWER_S)
+            return [reply.numbers[end - 1] for end in accumulate(map(len, parts))]
+        except Refusal as error:
+            if error.code == "ended":
+                await self._load_result()
+                raise self._make_end() from None
+            raise
+
+    async def wait_for(self, number: int) -> StepReport:
+        """Wait until a submitted step is done, and return its report; those of the last 200 are kept. Raises as `move`
+        does."""
+        self._require_begun()
+        while number not in self._results:
+            if self._progress is not None and self._progress.state in FINISHED_STATES:
+                await self._load_result()
+                await self._close()
+                if number not in self._results:
+                    raise self._make_end()
+                break
+            self._changed.clear()
+            try:
+                async with asyncio.timeout(POLL_S):
+                    await self._changed.wait()
+            except TimeoutError:
+                await self._read_result(number)
+        report = self._results[number]
+        if report.state == "done":
+            return report
+        if report.refused is not None:
+            raise report.refused.as_error()
+        raise StepFailed(report)
+
+    async def stop(self) -> None:
+        """Stop its axes by their ramps and forget the steps that wait; the live job goes on. Raises nothing: a program
+        without a connection ends its live job."""
+        if self.id and self.result is None:
+            with suppress(Refusal):
+                await self._requests.request_service("stop-live", self._make_reference(), Reply)
+
+    # Inside
+
+    def _make_reference(self) -> JobReference:
+        return JobReference(**self._requests.request_fields(), job_id=self.id)
+
+    def _require_begun(self) -> None:
+        if not self.id:
+            remedy = "use it as a context: `async with tutti.live(...) as live:`"
+            raise Refusal("not-begun", "the live job was not begun", remedy)
+
+    def _make_end(self) -> TuttiError:
+        """Why no step can be done any more."""
+        if self.result is not None and self.result.state != "done":
+            return JobFailed(self.result)
+        return Refusal("ended", f"live job {self.id} has ended", "begin another one: `tutti.live(...)`")
+
+    async def _wait_for_begin(self) -> None:
+        while self._progress is None or self._progress.state != "running":
+            if self._progress is not None and self._progress.state in FINISHED_STATES:
+                await self._load_result()
+                raise self._make_end()
+            self._changed.clear()
+            try:
+                async with asyncio.timeout(POLL_S):
+                    await self._changed.wait()
+            except TimeoutError:
+                await self._read_state()
+
+    async def _read_state(self) -> None:
+        """Ask for the state of the job: what was published is lost, or the coordinator is away."""
+        shown_job = await self._requests.show_job_when_available(self.id)
+        self._progress = shown_job.progress or self._progress
+        if shown_job.report is not None:
+            self.result = await self._requests.load_result(shown_job.report)
+
+    async def _read_result(self, number: int) -> None:
+        """Ask for a result which is silent."""
+        request = ReadLive(**self._requests.request_fields(), job_id=self.id, number=number)
+        try:
+            reply = await self._requests.request_service("read-live", request, LiveRead)
+        except Refusal as error:
+            if error.code == "ended":
+                await self._load_result()
+                self._progress = _note_end(self._progress, self.result)
+            return
+        if reply.result is not None:
+            self._results[number] = reply.result.report
+
+    async def _load_result(self) -> None:
+        """Wait for the end of the job, and load its record."""
+        if self.result is None:
+            report = await self._requests.wait_for_job(self.id)
+            self.result = await self._requests.load_result(report)
+        await self._close()
+
+    async def _close(self) -> None:
+        declared, self._declared = self._declared, []
+        for declaration in declared:
+            await declaration.undeclare()
+        await self._attendance.__aexit__()
+
+    def _receive_result(self, sample: BusSample) -> None:
+        with suppress(ValueError):  # not of the coordinator
+            result = LiveResult.read_message(sample.payload)
+            self._results[result.number] = result.report
+            while len(self._results) > KEPT_RESULTS:
+                del self._results[min(self._results)]
+            self._changed.set()
+
+    def _receive_progress(self, sample: BusSample) -> None:
+        with suppress(ValueError):
+            self._progress = JobProgress.read_message(sample.payload)
+            self._changed.set()
+
+
+class LiveRequests(RestRequests):
+    """Begin live jobs."""
+
+    def live(
+        self,
+        axes: Sequence[str] | str | Job,
+        *,
+        name: str = "live",
+        speed: float | str = "manual",
+        gather: str = "0 ms",
+        wait: bool = False,
+    ) -> LiveJob:
+        """A live job, which begins when its context is entered: `async with tutti.live(["gantry.x"]) as live:`.
+
+        axes: that it may move, as axes, groups or controllers; nothing else moves them while it lasts. Or a job with
+        one `Live` step, which may state skews, and outputs of other controllers. speed: of its moves, as in `move`.
+        gather: moves of different axes that are asked for within this time are one synchronised move. wait: for axes
+        that are in use; otherwise that is refused. Raises `WrongValue`.
+        """
+        if isinstance(axes, Job):
+            return LiveJob(self, axes, speed, wait=wait)
+        step = Live(axes=[axes] if isinstance(axes, str) else list(axes), gather=gather)
+        return LiveJob(self, Job(name, [step]), speed, wait=wait)
+
+
+def _note_end(progress: JobProgress | None, result: JobResult | None) -> JobProgress | None:
+    """The progress of a job that has ended."""
+    return progress if progress is None or result is None else progress.model_copy(update={"state": result.state})
