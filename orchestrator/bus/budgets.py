@@ -63,6 +63,7 @@ MOTION = WorkBudget(4 * MB, 20_000, 400_000, _SPLIT_MOVE)
 
 SERVICE_BUDGETS: dict[str, WorkBudget] = {
     "submit": JOB,
+    "ask-live": JOB,
     "dry-run": JOB,
     "reload": FLEET,
     "put-points": WorkBudget(1 * MB, remedy="send the points in parts of at most 700,000 bytes"),

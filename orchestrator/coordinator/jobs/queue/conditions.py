@@ -63,6 +63,8 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
             enabled_axes |= axes
         elif step.moves:
             moved_axes |= dict.fromkeys(in_order)
+            if step.is_open:
+                continue  # what it is asked for may enable and home them
             manual = {axis for axis in axes if fleet.axis(axis).enable == "manual"}
             enabled_before |= manual - enabled_axes
             if step.searches:

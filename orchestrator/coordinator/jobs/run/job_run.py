@@ -206,6 +206,7 @@ class JobRun:
                 goes_on = self._steps.note_report(index, report)
                 if goes_on and report.state != "done":
                     await self._chain.drop("the move before it was not done", actor)
+                    await self._rest.wait_for_rest()
                 if not goes_on:
                     state = "aborted" if report.state == "stopped" else "failed"
                     reason = f"{self._steps.locate(index).describe()}: {report.reason}"

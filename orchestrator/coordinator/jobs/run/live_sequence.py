@@ -139,9 +139,11 @@ class LiveSequence(StepSequence):
         self._publish_result(index, report)
         if report.state == "done":
             return True
+        if self._is_stopped:
+            return True  # what waits was asked for behind the stop
         self.drop_waiting(f"move {index + 1} before it was not done: {report.reason}")
         has_moved = report.state != "failed" or report.t0_fleet_ns is not None or self._asked[index].searches
-        return self._is_stopped or not has_moved
+        return not has_moved
 
     def drop_waiting(self, reason: str) -> None:
         """Begin none of the steps that wait."""
