@@ -22,6 +22,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "queue": ("jobs.queue", "Start, stop and show the queue of jobs."),
     "job": ("jobs.job", "Submit, list, show, cancel jobs; read reports."),
     "axis": ("manual.axis", "Manual operation: list, enable, home, jog, move."),
+    "live": ("manual.live", "Move axes line by line, as one job."),
     "path": ("paths.path", "Paths: plot them before they run, import them."),
     "position": ("manual.positions", "Named positions: save, list, move to them."),
     "io": ("manual.io", "Inputs and outputs by name."),

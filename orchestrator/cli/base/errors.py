@@ -74,12 +74,17 @@ def exit_with_error(
         fields = {"code": code or _PLAIN_CODES[exit_code], "text": text, "remedy": remedy}
         click.echo(json.dumps({**fields, **details}, indent=2))
         raise SystemExit(exit_code)
+    show_error(text, remedy)
+    raise SystemExit(exit_code)
+
+
+def show_error(text: str, remedy: str = "") -> None:
+    """Print an error and its remedy for people; the command goes on."""
     from orchestrator.monitor.times import localize_times
 
     errors.print(f"[bold red]tutti:[/] {escape_markup(localize_times(text))}", highlight=False, soft_wrap=True)
     if remedy:
         errors.print(f"       {escape_markup(remedy)}", highlight=False, soft_wrap=True)
-    raise SystemExit(exit_code)
 
 
 def escape_markup(text: str) -> str:

@@ -28,7 +28,7 @@ class LiveRequests:
         """Check steps, wherever the axes will be then, and add them to those that wait. None is added if one is
         refused."""
         run, live = await self._find_live(request.job_id)
-        groups = [await self._prepare_step(live, step) for step in request.steps]
+        groups = [await self._prepare_step(live, step, number) for number, step in enumerate(request.steps)]
         numbers = run.live_steps.ask_steps([step for group in groups for step in group])
         # A path that rests on its way is several: the last one stands for it.
         return LiveAsked(numbers=[numbers[end - 1] for end in accumulate(map(len, groups))])
@@ -60,9 +60,9 @@ class LiveRequests:
             raise Refusal("not-live", text, "begin a live job: `tutti live`, or `tutti.live(...)` in Python")
         return run, live
 
-    async def _prepare_step(self, live: Live, step: Step) -> list[Step]:
-        """The step as it runs: with quantities for the names of positions, and as several where it is a path that rests
-        on its way."""
+    async def _prepare_step(self, live: Live, step: Step, number: int) -> list[Step]:
+        """Step `number` of a request as it runs: with quantities for the names of positions, and as several where it is
+        a path that rests on its way."""
         services, fleet = self._services, self._services.view.fleet
         foreign = live.find_foreign(step, fleet)
         if foreign:
@@ -72,6 +72,6 @@ class LiveRequests:
         resolved_step = services.positions.make_resolver().resolve_step(step)
         job = await split_paths(services, Job.model_construct(steps=[resolved_step]))
         steps = [part for written in job.steps for part in written.iterate_written()]
-        remaining = [RemainingStep(number, number, part) for number, part in enumerate(steps)]
+        remaining = [RemainingStep(number, number, part) for part in steps]
         await check_job(fleet, remaining, services.motion.plan, services.check)
         return steps
