@@ -6,7 +6,7 @@ async with tutti.live(["gantry", "stage.u"], name="alignment") as live:
 """
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from itertools import accumulate
 from typing import Any, Literal, Self
@@ -55,15 +55,24 @@ class LiveJob:
     raises `StepFailed`, and ends the live job, as a stop, an e-stop or a lost permit does: `JobFailed`.
     """
 
-    def __init__(self, requests: RestRequests, job: Job, speed: float | str = "manual", *, wait: bool = False) -> None:
-        """job: with one live step. speed: of moves for which none is given. wait: for axes that are in use."""
+    def __init__(
+        self,
+        requests: RestRequests,
+        job: Job,
+        speed: float | str = "manual",
+        *,
+        wait: bool = False,
+        is_alive: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """job: with one live step. speed: of moves for which none is given. wait: for axes that are in use. is_alive:
+        whether its user is still there, for a process that acts for users elsewhere."""
         self.id = ""
         self.result: JobResult | None = None
         self._requests = requests
         self._job = job
         self._speed = speed
         self._terms = QueueTerms(now=not wait)
-        self._attendance = Attendance(requests)
+        self._attendance = Attendance(requests, is_alive)
         self._declared: list[BusDeclaration] = []
         self._results: dict[int, StepReport] = {}
         self._progress: JobProgress | None = None
@@ -210,6 +219,8 @@ class LiveJob:
         written = read_path_steps(Job.model_construct(steps=list(steps))).steps
         parts = [list(step.iterate_written()) for step in written]  # a file that stops on its way is several
         asked_steps: list[Any] = [part for group in parts for part in group]
+        if not asked_steps:
+            return []
         require_room(0, len(asked_steps))
         request = AskLive(**self._requests.request_fields(), job_id=self.id, steps=asked_steps)
         try:

@@ -24,7 +24,7 @@ JOB = {"schema": "tutti.job/1", "name": "there", "steps": [{"do": "dwell", "dura
 RIGHTS: dict[Role, set[str]] = {
     "viewer": {
         *("alarms", "commands", "configuration", "find", "list", "names", "plan", "points", "positions", "recording"),
-        *("show", "statistics", "stop", "estop", "preview-start"),
+        *("show", "statistics", "stop", "estop", "preview-start", "read-live"),
     },
     "proposer": {"submit", "put-points", "dry-run", "check-job"},
     "operator": {
@@ -42,7 +42,7 @@ RIGHTS: dict[Role, set[str]] = {
             "stop-queue",
         ),
         *("acknowledge", "shelve", "save-position", "acquire-axes", "release-axes", "jog", "work", "reset"),
-        *("check-fleet", "check-wiring"),
+        *("check-fleet", "check-wiring", "ask-live", "stop-live", "end-live"),
     },
     "maintainer": {"remove-position", "prune", "reload", "repair-epoch", "forget", "raw"},
 }
@@ -71,7 +71,7 @@ def test_every_verb_is_refused_below_its_role_and_passed_on_from_it(tmp_path: Pa
         gateway = await open_gateway(fleet, tmp_path, **USERS)
         paths = {verb: f"/v1/{verb}" for verb in LEAST_ROLES if verb != "work"}
         paths |= {verb: f"/v1/controllers/gantry/{verb}" for verb in CONTROLLER_VERBS}
-        frames = {"jog": "jog", "work": "work", "acquire-axes": "acquire"}
+        frames = {"jog": "jog", "work": "work", "acquire-axes": "acquire", "ask-live": "live-begin"}
         for user, role in USERS.items():
             session = await gateway.sign_in(user)
             for verb, path in paths.items():

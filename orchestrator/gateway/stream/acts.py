@@ -1,4 +1,4 @@
-"""What a socket does in the fleet: stops, manual control with jogs, and one-step jobs."""
+"""What a socket does in the fleet: stops, manual control with jogs, one-step jobs, and a live job."""
 
 import asyncio
 import contextlib
@@ -14,6 +14,7 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.gateway.access.refusals import describe_refusal
+from orchestrator.gateway.stream.live_acts import LiveActs
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
@@ -46,7 +47,9 @@ class FleetActs:
             "renew": self._renew,
             "work": self._work,
             "cancel-work": self._cancel_work,
+            **(live := LiveActs(socket, tutti)).handlers,
         }
+        self._live = live
         self._socket, self._tutti, self._clock, self._stop_fleet = socket, tutti, clock, stop
         self._manual: ManualControl | None = None
         self._jogged: dict[str, float] = {}
@@ -58,6 +61,7 @@ class FleetActs:
         self._watches.cancel_all()
         if self._running is not None:
             self._running.cancel()
+        await self._live.close()
         await self._end_manual()
         if tasks := self._tasks.pending:
             await asyncio.wait(tasks, timeout=LEASE_S)
