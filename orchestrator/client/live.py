@@ -11,31 +11,29 @@ from contextlib import suppress
 from itertools import accumulate
 from typing import Any, Literal, Self
 
-from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.continuing import RestRequests
-from orchestrator.client.jobs import POLL_S
+from orchestrator.client.live_follow import LiveFollower
 from orchestrator.client.results import JobResult
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.jobs.live import AskLive, LiveAsked, LiveRead, LiveResult, ReadLive, require_room
+from orchestrator.model.jobs.live import AskLive, LiveAsked, require_room
 from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply
 from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.queue import QueueTerms
-from orchestrator.model.report import FINISHED_STATES, JobProgress, StepReport
+from orchestrator.model.report import StepReport
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
 from orchestrator.model.steps.io import SetOutput, WaitInput
-from orchestrator.model.steps.live import MAX_AHEAD, Live
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 
 ANSWER_S = 10.0  # a path is checked before it is accepted
-KEPT_RESULTS = 2 * MAX_AHEAD
 
 
 class StepFailed(TuttiError):
@@ -67,20 +65,21 @@ class LiveJob:
         """job: with one live step. speed: of moves for which none is given. wait: for axes that are in use. is_alive:
         whether its user is still there, for a process that acts for users elsewhere."""
         self.id = ""
-        self.result: JobResult | None = None
         self._requests = requests
         self._job = job
         self._speed = speed
         self._terms = QueueTerms(now=not wait)
         self._attendance = Attendance(requests, is_alive)
-        self._declared: list[BusDeclaration] = []
-        self._results: dict[int, StepReport] = {}
-        self._progress: JobProgress | None = None
-        self._changed = asyncio.Event()
+        self._follower: LiveFollower | None = None
 
     def __repr__(self) -> str:
         state = "not begun" if not self.id else "ended" if self.result is not None else "running"
         return f"<LiveJob {self._job.name!r} {self.id} {state}>"
+
+    @property
+    def result(self) -> JobResult | None:
+        """The record of the job; None while it runs."""
+        return None if self._follower is None else self._follower.result
 
     @property
     def axes(self) -> list[str]:
@@ -109,12 +108,10 @@ class LiveJob:
         try:
             terms = self._terms.model_copy(update={"session": self._attendance.session})
             self.id = (await requests.enqueue_job(self._job, None, terms)).id
-            for key, receive in (
-                (requests.keys.job_live(self.id), self._receive_result),
-                (requests.keys.job_state(self.id), self._receive_progress),
-            ):
-                self._declared.append(await requests.bus.subscribe(key, receive))
-            await self._wait_for_begin()
+            self._follower = LiveFollower(requests, self.id)
+            await self._follower.open()
+            if not await self._follower.wait_until_begun():
+                raise self._make_end()
         except BaseException:
             await self._close()
             raise
@@ -122,27 +119,29 @@ class LiveJob:
     async def end(self) -> JobResult:
         """End it behind the steps that were asked for, and return its record. Raises `JobFailed` if it was not done.
         May be called twice."""
-        if self.result is None:
-            try:
+        follower = self._require_begun()
+        try:
+            if follower.result is None:
                 with suppress(Refusal):  # it has ended by itself
                     await self._requests.request_service("end-live", self._make_reference(), Reply)
-                await self._load_result()
-            except BaseException:
-                await self.cancel()
-                raise
-        assert self.result is not None
-        if self.result.state != "done":
-            raise JobFailed(self.result)
-        return self.result
+            result = await follower.load_result()
+        except BaseException:
+            await self.cancel()
+            raise
+        await self._close()
+        if result.state != "done":
+            raise JobFailed(result)
+        return result
 
     async def cancel(self) -> None:
         """Stop its axes and end it. Raises nothing: without a connection it ends within a second."""
-        if self.result is not None or not self.id:
+        follower = self._follower
+        if follower is None or follower.result is not None:
             return
         with suppress(Refusal, TimeoutError):
             async with asyncio.timeout(ANSWER_S):
                 await self._requests.cancel_job(self.id)
-                await self._load_result()
+                await follower.load_result()
         await self._close()
 
     # Steps, each until it is done
@@ -215,9 +214,9 @@ class LiveJob:
         """Ask for steps, up to 100 ahead, and return their numbers when they are accepted: moves are then chained, each
         loaded while the one before it moves. None is accepted if one is refused. Raises `Refusal`: codes `ended`,
         `too-many`, `not-of-job`, and those of a check; and `FileError`."""
-        self._require_begun()
-        written = read_path_steps(Job.model_construct(steps=list(steps))).steps
-        parts = [list(step.iterate_written()) for step in written]  # a file that stops on its way is several
+        follower = self._require_begun()
+        prepared_steps = read_path_steps(Job.model_construct(steps=list(steps))).steps
+        parts = [list(step.iterate_written()) for step in prepared_steps]  # a file that stops on its way is several
         asked_steps: list[Any] = [part for group in parts for part in group]
         if not asked_steps:
             return []
@@ -225,31 +224,20 @@ class LiveJob:
         request = AskLive(**self._requests.request_fields(), job_id=self.id, steps=asked_steps)
         try:
             reply = await self._requests.request_service("ask-live", request, LiveAsked, ANSWER_S)
-            return [reply.numbers[end - 1] for end in accumulate(map(len, parts))]
         except Refusal as error:
-            if error.code == "ended":
-                await self._load_result()
-                raise self._make_end() from None
-            raise
+            if error.code != "ended":
+                raise
+            await follower.load_result()
+            raise self._make_end() from None
+        return [reply.numbers[end - 1] for end in accumulate(map(len, parts))]
 
     async def wait_for(self, number: int) -> StepReport:
         """Wait until a submitted step is done, and return its report; those of the last 200 are kept. Raises as `move`
         does."""
-        self._require_begun()
-        while number not in self._results:
-            if self._progress is not None and self._progress.state in FINISHED_STATES:
-                await self._load_result()
-                await self._close()
-                if number not in self._results:
-                    raise self._make_end()
-                break
-            self._changed.clear()
-            try:
-                async with asyncio.timeout(POLL_S):
-                    await self._changed.wait()
-            except TimeoutError:
-                await self._read_result(number)
-        report = self._results[number]
+        report = await self._require_begun().wait_for_report(number)
+        if report is None:
+            await self._close()
+            raise self._make_end()
         if report.state == "done":
             return report
         if report.refused is not None:
@@ -259,7 +247,7 @@ class LiveJob:
     async def stop(self) -> None:
         """Stop its axes by their ramps and forget the steps that wait; the live job goes on. Raises nothing: a program
         without a connection ends its live job."""
-        if self.id and self.result is None:
+        if self._follower is not None and self.result is None:
             with suppress(Refusal):
                 await self._requests.request_service("stop-live", self._make_reference(), Reply)
 
@@ -268,10 +256,11 @@ class LiveJob:
     def _make_reference(self) -> JobReference:
         return JobReference(**self._requests.request_fields(), job_id=self.id)
 
-    def _require_begun(self) -> None:
-        if not self.id:
+    def _require_begun(self) -> LiveFollower:
+        if self._follower is None:
             remedy = "use it as a context: `async with tutti.live(...) as live:`"
             raise Refusal("not-begun", "the live job was not begun", remedy)
+        return self._follower
 
     def _make_end(self) -> TuttiError:
         """Why no step can be done any more."""
@@ -279,63 +268,10 @@ class LiveJob:
             return JobFailed(self.result)
         return Refusal("ended", f"live job {self.id} has ended", "begin another one: `tutti.live(...)`")
 
-    async def _wait_for_begin(self) -> None:
-        while self._progress is None or self._progress.state != "running":
-            if self._progress is not None and self._progress.state in FINISHED_STATES:
-                await self._load_result()
-                raise self._make_end()
-            self._changed.clear()
-            try:
-                async with asyncio.timeout(POLL_S):
-                    await self._changed.wait()
-            except TimeoutError:
-                await self._read_state()
-
-    async def _read_state(self) -> None:
-        """Ask for the state of the job: what was published is lost, or the coordinator is away."""
-        shown_job = await self._requests.show_job_when_available(self.id)
-        self._progress = shown_job.progress or self._progress
-        if shown_job.report is not None:
-            self.result = await self._requests.load_result(shown_job.report)
-
-    async def _read_result(self, number: int) -> None:
-        """Ask for a result which is silent."""
-        request = ReadLive(**self._requests.request_fields(), job_id=self.id, number=number)
-        try:
-            reply = await self._requests.request_service("read-live", request, LiveRead)
-        except Refusal as error:
-            if error.code == "ended":
-                await self._load_result()
-                self._progress = _note_end(self._progress, self.result)
-            return
-        if reply.result is not None:
-            self._results[number] = reply.result.report
-
-    async def _load_result(self) -> None:
-        """Wait for the end of the job, and load its record."""
-        if self.result is None:
-            report = await self._requests.wait_for_job(self.id)
-            self.result = await self._requests.load_result(report)
-        await self._close()
-
     async def _close(self) -> None:
-        declared, self._declared = self._declared, []
-        for declaration in declared:
-            await declaration.undeclare()
+        if self._follower is not None:
+            await self._follower.close()
         await self._attendance.__aexit__()
-
-    def _receive_result(self, sample: BusSample) -> None:
-        with suppress(ValueError):  # not of the coordinator
-            result = LiveResult.read_message(sample.payload)
-            self._results[result.number] = result.report
-            while len(self._results) > KEPT_RESULTS:
-                del self._results[min(self._results)]
-            self._changed.set()
-
-    def _receive_progress(self, sample: BusSample) -> None:
-        with suppress(ValueError):
-            self._progress = JobProgress.read_message(sample.payload)
-            self._changed.set()
 
 
 class LiveRequests(RestRequests):
@@ -361,8 +297,3 @@ class LiveRequests(RestRequests):
             return LiveJob(self, axes, speed, wait=wait)
         step = Live(axes=[axes] if isinstance(axes, str) else list(axes), gather=gather)
         return LiveJob(self, Job(name, [step]), speed, wait=wait)
-
-
-def _note_end(progress: JobProgress | None, result: JobResult | None) -> JobProgress | None:
-    """The progress of a job that has ended."""
-    return progress if progress is None or result is None else progress.model_copy(update={"state": result.state})

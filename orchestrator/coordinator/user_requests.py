@@ -11,7 +11,6 @@ from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.service_verbs import SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
-from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.jobs.intake.approval import JobApprovals
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
@@ -79,7 +78,6 @@ class UserRequests:
         self._services = services
         self._intake = intake
         self._scheduler = scheduler
-        self._leases: LeaseRegistry = services.leases
         self._reload, self._wiring, self._epochs = maintenance
         self._keys: FleetKeys = services.keys
         self._answers = AnswerCache()
@@ -106,10 +104,7 @@ class UserRequests:
             "pause": self._pause_job,
             "override": self._override_job,
             "resume": self._resume_job,
-            "ask-live": scheduler.live_requests.ask_steps,
-            "read-live": scheduler.live_requests.read_result,
-            "stop-live": scheduler.live_requests.stop_steps,
-            "end-live": scheduler.live_requests.end_job,
+            **intake.live.handlers,
             "prune": self._prune_jobs,
             "stop": self._stop_fleet,
             "start-queue": self._start_queue,
@@ -280,7 +275,7 @@ class UserRequests:
     # Axes and fleet
 
     async def _release_axes(self, request: ReleaseAxes) -> Reply:
-        await self._leases.release(request.holder)
+        await self._services.leases.release(request.holder)
         return Reply()
 
     async def _repair_epoch(self, request: Request) -> EpochRepaired:

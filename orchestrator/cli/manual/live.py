@@ -12,6 +12,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, wi
 from orchestrator.cli.base.completion import complete_axes
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.manual.one_step import wait_option
+from orchestrator.clock.owner import running
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -64,16 +65,13 @@ async def _run_lines(tutti: "Tutti", job: "LiveJob", *, as_json: bool) -> bool:
         if lines.is_terminal:
             console.print(f"live job {job.id}: {' '.join(job.axes)}; `help` lists what a line can say", highlight=False)
         session = _LiveLines(tutti, job, as_json=as_json, goes_on=lines.is_terminal)
-        printing = asyncio.ensure_future(session.print_results())
-        try:
+        async with running(session.print_results()) as printing:
             while (line := await session.read_unless_failed(lines, printing)) is not None:
                 if not await session.take_line(line, lines.number):
                     break
             session.end()
             await printing
             session.fail()
-        finally:
-            printing.cancel()
     return True
 
 
@@ -114,14 +112,11 @@ class _LiveLines:
         self._room = asyncio.Semaphore(MAX_LINES_AHEAD)
         self._failure: tuple[str, int, str] | None = None
 
-    async def read_unless_failed(self, lines: _Lines, printing: "asyncio.Future[None]") -> str | None:
+    async def read_unless_failed(self, lines: _Lines, printing: "asyncio.Task[None]") -> str | None:
         """The next line; None at the end of the input, and when a step has failed."""
-        reading = asyncio.ensure_future(lines.read_line())
-        await asyncio.wait([reading, printing], return_when=asyncio.FIRST_COMPLETED)
-        if reading.done():
-            return reading.result()
-        reading.cancel()
-        return None
+        async with running(lines.read_line()) as reading:
+            await asyncio.wait([reading, printing], return_when=asyncio.FIRST_COMPLETED)
+            return reading.result() if reading.done() else None
 
     async def take_line(self, text: str, number: int) -> bool:
         """Do what a line says, or have it done; return whether another one may come."""
@@ -162,8 +157,8 @@ class _LiveLines:
         from orchestrator.client.live import StepFailed
         from orchestrator.model.errors import Refusal
 
-        while (asked := await self._asked.get()) is not None:
-            step, asked_number, number = asked
+        while (entry := await self._asked.get()) is not None:
+            step, asked_number, number = entry
             try:
                 report = await self._job.wait_for(asked_number)
             except (Refusal, StepFailed) as error:

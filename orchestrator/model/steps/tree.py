@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
@@ -17,6 +18,11 @@ def as_motion(step: Step) -> Motion | None:
 def as_path(step: Step) -> FollowPath | None:
     """The step, if it is a path."""
     return step if isinstance(step, FollowPath) else None
+
+
+def as_live(step: Step) -> Live | None:
+    """The step, if it runs what a program asks for."""
+    return step if isinstance(step, Live) else None
 
 
 def iterate_steps(steps: Iterable[Step]) -> Iterator[Step]:

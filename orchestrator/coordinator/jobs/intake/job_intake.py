@@ -5,6 +5,7 @@ from datetime import timedelta
 
 from orchestrator.coordinator.jobs.check import check_job
 from orchestrator.coordinator.jobs.intake.client_keys import ClientKeys, digest_request, find_owner
+from orchestrator.coordinator.jobs.intake.live_intake import LiveIntake
 from orchestrator.coordinator.jobs.intake.path_intake import split_paths
 from orchestrator.coordinator.jobs.intake.point_intake import PointIntake
 from orchestrator.coordinator.jobs.needs import find_axes, find_needed_controllers
@@ -34,6 +35,7 @@ class JobIntake:
         self._scheduler = scheduler
         self._new_id = new_id
         self.points = PointIntake(services)
+        self.live = LiveIntake(services, scheduler.register)
         self._keys = ClientKeys(services)
 
     async def submit_job(self, request: SubmitJob) -> JobSubmitted:
@@ -212,7 +214,7 @@ def _require_program(job: Job, terms: QueueTerms) -> None:
         return
     if terms.session is None:
         text = "a live job runs what a program asks for, and ends with that program: it cannot be submitted as a file"
-        raise Refusal("live", text, "begin it with `tutti live`, or with `tutti.live(...)` in Python")
+        raise Refusal("live", text, "begin it from a program, as with `tutti.live(...)`")
     if terms.repeat > 1:
         raise Refusal("live", "a live job cannot be repeated", "ask for its moves again")
 

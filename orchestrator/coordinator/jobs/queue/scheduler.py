@@ -1,9 +1,8 @@
 """The scheduler of waiting and running jobs. Each change of a job's state is in the journal before it is on the bus.
 
 `register` keeps the jobs, `queue` decides which of the waiting ones begin, `conditions` what they wait for outside the
-queue, `queue_gate` whether any begins; `job_run` executes one, and `ends` records its end. `queue_requests`,
-`run_requests` and `live_requests` are what users change, `times` and `attendance` what ends or begins jobs without a
-request.
+queue, `queue_gate` whether any begins; `job_run` executes one, and `ends` records its end. `queue_requests` and
+`run_requests` are what users change, `times` and `attendance` what ends or begins jobs without a request.
 """
 
 import asyncio
@@ -18,7 +17,6 @@ from orchestrator.coordinator.jobs.queue.conditions import Obstacle, WorldCondit
 from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.ends import RETRY_NS, JobEnd, JobEnds
 from orchestrator.coordinator.jobs.queue.journal_tasks import JournalTasks
-from orchestrator.coordinator.jobs.queue.live_requests import LiveRequests
 from orchestrator.coordinator.jobs.queue.publisher import QueuePublisher, describe_stop
 from orchestrator.coordinator.jobs.queue.queue_gate import COORDINATOR, QueueGate
 from orchestrator.coordinator.jobs.queue.queue_order import WITHOUT_AXES_REASON, Schedule, WaitingJob
@@ -53,7 +51,6 @@ class Scheduler:
         self.starts = DeliberateStarts(services, register, self._conditions)
         self.queue_requests = QueueRequests(services, register, publisher, ends, starts=self.starts)
         self.run_requests = RunRequests(services, register)
-        self.live_requests = LiveRequests(services, register)
         self._times = JobTimes(services, register, publisher, ends)
         self._sessions = SessionMonitor(services, register, ends, self._tasks)
         self._trouble = False

@@ -1,13 +1,13 @@
 """Execution of one job: its steps one after the other, its pauses, its end, and its report."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 from orchestrator.clock.owner import running
 from orchestrator.coordinator.fleet.leases import AxesInUse
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
-from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence
+from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence, make_sequence
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.motors import JobMotors
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
@@ -16,8 +16,8 @@ from orchestrator.coordinator.jobs.run.preparation import JobPreparation, PlanDe
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.rest import RestMonitor
 from orchestrator.coordinator.jobs.run.run_state import RunState
-from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.run.step_run import StepRun
+from orchestrator.coordinator.jobs.run.step_turns import StepTurns
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.steps.context import StepContext
@@ -25,8 +25,6 @@ from orchestrator.model.errors import Refusal, shorten_text
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import StopMode
 from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
-from orchestrator.model.steps.live import Live
-from orchestrator.model.steps.order import StepOrder
 
 
 class JobRun:
@@ -39,8 +37,9 @@ class JobRun:
         self.job = job
         self.task: asyncio.Task[JobOutcome] | None = None
         self._services = services
-        self._steps = _make_sequence(services, row, job, self._prepare_added)
+        self._steps = make_sequence(services, row, job, self._prepare_added)
         self._state = RunState(services, row, self._steps, needs)
+        self._turns = StepTurns(self._steps, self._state, is_open=job.is_open)
         self._rest = RestMonitor(services, self._steps, row.from_step)
         self._motors = JobMotors(services, row, self._steps)
         axes = JobAxes(services, row, self._steps, self._rest)
@@ -75,10 +74,9 @@ class JobRun:
         return f"job {self.row.name!r} {self.row.id} of {self.row.actor}"
 
     @property
-    def live_steps(self) -> LiveSequence:
+    def live_steps(self) -> LiveSequence | None:
         """The steps that it was asked for, if it is a live job."""
-        assert isinstance(self._steps, LiveSequence)
-        return self._steps
+        return self._steps if isinstance(self._steps, LiveSequence) else None
 
     @property
     def last_motion(self) -> StepReport | None:
@@ -102,7 +100,7 @@ class JobRun:
     async def stop_steps(self, actor: str) -> None:
         """Of a live job: stop the present motion, and forget the steps that wait. The job goes on."""
         reason = f"stopped by {actor}"
-        self.live_steps.stop(reason)
+        self._steps.stop(reason)
         await self._chain.drop(reason, actor)
         if self._state.motion_step is not None:
             await self._services.fleet.stop_members(self._rest.members, "decelerate", actor, reason)
@@ -199,7 +197,7 @@ class JobRun:
         reason, actor = "", self.row.actor
         try:
             await self._prepare()
-            async for index in self._iterate_steps():
+            async for index in self._turns.iterate(self.row.from_step):
                 self._state.begin_step(index)
                 await self._step_run.wait_while_paused()
                 report = await self._run_numbered_step(index)
@@ -253,22 +251,6 @@ class JobRun:
         if await self._motors.enable_by_policy(self._context):
             self._rest.seen_ns = None
 
-    async def _iterate_steps(self) -> AsyncGenerator[int]:
-        """The numbers of the steps, each when it can begin. Raises `JobInterrupted`, `JournalError`."""
-        number = await self._wait_for_step(self.row.from_step)
-        while number is not None:
-            yield number
-            number = await self._wait_for_step(number + 1)
-
-    async def _wait_for_step(self, index: int) -> int | None:
-        """The number of the next step, `index` or behind it; None: there is none any more."""
-        if self.job.is_open and not self._steps.has_step(index):
-            await self._state.note_waiting(index)
-        number = await self._steps.find_next(index)
-        if number is None and self.job.is_open and self._state.pause.given_up is not None:
-            raise self._state.pause.given_up
-        return number
-
     def _prepare_added(self) -> None:
         """A step was added: it may be the one that follows the present motion."""
         step = self._state.motion_step
@@ -291,12 +273,3 @@ class JobRun:
 
     def _holds_axes(self) -> bool:
         return any(held_lease.holder == self.row.id for held_lease in self._services.leases.all_leases)
-
-
-def _make_sequence(
-    services: JobServices, row: JobRecord, job: Job, on_added: Callable[[], None]
-) -> StepSequence | LiveSequence:
-    order, live = StepOrder(job.steps, row.repeat), job.steps[0]
-    if isinstance(live, Live):
-        return LiveSequence(order, services, row.id, live, on_added)
-    return StepSequence(order, services.view.fleet, services.journal.points, services.execute)

@@ -7,12 +7,15 @@ from orchestrator.bus.base import Priority
 from orchestrator.clock.base import ClockTimer
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.live import LiveResult, require_room
 from orchestrator.model.report import StepReport
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.live import MAX_AHEAD, Live
 from orchestrator.model.steps.order import StepOrder, StepPlace
+from orchestrator.model.steps.tree import as_live
 from orchestrator.model.units import parse_quantity
 
 KEPT_RESULTS = 2 * MAX_AHEAD
@@ -33,7 +36,7 @@ class LiveSequence(StepSequence):
         super().__init__(order, services.view.fleet, services.journal.points, services.execute)
         self._services = services
         self._job_id = job_id
-        self._live = live
+        self.live = live
         self._on_added = on_added
         self._asked: dict[int, Step] = {}
         self._count = 0
@@ -50,8 +53,7 @@ class LiveSequence(StepSequence):
         """Add steps behind those that wait; return the number of each: that of the synchronised move where it is a part
         of one. Raises `Refusal`; then none is added."""
         if self._is_ended:
-            remedy = "begin another one: `tutti.live(...)`"
-            raise Refusal("ended", "the live job has ended, and takes no more moves", remedy)
+            raise Refusal("ended", "the live job has ended, and takes no more moves", "begin another one")
         waiting_count = sum(number > self._present for number in self._asked) + (self._open is not None)
         require_room(waiting_count, len(steps))
         return [self._add_step(step) for step in steps]
@@ -79,10 +81,10 @@ class LiveSequence(StepSequence):
                 return self._count
             self._close_open()
         number = self._count
-        if self._live.gather and step.can_join:
+        if self.live.gather and step.can_join:
             self._open = step
             clock = self._services.clock
-            self._timer = clock.call_at_ns(clock.now_ns() + self._live.gather, self._close_open)
+            self._timer = clock.call_at_ns(clock.now_ns() + self.live.gather, self._close_open)
         else:
             self._append_step(step)
         return number
@@ -108,7 +110,7 @@ class LiveSequence(StepSequence):
 
     def locate(self, index: int) -> StepPlace:
         return StepPlace(
-            index, self._live, 0, point=index, asked=self._asked.get(index), asked_count=max(self._count, index + 1)
+            index, self.live, 0, point=index, asked=self._asked.get(index), asked_count=max(self._count, index + 1)
         )
 
     def has_step(self, index: int) -> bool:
@@ -160,3 +162,11 @@ class LiveSequence(StepSequence):
         self._results.pop(number - KEPT_RESULTS, None)
         services = self._services
         services.bus.put(services.keys.job_live(self._job_id), result.to_json(), Priority.EVENT)
+
+
+def make_sequence(services: JobServices, row: JobRecord, job: Job, on_added: Callable[[], None]) -> StepSequence:
+    """The steps of job `row`. on_added: called when a live job has one more."""
+    order, live = StepOrder(job.steps, row.repeat), as_live(job.steps[0])
+    if live is not None:
+        return LiveSequence(order, services, row.id, live, on_added)
+    return StepSequence(order, services.view.fleet, services.journal.points, services.execute)
