@@ -11,6 +11,8 @@ from orchestrator.campaign.trigger_outputs import TRIGGER_OUTPUT, TRIGGER_PERIOD
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
+from orchestrator.model.steps.base import Step
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.move import Move
 from orchestrator.model.triggers import Trigger
 
@@ -27,19 +29,21 @@ PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once"]
+MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live"]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
 several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
-once."""
+once. live: a live job whose program asks for a chain."""
 
 
 @dataclass(frozen=True, slots=True)
 class JobOrder:
-    """A job to submit, with its queue terms. controllers: those that it moves."""
+    """A job to submit, with its queue terms. controllers: those that it moves. asked_steps: of a live job, what its
+    program asks for."""
 
     job: Job
     terms: QueueTerms
     controllers: tuple[str, ...]
+    asked_steps: tuple[Step, ...] = ()
 
 
 def make_job(name: str, steps: list[dict[str, Any]]) -> Job:
@@ -82,7 +86,7 @@ def draw_orders(
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
     other_controllers = [name for name in other_controllers if name not in main]
     job = _draw_main(kind, _JobAxes(fleet, main, all_positions), member, draw, first)
-    orders = [JobOrder(job, QueueTerms(), tuple(main))]
+    orders = [_make_live(job, main) if kind == "live" else JobOrder(job, QueueTerms(), tuple(main))]
     if other_controllers:
         terms = QueueTerms(repeat=draw.choice((1, 2)), priority=draw.choice((0, 5)))
         orders.append(
@@ -98,13 +102,19 @@ def draw_orders(
     return orders
 
 
+def _make_live(job: Job, controllers: list[str]) -> JobOrder:
+    """A live job whose program asks for the steps of `job`."""
+    live_job = job.model_copy(update={"steps": [Live(axes=controllers)]})
+    return JobOrder(live_job, QueueTerms(), tuple(controllers), tuple(job.steps))
+
+
 def _draw_main(
     kind: MainKind, axes: "_JobAxes", member: str, draw: Random, steps_before: Sequence[dict[str, Any]]
 ) -> Job:
     """Draw the job of `member`."""
     if kind == "path":
         return _draw_path("main", axes, draw)
-    if kind in ("chain", "at-once"):
+    if kind in ("chain", "at-once", "live"):
         return _draw_chain("main", axes, member, draw, alone=kind == "at-once")
     job = _draw_moves("main", axes, draw, steps_before)
     return _add_triggers(job, axes.fleet, axes.controllers) if kind == "trigger" else job

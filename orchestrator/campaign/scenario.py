@@ -33,6 +33,7 @@ from orchestrator.campaign.jobs import (
 )
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
+from orchestrator.campaign.program import run_program
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.campaign.rest import find_at_rest
@@ -40,6 +41,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.crystal import ComputerClock
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
@@ -92,6 +94,7 @@ _KINDS: dict[Stage, MainKind] = {
     "chunk": "path",
     "trigger": "trigger",
     "at-once": "at-once",
+    "live": "live",
 }
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
@@ -171,6 +174,7 @@ class _Scenario:
         self._attendance: Attendance | None = None
         self._jogging = False
         self._witnesses = 0
+        self._programs = TaskOwner()
         self.recorder = BusRecorder(clock, self._on_request)
         self.virtual = VirtualFleet(seed_run.fleet, clock, seed_run.seed)
         self.virtual.computers.update(computers)
@@ -194,6 +198,7 @@ class _Scenario:
                 if not last and not await self._restore_axes(client):
                     break
         looking.cancel()
+        self._programs.cancel_all()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:
@@ -246,14 +251,12 @@ class _Scenario:
             orders.append(make_trial(fleet, member, priority=-2))
         if fault.of_job:
             act.affected = list(orders[0].controllers)
-        if fault.attended:
+        if fault.attended or orders[0].asked_steps:
             self._attendance = await client.attend().__aenter__()
             terms = orders[0].terms.model_copy(update={"session": self._attendance.session})
             orders[0] = replace(orders[0], terms=terms)
         for order in orders:
-            keys[order.job.name] = key = self.virtual.draw_id()
-            act.jobs[await client.submit(order.job, key, order.terms)] = order
-            self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
+            keys[order.job.name] = await self._submit_order(client, act, order)
         self._seed_run.jobs += len(act.jobs)
         if by_hand is None and self._draw.random() < JOG_CHANCE:
             by_hand = asyncio.get_running_loop().create_task(self._jog_free_axis(act))
@@ -280,6 +283,16 @@ class _Scenario:
         self.checker.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
 
+    async def _submit_order(self, client: Tutti, phase: CampaignPhase, order: JobOrder) -> str:
+        """Submit a job, and return its key; the program of a live job begins."""
+        key = self.virtual.draw_id()
+        job_id = await client.submit(order.job, key, order.terms)
+        phase.jobs[job_id] = order
+        if order.asked_steps:
+            self._programs.spawn(run_program(client, self._clock, job_id, order.asked_steps))
+        self._log_event(f"{order.job.name} of {', '.join(order.controllers)}")
+        return key
+
     def _axis_positions(self) -> dict[str, float]:
         """Return the position of each axis, in its unit."""
         return {
@@ -301,7 +314,7 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
-        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once"):
+        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once", "live"):
             stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
@@ -531,7 +544,8 @@ class _Scenario:
             return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
         if stage == "arm" and is_reached and going_out:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
-        if stage == "chain" and request.verb == "arm" and request.accepted and request.fields["after_step"] is not None:
+        is_behind = request.verb == "arm" and request.accepted and request.fields["after_step"] is not None
+        if stage in ("chain", "live") and is_behind:
             return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
         verb, window_ns = _REQUEST_WINDOWS_NS.get(stage, ("", 0))
         if request.verb == verb and going_out and request.fields.get("after_step", 0) is not None:
