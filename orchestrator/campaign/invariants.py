@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from orchestrator.campaign.at_once import AtOnceChecker
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
+from orchestrator.campaign.live_jobs import check_live_job
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
@@ -202,6 +203,8 @@ class InvariantChecker:
                 self.add_violation(
                     "6", f"job {order.job.name} ended {ends} times; decisions for its steps: {decisions}"
                 )
+            if order.asked_steps:
+                check_live_job(journal, row, self.add_violation)
             if row.state == "done":
                 continue
             if not row.reason:

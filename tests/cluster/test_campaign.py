@@ -122,6 +122,16 @@ AT_ONCE = [
 """Faults while a step that starts at once waits behind a moving one; the first three in one seed, nightly all of them."""
 
 
+LIVE = [("limit", "smc4000"), ("estop", "shrc203"), ("operator-lost", "smc30")]
+"""Faults while a step that a live job was asked for moves, or is loaded behind a moving one."""
+
+
+def test_no_fault_lets_a_live_job_go_on_behind_a_failure() -> None:
+    story = run_scenario(1, [FaultCell("live", fault, make) for fault, make in LIVE])
+    assert not story.violations, story.summarize()
+    assert len(story.hit) == len(LIVE)
+
+
 def test_no_fault_starts_a_step_twice_or_without_a_decision() -> None:
     story = run_scenario(1, [FaultCell("at-once", fault, make) for fault, make in AT_ONCE[:PHASES]])
     assert not story.violations, story.summarize()

@@ -36,6 +36,7 @@ from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.queue_gate import QueueGate
+from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion import report as motion_report
@@ -45,6 +46,7 @@ from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.start import StartSequence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmRequest, ProposeRequest
+from orchestrator.model.report import StepReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Patch = pytest.MonkeyPatch
@@ -287,6 +289,18 @@ def starts_without_a_decision(patch: Patch) -> None:
     patch.setattr(ImmediateStart, "_record_decision", nothing_async)
 
 
+def goes_on_behind_a_failure(patch: Patch) -> None:
+    """A live job goes on to the moves that it was asked for before one of them has failed in motion."""
+    honest = LiveSequence.note_report
+
+    def careless(self: LiveSequence, index: int, report: StepReport) -> bool:
+        honest(self, index, report)
+        return True
+
+    patch.setattr(LiveSequence, "note_report", careless)
+    patch.setattr(LiveSequence, "drop_waiting", nothing)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -321,6 +335,7 @@ MUTATIONS = (
     Mutation("17", continues_elsewhere, FaultCell("chunk", "none", "smc4000"), 7),
     Mutation("17", drives_on_alone, FaultCell("chunk", "none", "smc4000"), 7),
     Mutation("1", starts_without_a_decision, FaultCell("at-once", "none", "smc30"), 1),
+    Mutation("3", goes_on_behind_a_failure, FaultCell("live", "limit", "smc4000"), 1),
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000"), 4),
     Mutation("16", pulses_after_a_stop, FaultCell("trigger", "stop", "smc4000"), 1),
     Mutation("16", claims_planned_pulses, FaultCell("trigger", "limit", "smc4000"), 1),
