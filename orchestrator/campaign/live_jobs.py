@@ -17,6 +17,6 @@ def check_live_job(journal: SqliteJournal, row: JobRecord, add_violation: Callab
         return
     if row.state == "done":
         add_violation("3", f"live job {row.name} is done, although move {failed.point} is {failed.state}")
-    later_steps = sorted(step for step, _ in journal.list_decisions(row.id) if step > failed.point)
-    if later_steps:
+    later_steps = sorted(step for step, _ in journal.list_decisions(row.id) if step >= failed.point)
+    if len(later_steps) > 1:
         add_violation("3", f"live job {row.name} went on to {later_steps} behind move {failed.point}, {failed.state}")

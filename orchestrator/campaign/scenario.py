@@ -339,9 +339,10 @@ class _Scenario:
 
     async def _act_as_operator(self, phase: CampaignPhase, job_id: str) -> None:
         """Interrupt, or lose, the command that a person waits for."""
-        attendance, self._attendance = self._attendance, None
-        if attendance is None:
+        attendance = self._attendance
+        if attendance is None or not phase.fault.attended:
             return
+        self._attendance = None
         if phase.fault.name == "operator-interrupts":
             operator = self.virtual.make_client("operator")
             with suppress(Refusal):
