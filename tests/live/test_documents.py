@@ -35,6 +35,8 @@ PAGES = (
     "how-to/handle-alarms.md",
     "how-to/look-at-a-run.md",
     "how-to/use-python.md",
+    "how-to/drive-move-by-move.md",
+    "how-to/read-states.md",
     "how-to/test-your-jobs.md",
     "how-to/manage-users-and-roles.md",
     "how-to/use-http.md",
