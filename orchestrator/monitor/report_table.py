@@ -192,16 +192,17 @@ def _describe_scan(step: StepReport) -> list[str]:
     scan = step.scan
     if scan is None:
         return []
-    line = f"{name_step(step.index)}: {scan.done} of {scan.points} points"
+    point = "move" if step.do == "live" else "point"
+    line = f"{name_step(step.index)}: {scan.done} of {scan.points} {point}s"
     if scan.mean_s is not None:
-        line += f", {scan.mean_s:.3f} s a point ({scan.least_s:.3f} to {scan.most_s:.3f} s)"
+        line += f", {scan.mean_s:.3f} s a {point} ({scan.least_s:.3f} to {scan.most_s:.3f} s)"
     if scan.start_skew_p50_ns is not None and scan.start_skew_p99_ns is not None:
         line += f", start skew at most {scan.start_skew_p50_ns / 1e6:.1f} ms in half of them"
         line += f", {scan.start_skew_p99_ns / 1e6:.1f} ms in 99 %"
     other_count = sum(number for verdict, number in scan.verdicts.items() if verdict in ("amber", "red"))
     lines = [line + (f"; {other_count} not green" if other_count else "")]
     return lines + [
-        f"{name_step(step.index)}, point {finding.point}: {finding.verdict}"
+        f"{name_step(step.index)}, {point} {finding.point}: {finding.verdict}"
         + (f", {finding.text}" if finding.text else "")
         for finding in scan.not_green
     ]

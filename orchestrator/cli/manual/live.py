@@ -153,7 +153,7 @@ class _LiveLines:
         self._asked.put_nowait(None)
 
     async def print_results(self) -> None:
-        """Print what became of each step, in their order, until the end."""
+        """Print what became of each step, in their order, until the end or, where no person sees it, a failure."""
         from orchestrator.client.live import StepFailed
         from orchestrator.model.errors import Refusal
 
@@ -165,7 +165,7 @@ class _LiveLines:
                 remedy = error.remedy if isinstance(error, Refusal) else ""
                 text = error.text if isinstance(error, Refusal) else str(error)
                 if not self._note_failure(f"line {number}: {text}", remedy):
-                    self.fail()
+                    return
             else:
                 if self._as_json:
                     click.echo(report.to_json())

@@ -70,6 +70,13 @@ class StepPlace:
         return self.scan.at_each[self.part - 1].kind if self.part else "move"
 
     @property
+    def step_name(self) -> str:
+        """What progress calls it: its name, or what it does; of a live job, `live` and that."""
+        if self.asked is not None:
+            return f"live: {self.asked.name or self.asked.kind}"
+        return self.step.name or self.step.kind
+
+    @property
     def is_later_point(self) -> bool:
         """Whether it belongs to a scan or a live step, and is not its first step."""
         return self.point is not None and self.index > self.first

@@ -138,7 +138,7 @@ class RunState:
         if self._step_t0_ns and self._step_s > 0:
             remaining_s = self._find_times()[1]
         location, rate = self._steps.locate(self.step), self._find_rate()
-        within_scan = location.point is not None
+        within_scan = location.scan is not None
         return JobProgress(
             job_id=self._row.id,
             name=self._row.name,
@@ -146,10 +146,10 @@ class RunState:
             state=self.state,
             step=self.step,
             steps=len(self._steps),
-            step_name=self._doing or location.step.name or location.step.kind,
+            step_name=self._doing or location.step_name,
             scan_step=location.first if within_scan else None,
-            point=location.point + 1 if location.point is not None else None,
-            points=location.point_count,
+            point=location.point + 1 if location.point is not None and within_scan else None,
+            points=location.point_count if within_scan else None,
             fraction=min(1.0, (self.step + step_share) / max(1, len(self._steps))),
             remaining_s=remaining_s,
             line=self._find_line(),
