@@ -100,6 +100,24 @@ def test_an_axis_stops_when_its_command_is_gone(shared: RunningFleet, slow_move:
     assert margin_s(gone_ns, shared.rest_ns("gantry")) < STOPPED_WITHIN_S
 
 
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP, signal.SIGINT])
+def test_a_live_job_ends_with_its_program(shared: RunningFleet, how: signal.Signals) -> None:
+    shared.bring_back()
+    terminal = Terminal("live", "gantry", "--connect", shared.endpoint)
+    try:
+        terminal.read_until(lambda shown: "live job" in shown)
+        before = shared.starts("gantry")
+        os.write(terminal.fd, b"move gantry.x=200 --speed 0.05\n")
+        wait_until(lambda: shared.starts("gantry") > before, "the gantry moves")
+        gone_ns = raw_ns()
+        os.kill(terminal.pid, how)
+        assert margin_s(gone_ns, shared.rest_ns("gantry")) < STOPPED_WITHIN_S
+        if how == signal.SIGINT:
+            assert terminal.wait() == 130 and "stopped" in terminal.shown
+    finally:
+        terminal.close()
+
+
 @pytest.mark.nightly
 def test_a_command_that_was_interrupted_while_it_waited_moves_nothing(shared: RunningFleet) -> None:
     shared.ready()
