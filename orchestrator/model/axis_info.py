@@ -18,7 +18,7 @@ class AxisInfo:
     one count; digits: decimals with which that is shown. least, most: where it may be sent, in user positions as of
     now (the soft limits plus the offset); None: it has no soft limits, or is endless (`wrap`). velocity, acceleration,
     jerk: limits, in its unit per second (², ³); jerk None: it is planned with trapezoids. wrap: the length of a turn.
-    referenced: whether its position counts from its reference.
+    referenced: whether its position counts from its reference. description: from the fleet file.
     """
 
     name: str
@@ -35,6 +35,7 @@ class AxisInfo:
     jerk: float | None
     wrap: float | None
     referenced: bool
+    description: str
 
 
 def describe_axis(name: str, controller: Controller, axis: Axis, axis_now: AxisState) -> AxisInfo:
@@ -58,4 +59,5 @@ def describe_axis(name: str, controller: Controller, axis: Axis, axis_now: AxisS
         jerk=axis.limits.jerk,
         wrap=wrap,
         referenced=axis_now.referenced,
+        description=axis.description,
     )

@@ -29,6 +29,7 @@ from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink
 from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Hertz, Part, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
+from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 from orchestrator.model.web_views import WebSettings
 
@@ -129,6 +130,9 @@ class Axis(Model):
 
     motors: list[MotorName] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
     unit: Unit
+    description: Annotated[str, PLAIN_TEXT] = Field(
+        default="", max_length=200, description="What the axis is, for people and for programs that describe it."
+    )
     scale: Scale = Field(default=Fraction(1), description='Counts per unit, exact: 2000, "10000/3".')
     sign: Literal[1, -1] = Field(default=1, description="-1 if the controller counts in the opposite direction.")
     kind: Literal["linear", "rotary"] = "linear"
@@ -382,6 +386,9 @@ class Controller(Model):
     def digest(self) -> str:
         """A digest of this configuration: equal digests mean equal configuration on both sides of the bus."""
         plain = {name: value for name, value in self.to_plain().items() if name != "simulate"}
+        # What an axis is called changes no motion.
+        for axis in plain["axes"].values():
+            del axis["description"]
         # Line settings concern the adapter alone, which completes them by its make.
         plain["link"] = {name: value for name, value in plain["link"].items() if name not in LINE_SETTINGS}
         text = json.dumps(plain, sort_keys=True, separators=(",", ":"))

@@ -3,10 +3,11 @@
 import logging
 
 import pytest
-from cluster.worlds import PREPARE, job, outcome, run_fleet
+from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.model.axis_info import describe_axis
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
@@ -63,3 +64,15 @@ def test_a_library_logs_and_prints_nothing(capfd: pytest.CaptureFixture[str], ca
         assert not caplog.records and capfd.readouterr() == ("", "")
 
     run_fleet(main)
+
+
+def test_a_description_is_what_the_fleet_file_says_and_changes_no_digest() -> None:
+    plain = demo_fleet().to_plain()
+    plain["controllers"]["gantry"]["axes"]["x"]["description"] = "Along the rail, towards the door"
+    described = Fleet.model_validate(plain)
+    assert described.controllers["gantry"].digest == demo_fleet().controllers["gantry"].digest
+
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await fleet.make_client().axis("gantry.x")).description == "Along the rail, towards the door"
+
+    run_fleet(main, described)
