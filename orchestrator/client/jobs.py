@@ -24,6 +24,7 @@ from orchestrator.model.jobs.service import (
     DryRunDone,
     FindJob,
     JobReference,
+    JobRetargeted,
     JobRetried,
     JobsFound,
     JobShown,
@@ -33,6 +34,7 @@ from orchestrator.model.jobs.service import (
     PauseJob,
     RecordingReference,
     RecordingReply,
+    RetargetJob,
     RetryJob,
     SubmitJob,
 )
@@ -210,6 +212,16 @@ class JobRequests(QueueRequests):
         await self.request_service(
             "override", OverrideJob(**self.request_fields(), job_id=job_id, percent=percent), Reply
         )
+
+    async def retarget_job(
+        self, job_id: str, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
+    ) -> JobRetargeted:
+        """Send the axes of the move that a job executes now to other targets: all of its axes, each by `to` (user
+        position) or by `by` (distance from the target that it has). Returns as soon as the new targets count. Raises
+        `Refusal`: codes `not-running`, `not-moving`, `not-a-move`, `other-axes`, `soft-limit`, `paused`, `permit`."""
+        fields = {"job_id": job_id, "to": dict(to or {}), "by": dict(by or {})}
+        request = RetargetJob.model_validate({**self.request_fields(), **fields})
+        return await self.request_service("retarget", request, JobRetargeted)
 
     async def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
@@ -408,6 +420,14 @@ class SubmittedJob(str):
         """Play the path that the job moves on at `percent` (10 to 120) of its planned speed; where it is on none, plan
         its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         await self._requests.override_job(self, percent)
+
+    async def retarget(
+        self, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
+    ) -> JobRetargeted:
+        """Send the axes of the move that the job executes now to other targets, by `to` (user positions) or `by`
+        (distances from the targets that they have). Raises `Refusal`: codes `not-running`, `not-moving`, `not-a-move`,
+        `other-axes`, `soft-limit`, `paused`, `permit`."""
+        return await self._requests.retarget_job(self, to, by=by)
 
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

@@ -38,6 +38,7 @@ from orchestrator.model.jobs.service import (
     FleetReloaded,
     JobReference,
     JobReferences,
+    JobRetargeted,
     JobsFound,
     JobShown,
     JobsPruned,
@@ -52,6 +53,7 @@ from orchestrator.model.jobs.service import (
     ReleaseAxes,
     ReloadFleet,
     ReorderJob,
+    RetargetJob,
     StopFleet,
     WiringChecked,
 )
@@ -105,6 +107,7 @@ class UserRequests:
             "reorder": self._reorder_job,
             "pause": self._pause_job,
             "override": self._override_job,
+            "retarget": self._retarget_job,
             "resume": self._resume_job,
             "prune": self._prune_jobs,
             "stop": self._stop_fleet,
@@ -251,6 +254,9 @@ class UserRequests:
     async def _override_job(self, request: OverrideJob) -> Reply:
         await self._scheduler.run_requests.override_job(request.job_id, request.percent)
         return Reply()
+
+    async def _retarget_job(self, request: RetargetJob) -> JobRetargeted:
+        return await self._scheduler.run_requests.retarget_job(request)
 
     async def _resume_job(self, request: JobReference) -> Reply:
         await self._scheduler.run_requests.resume_job(request.job_id, request.actor)

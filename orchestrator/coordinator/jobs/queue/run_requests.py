@@ -3,6 +3,7 @@
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.report import JobProgress, StepReport
 
 OVERRIDE_PERCENT = 10, 120
@@ -42,6 +43,13 @@ class RunRequests:
             text = f"{percent:g} % is not between {low} and {high} %"
             raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
         await run.override(percent / 100)
+
+    async def retarget_job(self, request: RetargetJob) -> JobRetargeted:
+        """Send the axes of the present move of a running job to other targets."""
+        run = self._register.running.get(request.job_id)
+        if run is None:
+            raise await self._register.make_refusal(request.job_id, "not-running", "a retarget is for a job that runs")
+        return await run.retarget(request)
 
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""

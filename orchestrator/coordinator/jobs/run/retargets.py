@@ -1,0 +1,151 @@
+"""Other targets for the present move of a job, while it moves or is being started.
+
+A retarget is a feed hold that ends by itself: the axes brake together by their plan, and the step goes on to the new
+targets. Of several requests the newest counts.
+"""
+
+import asyncio
+from collections.abc import Mapping
+from fractions import Fraction
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
+from orchestrator.coordinator.jobs.run.run_state import RunState
+from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.motion.retarget import AxisTargets, read_infos, resolve_retarget
+from orchestrator.coordinator.motion.start import FEED_HOLD
+from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
+from orchestrator.model.report import StepReport, StepRetarget
+from orchestrator.model.state import ControllerInfo
+from orchestrator.model.steps.move import Move
+
+MAX_ENTRIES = 100  # of one step, in its report: the last ones
+RETARGETED = "the step before it got other targets"
+
+
+class StepRetargets:
+    """The retargets of the present step. entries: for its report."""
+
+    def __init__(self, services: JobServices, state: RunState, chain: MotionChain) -> None:
+        self._services = services
+        self._state = state
+        self._chain = chain
+        self._lock = asyncio.Lock()
+        self._wanted: Mapping[str, Fraction] = {}
+        """The newest targets, which may wait for their turn."""
+        self._asked = 0
+        self._replaced = 0
+        self.entries: list[StepRetarget] = []
+
+    def begin_step(self) -> None:
+        """Another step is the present one."""
+        self._wanted, self._replaced, self.entries = {}, 0, []
+
+    async def retarget(self, request: RetargetJob) -> JobRetargeted:
+        """Send the axes of the present move to other targets; returns once these count. Raises `Refusal`: nothing has
+        changed."""
+        asked_fleet_ns, step = self._services.leadership.fleet_now_ns(), self._require_step()
+        motion = self._services.motion
+        move = step.request.move
+        infos = await read_infos(motion, move) if isinstance(move, Move) else {}
+        before = self._wanted or step.goal
+        goal = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), before, infos)
+        reply = JobRetargeted(within_s=max(map(find_within_s, infos.values()), default=0.0))
+        if goal == before:
+            return reply.model_copy(update={"outcome": "same"})
+        self._wanted = goal
+        self._asked += 1
+        number = self._asked
+        async with self._lock:
+            if number < self._asked:
+                self._replaced += 1
+                return reply.model_copy(update={"outcome": "replaced"})
+            try:
+                await self._apply(step, goal, request, asked_fleet_ns)
+            finally:
+                if number == self._asked:
+                    self._wanted = {}
+        return reply
+
+    async def continue_step(self, report: StepReport) -> bool:
+        """Whether the present step, which has come to rest with `report`, goes on to other targets."""
+        step = self._state.motion_step
+        if step is None or not step.is_retargeted:
+            return False
+        async with self._lock:  # what is being unloaded for it is unloaded
+            return report.state == "done" or (report.refused is not None and report.refused.code == FEED_HOLD)
+
+    def note_start(self, t0_fleet_ns: int) -> None:
+        """The present step starts at T0."""
+        step = self._state.motion_step
+        if step is None or step.is_retargeted or not self.entries or self.entries[-1].started_ns is not None:
+            return
+        self._change_last(started_ns=t0_fleet_ns - self.entries[-1].asked_fleet_ns)
+
+    def _require_step(self) -> MotionStep:
+        """The present motion. Raises `Refusal`."""
+        step, pause = self._state.motion_step, self._state.pause
+        if step is None:
+            raise Refusal("not-moving", "the job moves no axis now", "a retarget is for a move that is under way")
+        if pause.paused_by is not None:
+            raise Refusal("paused", f"the job is being paused by {pause.paused_by}", "resume it first")
+        return step
+
+    async def _apply(self, step: MotionStep, goal: Mapping[str, Fraction], request: RetargetJob, asked_ns: int) -> None:
+        chain, actor = self._chain, request.actor
+        if chain.starts_behind(step):
+            self._note_request(step, goal, request, asked_ns)
+            await chain.feed_hold(actor)
+            return
+        chain.prevent_release(RETARGETED)
+        await chain.settle_pause()
+        if self._state.motion_step is not step:
+            raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
+        if chain.is_decided:
+            raise Refusal("not-moving", "the move ends, and the next one starts behind it", "ask again for that one")
+        self._note_request(step, goal, request, asked_ns)
+        await chain.drop(RETARGETED, actor)
+        is_begun = step.motion is not None and step.motion.start.state.decided
+        await step.feed_hold(actor)
+        if is_begun:
+            self._change_last(changed_ns=self._services.leadership.fleet_now_ns() - asked_ns)
+
+    def _note_request(
+        self, step: MotionStep, goal: Mapping[str, Fraction], request: RetargetJob, asked_ns: int
+    ) -> None:
+        """Have the step take its new targets, and note that for the report."""
+        last = self.entries[-1] if self.entries else None
+        number, replaced = 1 if last is None else last.number + 1, self._replaced
+        before = self._as_user_positions(step.goal)
+        if last is not None and last.started_ns is None:
+            replaced, before = replaced + last.replaced + 1, last.before
+            self.entries.pop()
+        self._replaced = 0
+        entry = StepRetarget(
+            number=number,
+            by=request.actor,
+            utc=self._services.clock.utc(),
+            before=before,
+            to=self._as_user_positions(goal),
+            way="brake",
+            replaced=replaced,
+            asked_fleet_ns=asked_ns,
+        )
+        self.entries = [*self.entries, entry][-MAX_ENTRIES:]
+        step.retarget(goal)
+        self._services.log.info(f"other targets, by {request.actor}: {entry.to}", job=request.job_id)
+
+    def _as_user_positions(self, goal: Mapping[str, Fraction]) -> dict[str, float]:
+        axes = {axis: self._services.view.axis_now(axis) for axis in goal}
+        return {axis: float(goal[axis] + (0 if state is None else state.offset)) for axis, state in axes.items()}
+
+    def _change_last(self, **fields: int) -> None:
+        self.entries[-1] = self.entries[-1].model_copy(update=fields)
+
+
+def find_within_s(info: ControllerInfo) -> float:
+    """The most time until the set-points of a controller's axes change: as it declares; for one that brakes, by then
+    it stands."""
+    return info.costs.stop_ns / NS_PER_S if info.retarget is None else info.retarget.within_s
