@@ -68,9 +68,7 @@ def _require_move(request: StepRequest, targets: AxisTargets) -> Move:
         raise Refusal("not-a-move", "outputs are switched on the way of the present move (`triggers`)", "stop it")
     axes, named = set(request.axes), [*targets.to, *targets.by]
     if set(named) != axes or len(named) != len(axes):
-        text = (
-            f"the present move is one of {', '.join(sorted(axes))}; targets are named for {', '.join(named) or 'none'}"
-        )
+        text = f"the present move is one of {', '.join(sorted(axes))}, the targets are of {', '.join(named) or 'none'}"
         raise Refusal("other-axes", text, "name one target for each axis of the move")
     return move.model_copy(update={"to": dict(targets.to), "by": dict(targets.by)})
 

@@ -95,7 +95,7 @@ class StepRetargets:
 
     async def _apply(self, step: MotionStep, goal: Mapping[str, Fraction], request: RetargetJob, asked_ns: int) -> None:
         chain, actor = self._chain, request.actor
-        if chain.starts_behind(step):
+        if self._require_step() is step and chain.starts_behind(step):
             self._note_request(step, goal, request, asked_ns)
             await chain.feed_hold(actor)
             return

@@ -1,0 +1,303 @@
+"""A move that gets other targets while it moves, or is being started."""
+
+import asyncio
+from collections.abc import Generator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from cluster.worlds import EXAMPLES, PREPARE, demo_fleet, job, outcome, run_fleet
+
+from orchestrator.client import SubmittedJob, Tutti
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.files import load_fleet
+from orchestrator.model.report import JobReport
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+
+FAR = "[{do: move, to: {gantry.x: 300, gantry.y: 60, stage.u: 20}, speed: 0.3}]"
+OTHER = {"gantry.x": 40, "gantry.y": 80, "stage.u": 5}
+SAMPLE_NS = 5 * NS_PER_MS
+
+
+@contextmanager
+def raises_refusal(code: str) -> Generator[None]:
+    with pytest.raises(Refusal) as caught:
+        yield
+    assert caught.value.code == code, caught.value
+
+
+async def wait_for_state(fleet: VirtualFleet, submitted: SubmittedJob, state: str) -> None:
+    while (await submitted.show()).transitions[-1].state != state:
+        await sleep_ns(fleet.clock, 2 * NS_PER_MS)
+
+
+async def begin(fleet: VirtualFleet, steps: str, after_s: float = 1.0) -> tuple[Tutti, SubmittedJob]:
+    """A job whose first step has moved for `after_s`."""
+    client = fleet.make_client()
+    submitted = await client.submit(job(steps))
+    await wait_for_state(fleet, submitted, "running")
+    await sleep_ns(fleet.clock, round(after_s * NS_PER_S))
+    return client, submitted
+
+
+def position(fleet: VirtualFleet, name: str) -> float:
+    """The true position of an axis, in its unit."""
+    axis = fleet.fleet.axis(name)
+    return fleet.controllers[name.partition(".")[0]].position(axis.motors[0]) / float(axis.scale)
+
+
+class LimitWatch:
+    """Samples the true velocities of axes, and compares them and their changes with the limits."""
+
+    def __init__(self, fleet: VirtualFleet, names: list[str]) -> None:
+        self._fleet = fleet
+        self._axes = {name: fleet.fleet.axis(name) for name in names}
+        self._task = asyncio.get_running_loop().create_task(self._run())
+        self.problems: list[str] = []
+        self.fastest = dict.fromkeys(names, 0.0)
+
+    async def _run(self) -> None:
+        before: dict[str, float] = {}
+        while True:
+            for name, axis in self._axes.items():
+                unit = self._fleet.controllers[name.partition(".")[0]]
+                velocity = unit.velocity(axis.motors[0]) / float(axis.scale)
+                change = abs(velocity - before.get(name, velocity)) / (SAMPLE_NS / NS_PER_S)
+                before[name] = velocity
+                self.fastest[name] = max(self.fastest[name], abs(velocity))
+                if abs(velocity) > axis.limits.velocity * 1.001:
+                    self.problems.append(f"{name}: velocity {velocity}")
+                if change > axis.limits.acceleration * 1.02:
+                    self.problems.append(f"{name}: acceleration {change}")
+            await sleep_ns(self._fleet.clock, SAMPLE_NS)
+
+    def close(self) -> None:
+        self._task.cancel()
+
+
+@pytest.mark.parametrize("after_s", [0.2, 1.0, 4.0])
+def test_axes_of_two_makes_brake_together_and_go_on_to_other_targets_as_one_step(after_s: float) -> None:
+    async def main(fleet: VirtualFleet) -> JobReport:
+        await outcome(fleet, PREPARE)
+        _, submitted = await begin(fleet, FAR, after_s)
+        watch = LimitWatch(fleet, list(OTHER))
+        reply = await submitted.retarget(OTHER)
+        assert (reply.outcome, reply.way) == ("changed", "brake") and reply.within_s > 0
+        report = await submitted.result()
+        watch.close()
+        assert report.state == "done", report.reason
+        assert {name: position(fleet, name) for name in OTHER} == pytest.approx(OTHER, abs=1e-3)
+        assert not watch.problems, watch.problems[:5]
+        return report
+
+    (step,) = run_fleet(main).steps
+    (entry,) = step.retargets
+    assert (entry.number, entry.by, entry.way, entry.replaced) == (1, "client", "brake", 0)
+    assert entry.before == {"gantry.x": 300, "gantry.y": 60, "stage.u": 20} and entry.to == OTHER
+    assert entry.changed_ns is not None and entry.started_ns is not None
+    assert 0 < entry.changed_ns < entry.started_ns
+    assert step.feed_holds == [] and step.verdict == "green"
+    assert set(step.positions) == set(OTHER)
+
+
+def test_each_make_goes_to_its_other_target() -> None:
+    fleet_file = load_fleet(EXAMPLES / "all.fleet.yaml").model_copy(update={"positions": {}})
+
+    async def main(fleet: VirtualFleet) -> None:
+        firsts = {name: next(iter(each.axes)) for name, each in fleet.fleet.controllers.items() if each.axes}
+        axes = [f"{name}.{axis}" for name, axis in firsts.items()]
+        report = await outcome(fleet, job(f"[{{do: enable, axes: [{', '.join(axes)}]}}, {{do: home}}]"))
+        assert report.state == "done", report.reason
+        client = fleet.make_client()
+        here = {name: position(fleet, name) for name in axes}
+        watch = LimitWatch(fleet, axes)
+
+        async def go(name: str) -> None:
+            speed = fleet.fleet.axis(name).limits.velocity
+            submitted = await client.submit(job(f"[{{do: move, by: {{{name}: {0.8 * speed}}}, speed: 0.4}}]"))
+            await wait_for_state(fleet, submitted, "running")
+            await sleep_ns(fleet.clock, NS_PER_S)
+            await submitted.retarget(by={name: -0.6 * speed})
+            report = await submitted.result()
+            assert report.state == "done", f"{name}: {report.reason}"
+            resolution = 1 / float(fleet.fleet.axis(name).scale)
+            assert position(fleet, name) - here[name] == pytest.approx(0.2 * speed, abs=1.01 * resolution), name
+            assert len(report.steps[0].retargets) == 1
+
+        await asyncio.gather(*map(go, axes))
+        watch.close()
+        assert not watch.problems, watch.problems[:5]
+
+    run_fleet(main, fleet_file)
+
+
+@pytest.mark.parametrize("state", ["planning", "arming", "armed", "committed"])
+def test_a_retarget_before_the_start_replaces_the_move(state: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        submitted = await fleet.make_client().submit(job(FAR))
+        async for event in submitted.events():
+            if event.state == state:
+                assert (await submitted.retarget(OTHER)).outcome == "changed"
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert {name: position(fleet, name) for name in OTHER} == pytest.approx(OTHER, abs=1e-3)
+        (entry,) = report.steps[0].retargets
+        assert entry.started_ns is not None
+
+    run_fleet(main)
+
+
+def test_of_a_thousand_in_a_second_the_newest_counts() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client, submitted = await begin(fleet, FAR)
+        outcomes: list[str] = []
+
+        async def ask(number: int) -> None:
+            target = {**OTHER, "gantry.x": 40 + number / 100}
+            outcomes.append((await client.retarget_job(submitted, target)).outcome)
+
+        asking: list[asyncio.Task[None]] = []
+        for number in range(1000):
+            asking.append(asyncio.get_running_loop().create_task(ask(number)))
+            await sleep_ns(fleet.clock, NS_PER_MS)
+        await asyncio.gather(*asking)
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert position(fleet, "gantry.x") == pytest.approx(49.99, abs=1e-3)
+        assert len(outcomes) == 1000 and set(outcomes) <= {"changed", "replaced"}
+        entries = report.steps[0].retargets
+        assert sum(1 + entry.replaced for entry in entries) == 1000
+        assert entries[-1].to["gantry.x"] == 49.99
+
+    run_fleet(main)
+
+
+def test_the_present_target_changes_nothing_and_a_bad_one_neither() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        before = len(fleet.controllers["gantry"].commanded_motions)
+        client, submitted = await begin(fleet, FAR)
+        same = {"gantry.x": 300, "gantry.y": 60, "stage.u": 20}
+        assert (await submitted.retarget(same)).outcome == "same"
+        assert (await submitted.retarget(by=dict.fromkeys(same, 0))).outcome == "same"
+        bad: dict[str, dict[str, Any]] = {
+            "soft-limit": {"to": {**same, "gantry.x": 100_000}},
+            "other-axes": {"to": {"gantry.x": 5}},
+            "bad-unit": {"to": {**same, "gantry.x": "5 deg"}},
+        }
+        for code, targets in bad.items():
+            with raises_refusal(code):
+                await submitted.retarget(**targets)
+        with raises_refusal("other-axes"):
+            await submitted.retarget(same, by={"gantry.x": 1})
+        with raises_refusal("other-axes"):
+            await submitted.retarget({**same, "gantry.z": 1})
+        with raises_refusal("unknown-job"):
+            await client.retarget_job("nothing", same)
+        report = await submitted.result()
+        assert report.state == "done" and report.steps[0].retargets == []
+        assert len(fleet.controllers["gantry"].commanded_motions) == before + 2  # never interrupted
+        with raises_refusal("not-running"):
+            await submitted.retarget(same)
+
+    run_fleet(main)
+
+
+def test_what_is_no_move_has_no_other_target() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        _, waiting = await begin(fleet, "[{do: dwell, duration: 5 s}]")
+        with raises_refusal("not-moving"):
+            await waiting.retarget({"gantry.x": 1})
+        assert (await waiting.result()).state == "done"
+        _, scan = await begin(fleet, "[{do: scan, axes: {gantry.x: {from: 100, to: 200, points: 3}}, speed: 0.1}]")
+        with raises_refusal("not-a-move"):
+            await scan.retarget({"gantry.x": 1})
+        await scan.cancel()
+        _, held = await begin(fleet, FAR)
+        await held.pause(now=True)
+        with raises_refusal("paused"):
+            await held.retarget(OTHER)
+        await held.cancel()
+
+    run_fleet(main)
+
+
+def test_a_step_prepared_behind_it_begins_from_the_new_target() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        steps = f"{FAR[:-1]}, {{do: move, by: {{gantry.x: 5, stage.u: 1}}}}]"
+        _, submitted = await begin(fleet, steps, 2.0)
+        await submitted.retarget(OTHER)
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert position(fleet, "gantry.x") == pytest.approx(45, abs=1e-3)
+        assert position(fleet, "stage.u") == pytest.approx(6, abs=1e-3)
+        assert report.steps[1].chain is not None and report.steps[1].chain.kept
+
+    run_fleet(main)
+
+
+@pytest.mark.parametrize("ms", range(0, 400, 40))
+def test_a_retarget_near_the_end_is_taken_or_refused(ms: int) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        steps = "[{do: move, to: {gantry.x: 20}, speed: 0.5}, {do: move, to: {gantry.x: 30}}]"
+        client, submitted = await begin(fleet, steps, 0.15 + ms / 1000)
+        try:
+            reply = await client.retarget_job(submitted, {"gantry.x": 10})
+        except Refusal as error:
+            assert error.code in ("not-moving", "not-running")
+            reply = None
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        counted = [entry.to for step in report.steps for entry in step.retargets]
+        assert counted == ([] if reply is None else [{"gantry.x": 10}])
+        on_second = bool(report.steps[1].retargets)
+        assert position(fleet, "gantry.x") == pytest.approx(10 if on_second else 30, abs=1e-3)
+
+    run_fleet(main)
+
+
+def test_a_pause_and_a_stop_while_it_brakes_are_as_for_any_step() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        client, submitted = await begin(fleet, FAR, 2.0)
+        await submitted.retarget(OTHER)
+        await submitted.pause(now=True)
+        await wait_for_state(fleet, submitted, "paused")
+        stands = position(fleet, "gantry.x")
+        await sleep_ns(fleet.clock, 3 * NS_PER_S)
+        assert position(fleet, "gantry.x") == stands
+        await submitted.resume()
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert position(fleet, "gantry.x") == pytest.approx(40, abs=1e-3)
+        assert len(report.steps[0].feed_holds) == len(report.steps[0].retargets) == 1
+        _, stopped = await begin(fleet, FAR, 2.0)
+        await stopped.retarget({**OTHER, "gantry.x": 20})
+        await client.stop()
+        assert (await stopped.result()).state == "aborted"
+        stands = position(fleet, "gantry.x")
+        await sleep_ns(fleet.clock, 3 * NS_PER_S)
+        assert position(fleet, "gantry.x") == pytest.approx(stands, abs=0.01)
+
+    run_fleet(main, demo_fleet())
+
+
+def test_a_pause_at_the_end_of_the_step_comes_there() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, PREPARE)
+        steps = f"{FAR[:-1]}, {{do: move, by: {{gantry.x: 5}}}}]"
+        _, submitted = await begin(fleet, steps, 2.0)
+        await submitted.retarget(OTHER)
+        await submitted.pause()
+        await wait_for_state(fleet, submitted, "paused")
+        assert position(fleet, "gantry.x") == pytest.approx(40, abs=1e-3)
+        await submitted.resume()
+        assert (await submitted.result()).state == "done"
+
+    run_fleet(main)
