@@ -77,6 +77,18 @@ class PathDriver(Protocol):
 
 
 @runtime_checkable
+class RetargetDriver(Protocol):
+    """A driver that continues a move to another target on the way, with a `retarget_s` in its `capabilities`. Without
+    it the axes brake, and start again."""
+
+    async def retarget(self, profiles: Mapping[str, Profile], from_s: float) -> Mapping[str, float]:
+        """Continue the present move by other profiles, which are the present ones up to `from_s` after its start, and
+        return how long it takes, by axis, s from its start. Raises `Refusal` (code `late`: what comes behind `from_s`
+        is sent already); then it continues as before."""
+        ...
+
+
+@runtime_checkable
 class SamplingDriver(Protocol):
     """A driver whose controller records positions by itself. Without it a recording is refused (code `no-sampling`)."""
 

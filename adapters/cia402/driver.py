@@ -9,6 +9,7 @@ from adapters.abilities import (
     ManualDriver,
     OutputDriver,
     PathDriver,
+    RetargetDriver,
     SamplingDriver,
     SettingsDriver,
     SharedLineDriver,
@@ -65,6 +66,7 @@ from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
+RETARGET_PERIODS = 10  # those that are sent ahead, and some for the request
 LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
 
 
@@ -72,6 +74,7 @@ class Cia402Driver(
     ConnectedDriver[Cia402Connection],
     SettingsDriver,
     PathDriver,
+    RetargetDriver,
     SamplingDriver,
     TriggerDriver,
     LatchDriver,
@@ -173,6 +176,7 @@ class Cia402Driver(
             costs=self._step_costs(self._ramp_s),
             chunk_s=LONGEST_CHUNK_S if self._streams else 0.0,
             chunk_load_s=LOAD_S if self._streams else 0.0,
+            retarget_s=RETARGET_PERIODS * self._options.period_ms / 1000 if self._streams else 0.0,
         )
 
     async def poll(self) -> ControllerReading:
@@ -226,6 +230,10 @@ class Cia402Driver(
     async def release_chunk(self, number: int) -> None:
         with log_refusals(self._log, "the release of a chunk"):
             await self.connection.mover.release_chunk(number)
+
+    async def retarget(self, profiles: Mapping[str, Profile], from_s: float) -> Mapping[str, float]:
+        with log_refusals(self._log, "a retarget"):
+            return {self._axis: await self.connection.mover.retarget(profiles[self._axis], from_s)}
 
     async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
         del axes  # it has one

@@ -23,6 +23,7 @@ from adapters.cia402.timing import DriveTiming, standing_ns
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk, SwitchedOutput
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
+from orchestrator.model.profile import Profile
 
 _OVERDUE_NS = NS_PER_S  # a motion that ends later than this is blocked, or has never begun
 _LONGEST_PATH_NS = 86_400 * NS_PER_S  # for which a path in chunks keeps the SYNC of its bus
@@ -169,6 +170,19 @@ class Cia402Mover:
     async def release_chunk(self, number: int) -> None:
         """Change over to the loaded chunk. Raises `Refusal`."""
         path.release_chunk(self._require_step(), number)
+
+    # Other targets
+
+    async def retarget(self, profile: Profile, from_s: float) -> float:
+        """Continue the present stream by another profile, which is the present one up to `from_s`; return how long it
+        takes, s. Raises `Refusal`."""
+        move = self._require_step()
+        trajectory = move.lowered.trajectory
+        if trajectory is None or move.streamed_move is None:
+            raise Refusal("no-stream", "the drive follows no positions of this computer", "")
+        course_ns = round(profile.duration_s * NS_PER_S) + (TAIL_SYNCS + 1) * trajectory.period_ns
+        self._sync_scheduler.extend_start(move.sync_start, move.t0_ns + course_ns)
+        return path.change_course(move, profile, from_s)
 
     # Outputs that are switched on the way
 

@@ -1,19 +1,28 @@
-"""Other targets for the axes of a move that is under way: resolved, checked and planned before anything is changed."""
+"""Other targets for the axes of a move that is under way: resolved, checked and planned before anything is changed.
+
+A single controller that follows positions of its computer continues to them on the way. All others brake together, and
+start again: controllers that change one by one would leave their common instants.
+"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
-from orchestrator.coordinator.motion.targets import AxisContext, resolve_targets
+from orchestrator.coordinator.motion.step import PlannedMotion
+from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, resolve_targets
 from orchestrator.model.errors import Refusal
-from orchestrator.model.names import controller_of
-from orchestrator.model.state import AxisState, ControllerInfo
+from orchestrator.model.messages import RetargetReply, RetargetRequest, raise_first_refusal
+from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility
 from orchestrator.model.steps.move import Move
 from orchestrator.model.units import AxisQuantity, UnitError, parse_quantity
+from orchestrator.plan.retarget import continue_profile
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.speeds import plan_motion
+from orchestrator.plan.speeds import limit_speeds, plan_motion
+from orchestrator.plan.step import StepPlan
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +45,8 @@ def resolve_retarget(
     targets: AxisTargets,
     goal: Mapping[str, Fraction],
     infos: Mapping[str, ControllerInfo],
-) -> dict[str, Fraction]:
-    """The exact motor positions that `targets` stand for, checked and planned from where the axes are now. goal: the
+) -> ResolvedMove:
+    """The motor positions that `targets` stand for, checked and planned from where the axes are now. goal: the
     targets that they have. Raises `Refusal`."""
     view = services.fleet.view
     move = _require_move(request, targets)
@@ -55,7 +64,49 @@ def resolve_retarget(
         plan_motion(view.fleet, move, resolved.moves)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return {axis: exact for axis, (exact, _) in resolved.exact.items()}
+    return resolved
+
+
+def find_stream(infos: Mapping[str, ControllerInfo]) -> RetargetAbility | None:
+    """How the only controller of a move continues to another target on the way; None: the axes brake."""
+    abilities = [info.retarget for info in infos.values()]
+    ability = abilities[0] if len(abilities) == 1 else None
+    return ability if ability is not None and ability.way == "stream" else None
+
+
+async def continue_motion(
+    services: MotionServices, motion: PlannedMotion, resolved: ResolvedMove, begin_fleet_ns: int
+) -> PlannedMotion:
+    """Have the only member of a moving step continue to other targets, from where its axis will be at an instant.
+    Raises `Refusal`: it moves as before, or its answer was lost."""
+    request, agreement, state = motion.planned.request, motion.agreement, motion.start.state
+    (member,), (axis,) = agreement.members, agreement.plan.profiles
+    from_s = (begin_fleet_ns - state.t0_fleet_ns) / NS_PER_S
+    profile = agreement.plan.profiles[axis]
+    if not state.decided or not 0.0 < from_s < profile.duration_s or member not in motion.watch.reports:
+        raise Refusal("late", "the axis is not on its way then")
+    try:
+        (move,) = limit_speeds(services.fleet.view.fleet, request.move, resolved.moves)
+        following = continue_profile(profile, from_s, move)
+    except PlanError as error:
+        raise Refusal("plan", str(error)) from None
+    asked_request = RetargetRequest(
+        **services.fleet.requests.request_fields(request.job.actor),
+        job=request.job_id,
+        step=request.index,
+        t0_fleet_ns=state.t0_fleet_ns,
+        from_s=from_s,
+        profiles={split_name(axis)[1]: following},
+    )
+    replies = await services.fleet.requests.request_all("retarget", {member: asked_request}, RetargetReply)
+    raise_first_refusal(replies)
+    durations_s = replies[member].durations_s
+    agreement.plan = StepPlan(following.duration_s, {axis: following}, agreement.plan.unmoved)
+    changed_proposal = agreement.proposals[member].model_copy(update={"durations_s": durations_s})
+    agreement.proposals[member] = changed_proposal
+    motion.watch.extend(member, max(durations_s.values()))
+    ends = {**motion.planned.ends, **resolved.exact}
+    return replace(motion, planned=replace(motion.planned, resolved=resolved, plan=agreement.plan, ends=ends))
 
 
 def _require_move(request: StepRequest, targets: AxisTargets) -> Move:

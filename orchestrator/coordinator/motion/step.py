@@ -178,6 +178,13 @@ class MotionStep:
         """Go to other targets, from its next plan on: `run` again, once it is braked."""
         self._next_goal = goal
 
+    def take_motion(self, motion: PlannedMotion, changed: PlannedMotion) -> None:
+        """`motion` continues to other targets on the way, as `changed` states. Raises `Refusal`: it is over."""
+        if self._motion is not motion:
+            raise Refusal("late", "the motion has ended")
+        self._motion = changed
+        self._goal = {axis: exact for axis, (exact, _) in changed.planned.resolved.exact.items()}
+
     @property
     def motion(self) -> PlannedMotion | None:
         """Its plan and start, once it is planned; None when it is over."""
@@ -305,6 +312,9 @@ class MotionStep:
             await observer.on_state("running", "")
             observer.on_started(start.state.t0_fleet_ns, motion.duration_s)
             await motion.watch.run()
+            if self._motion is not None and self._motion.planned is not motion.planned:
+                motion = self._motion
+                recorder.profiles = motion.agreement.plan.profiles
             if motion.watch.failure is not None:
                 await self._handle_failure(motion, observer)
             done_report = report = await self._finish(motion)

@@ -1,28 +1,48 @@
 """Other targets for the present move of a job, while it moves or is being started.
 
 A retarget is a feed hold that ends by itself: the axes brake together by their plan, and the step goes on to the new
-targets. Of several requests the newest counts.
+targets. A controller that follows positions continues to them on the way. Of several requests the newest counts.
 """
 
 import asyncio
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.run_state import RunState
 from orchestrator.coordinator.jobs.services import JobServices
-from orchestrator.coordinator.motion.retarget import AxisTargets, read_infos, resolve_retarget
+from orchestrator.coordinator.motion.retarget import (
+    AxisTargets,
+    continue_motion,
+    find_stream,
+    read_infos,
+    resolve_retarget,
+)
 from orchestrator.coordinator.motion.start import FEED_HOLD
 from orchestrator.coordinator.motion.step import MotionStep
+from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.report import StepReport, StepRetarget
-from orchestrator.model.state import ControllerInfo
+from orchestrator.model.state import ControllerInfo, RetargetAbility, RetargetWay
 from orchestrator.model.steps.move import Move
 
+CHANGE_AFTER = 0.95  # of the time that a controller states for the change of its set-points
 MAX_ENTRIES = 100  # of one step, in its report: the last ones
 RETARGETED = "the step before it got other targets"
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """One request. fleet_ns: when it came. stream: how its controller continues on the way; None: the axes brake."""
+
+    request: RetargetJob
+    resolved: ResolvedMove
+    goal: Mapping[str, Fraction]
+    fleet_ns: int
+    stream: RetargetAbility | None
 
 
 class StepRetargets:
@@ -51,8 +71,13 @@ class StepRetargets:
         move = step.request.move
         infos = await read_infos(motion, move) if isinstance(move, Move) else {}
         before = self._wanted or step.goal
-        goal = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), before, infos)
-        reply = JobRetargeted(within_s=max(map(find_within_s, infos.values()), default=0.0))
+        resolved = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), before, infos)
+        goal = {axis: exact for axis, (exact, _) in resolved.exact.items()}
+        stream = find_stream(infos)
+        reply = JobRetargeted(
+            way="stream" if stream is not None else "brake",
+            within_s=max(map(find_within_s, infos.values()), default=0.0),
+        )
         if goal == before:
             return reply.model_copy(update={"outcome": "same"})
         self._wanted = goal
@@ -62,12 +87,12 @@ class StepRetargets:
             if number < self._asked:
                 self._replaced += 1
                 return reply.model_copy(update={"outcome": "replaced"})
+            asked = _Asked(request, resolved, goal, asked_fleet_ns, stream)
             try:
-                await self._apply(step, goal, request, asked_fleet_ns)
+                return reply.model_copy(update={"way": await self._apply(step, asked)})
             finally:
                 if number == self._asked:
                     self._wanted = {}
-        return reply
 
     async def continue_step(self, report: StepReport) -> bool:
         """Whether the present step, which has come to rest with `report`, goes on to other targets."""
@@ -93,51 +118,78 @@ class StepRetargets:
             raise Refusal("paused", f"the job is being paused by {pause.paused_by}", "resume it first")
         return step
 
-    async def _apply(self, step: MotionStep, goal: Mapping[str, Fraction], request: RetargetJob, asked_ns: int) -> None:
-        chain, actor = self._chain, request.actor
+    async def _apply(self, step: MotionStep, asked: _Asked) -> RetargetWay:
+        """Have the present step go to other targets, and return by which way. Raises `Refusal`."""
+        chain, actor = self._chain, asked.request.actor
         if self._require_step() is step and chain.starts_behind(step):
-            self._note_request(step, goal, request, asked_ns)
+            self._change_goal(step, asked)
             await chain.feed_hold(actor)
-            return
+            return "brake"
         chain.prevent_release(RETARGETED)
         await chain.settle_pause()
         if self._state.motion_step is not step:
             raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
         if chain.is_decided:
             raise Refusal("not-moving", "the move ends, and the next one starts behind it", "ask again for that one")
-        self._note_request(step, goal, request, asked_ns)
         await chain.drop(RETARGETED, actor)
+        if await self._continue(step, asked):
+            return "stream"
+        if self._state.motion_step is not step:
+            raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
+        self._change_goal(step, asked)
         is_begun = step.motion is not None and step.motion.start.state.decided
         await step.feed_hold(actor)
         if is_begun:
-            self._change_last(changed_ns=self._services.leadership.fleet_now_ns() - asked_ns)
+            self._change_last(changed_ns=self._services.leadership.fleet_now_ns() - asked.fleet_ns)
+        return "brake"
 
-    def _note_request(
-        self, step: MotionStep, goal: Mapping[str, Fraction], request: RetargetJob, asked_ns: int
-    ) -> None:
-        """Have the step take its new targets, and note that for the report."""
+    async def _continue(self, step: MotionStep, asked: _Asked) -> bool:
+        """Have the present motion continue to its new targets on the way; whether it does."""
+        motion = step.motion
+        if asked.stream is None or motion is None or step.is_retargeted or motion.start.state.paused_by is not None:
+            return False
+        begin_ns = asked.fleet_ns + round(CHANGE_AFTER * asked.stream.within_s * NS_PER_S)
+        before = step.goal
+        try:
+            changed = await continue_motion(self._services.motion, motion, asked.resolved, begin_ns)
+            step.take_motion(motion, changed)
+        except Refusal as refusal:
+            self._services.log.info(f"braked for its other target: {refusal}", job=asked.request.job_id)
+            return False
+        self._note(before, asked, "stream")
+        after_ns = begin_ns - asked.fleet_ns
+        self._change_last(changed_ns=after_ns, started_ns=after_ns)
+        self._state.note_start(changed.start.state.t0_fleet_ns, changed.duration_s)
+        self._chain.look_ahead(changed)
+        return True
+
+    def _change_goal(self, step: MotionStep, asked: _Asked) -> None:
+        """Have the step take its new targets with its next plan."""
+        self._note(step.goal, asked, "brake")
+        step.retarget(asked.goal)
+
+    def _note(self, before: Mapping[str, Fraction], asked: _Asked, way: RetargetWay) -> None:
+        """Note a retarget for the report; one whose motion has not started yet is replaced by it."""
         last = self.entries[-1] if self.entries else None
-        number, replaced = 1 if last is None else last.number + 1, self._replaced
-        before = self._as_user_positions(step.goal)
+        number, replaced, earlier = 1 if last is None else last.number + 1, self._replaced, self._as_user(before)
         if last is not None and last.started_ns is None:
-            replaced, before = replaced + last.replaced + 1, last.before
+            replaced, earlier = replaced + last.replaced + 1, last.before
             self.entries.pop()
         self._replaced = 0
         entry = StepRetarget(
             number=number,
-            by=request.actor,
+            by=asked.request.actor,
             utc=self._services.clock.utc(),
-            before=before,
-            to=self._as_user_positions(goal),
-            way="brake",
+            before=earlier,
+            to=self._as_user(asked.goal),
+            way=way,
             replaced=replaced,
-            asked_fleet_ns=asked_ns,
+            asked_fleet_ns=asked.fleet_ns,
         )
         self.entries = [*self.entries, entry][-MAX_ENTRIES:]
-        step.retarget(goal)
-        self._services.log.info(f"other targets, by {request.actor}: {entry.to}", job=request.job_id)
+        self._services.log.info(f"other targets, by {entry.by}: {entry.to}", job=asked.request.job_id)
 
-    def _as_user_positions(self, goal: Mapping[str, Fraction]) -> dict[str, float]:
+    def _as_user(self, goal: Mapping[str, Fraction]) -> dict[str, float]:
         axes = {axis: self._services.view.axis_now(axis) for axis in goal}
         return {axis: float(goal[axis] + (0 if state is None else state.offset)) for axis, state in axes.items()}
 
