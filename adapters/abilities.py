@@ -23,6 +23,7 @@ from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import DigitalInput
+from orchestrator.model.profile import Profile
 
 
 @runtime_checkable

@@ -1,12 +1,9 @@
 """Another target for an axis on the way: from the place, speed and acceleration that it has at an instant."""
 
 from dataclasses import dataclass
-from typing import Any
-
-from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from orchestrator.model.profile import MotionState, Profile
-from orchestrator.plan.shape import PlanError
+from orchestrator.plan.shape import PlanError, solve_way
 from orchestrator.plan.step import AxisMove
 
 MAX_SEGMENTS = 500  # of a profile that was continued again and again
@@ -52,21 +49,12 @@ def continue_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile
 def _add_way(segments: _Segments, state: MotionState, target: float, move: AxisMove) -> None:
     """Add the way from `state` to rest at `target`, both relative to the start of the profile."""
     assert move.jerk is not None
-    question: Any = InputParameter(1)  # pyright: ignore[reportUnknownVariableType]
-    question.current_position = [0.0]
-    question.current_velocity = [state.velocity]
-    question.current_acceleration = [state.acceleration]
-    question.target_position = [target - state.position]
     # What it has exceeds its limit at most by rounding.
-    question.max_velocity = [max(move.velocity, abs(state.velocity))]
-    question.max_acceleration = [max(move.acceleration, abs(state.acceleration))]
-    question.max_jerk = [move.jerk]
-    trajectory: Any = Trajectory(1)
-    solver: Any = Ruckig(1)
-    if solver.calculate(question, trajectory) not in (Result.Working, Result.Finished):
+    velocity, acceleration = max(move.velocity, abs(state.velocity)), max(move.acceleration, abs(state.acceleration))
+    parts = solve_way(state, target, (velocity, acceleration, move.jerk))
+    if parts is None:
         raise PlanError(f"{move.axis}: no way to its new target was found")
-    way = trajectory.profiles[0][0]
     acceleration = state.acceleration
-    for duration_s, jerk in (*zip(way.brake.t, way.brake.j, strict=True), *zip(way.t, way.j, strict=True)):
+    for duration_s, jerk in parts:
         segments.add(duration_s, acceleration, jerk)
         acceleration += jerk * max(0.0, duration_s)

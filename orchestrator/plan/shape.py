@@ -23,6 +23,7 @@ from ruckig import (
 )
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.profile import MotionState
 
 MAX_DURATION_S = 7000.0
 # Ruckig's margin on its results is 1e-8 (its README); ten times that, relative to the distance, is a defect.
@@ -194,3 +195,20 @@ def get_workspace(n: int) -> tuple[Any, Any, Any]:
         question.target_acceleration = zeros
         _workspaces[n] = (Ruckig(n), Trajectory(n), question)
     return _workspaces[n]
+
+
+def solve_way(
+    state: MotionState, target: float, limits: tuple[float, float, float]
+) -> Sequence[tuple[float, float]] | None:
+    """The fastest way of one axis from `state` to rest at `target`, as lengths (s) and jerks; None: there is none.
+    limits: velocity, acceleration and jerk."""
+    question: Any = InputParameter(1)  # pyright: ignore[reportUnknownVariableType]
+    question.current_position, question.target_position = [0.0], [target - state.position]
+    question.current_velocity, question.current_acceleration = [state.velocity], [state.acceleration]
+    question.max_velocity, question.max_acceleration, question.max_jerk = ([limit] for limit in limits)
+    trajectory: Any = Trajectory(1)
+    solver: Any = Ruckig(1)
+    if solver.calculate(question, trajectory) not in (Result.Working, Result.Finished):
+        return None
+    way: Any = trajectory.profiles[0][0]
+    return [*zip(way.brake.t, way.brake.j, strict=True), *zip(way.t, way.j, strict=True)]
