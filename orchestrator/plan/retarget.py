@@ -49,11 +49,8 @@ def continue_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile
 def _add_way(segments: _Segments, state: MotionState, target: float, move: AxisMove) -> None:
     """Add the way from `state` to rest at `target`, both relative to the start of the profile."""
     assert move.jerk is not None
-    # What it has exceeds its limit at most by rounding.
-    velocity, acceleration = max(move.velocity, abs(state.velocity)), max(move.acceleration, abs(state.acceleration))
-    parts = solve_way(state, target, (velocity, acceleration, move.jerk))
-    if parts is None:
-        raise PlanError(f"{move.axis}: no way to its new target was found")
+    velocity = max(move.velocity, abs(state.velocity))
+    parts = solve_way(state, target, (velocity, max(move.acceleration, abs(state.acceleration)), move.jerk))
     acceleration = state.acceleration
     for duration_s, jerk in parts:
         segments.add(duration_s, acceleration, jerk)

@@ -197,18 +197,28 @@ def get_workspace(n: int) -> tuple[Any, Any, Any]:
     return _workspaces[n]
 
 
-def solve_way(
-    state: MotionState, target: float, limits: tuple[float, float, float]
-) -> Sequence[tuple[float, float]] | None:
-    """The fastest way of one axis from `state` to rest at `target`, as lengths (s) and jerks; None: there is none.
-    limits: velocity, acceleration and jerk."""
+def solve_way(state: MotionState, target: float, limits: tuple[float, float, float]) -> list[tuple[float, float]]:
+    """The fastest way of one axis from `state` to rest at `target`, as lengths (s) and jerks. limits: velocity,
+    acceleration and jerk, which `state` keeps. Raises `PlanError`."""
+    velocity, acceleration, jerk = limits
+    solver, trajectory, _ = get_workspace(1)
+    # A question of its own: that of the workspace is asked from rest.
     question: Any = InputParameter(1)  # pyright: ignore[reportUnknownVariableType]
-    question.current_position, question.target_position = [0.0], [target - state.position]
-    question.current_velocity, question.current_acceleration = [state.velocity], [state.acceleration]
-    question.max_velocity, question.max_acceleration, question.max_jerk = ([limit] for limit in limits)
-    trajectory: Any = Trajectory(1)
-    solver: Any = Ruckig(1)
-    if solver.calculate(question, trajectory) not in (Result.Working, Result.Finished):
-        return None
-    way: Any = trajectory.profiles[0][0]
-    return [*zip(way.brake.t, way.brake.j, strict=True), *zip(way.t, way.j, strict=True)]
+    question.target_position = [(target - state.position) / velocity]
+    question.current_velocity = [state.velocity / velocity]
+    question.current_acceleration = [state.acceleration / velocity]
+    question.max_velocity, question.max_acceleration, question.max_jerk = (
+        [1.0],
+        [acceleration / velocity],
+        [jerk / velocity],
+    )
+    try:
+        result = solver.calculate(question, trajectory)
+    except Exception as error:  # Ruckig has no exception class of its own for invalid input
+        raise PlanError(f"Ruckig refuses the input: {error}") from None
+    if result not in _SOLVED:
+        raise PlanError(f"Ruckig returned {result}")
+    way = trajectory.profiles[0][0]
+    # Before the seven segments it brings what exceeds a limit by rounding back to it.
+    durations_s, jerks = cast(list[float], [*way.brake.t, *way.t]), cast(list[float], [*way.brake.j, *way.j])
+    return [(duration_s, part * velocity) for duration_s, part in zip(durations_s, jerks, strict=True)]

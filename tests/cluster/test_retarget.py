@@ -1,8 +1,10 @@
 """A move that gets other targets while it moves, or is being started."""
 
 import asyncio
+import random
 from collections.abc import Generator
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -11,7 +13,8 @@ from cluster.worlds import PREPARE, demo_fleet, job, line_fleet, outcome, run_fl
 from orchestrator.client import SubmittedJob, Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
-from orchestrator.model.report import JobReport
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import JobReport, StepRetarget
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 FAR = "[{do: move, to: {gantry.x: 300, gantry.y: 60, stage.u: 20}, speed: 0.3}]"
@@ -294,3 +297,97 @@ def test_a_pause_at_the_end_of_the_step_comes_there() -> None:
         assert (await submitted.result()).state == "done"
 
     run_fleet(main)
+
+
+LIMITS = {"velocity": 100, "acceleration": 500, "jerk": 10_000}
+PERIOD_NS = 10 * NS_PER_MS
+COUNT = 1e-3  # mm
+
+
+def streaming_fleet() -> Fleet:
+    """One CiA 402 drive, which follows positions."""
+    drive: dict[str, Any] = {
+        "adapter": "cia402",
+        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 1},
+        "options": {"cycle_us": 100, "start_us": 50, "start_spread_us": 50},
+        "axes": {
+            "x": {
+                "motors": ["1"],
+                "unit": "mm",
+                "scale": 1000,
+                "limits": LIMITS,
+                "soft_limits": {"min": -300, "max": 300},
+            }
+        },
+        "simulate": {"drift_ppm": 30, "options": {"objects": {"6065": 500, "6066": 0}}},
+    }
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "streams", "controllers": {"c0": drive}})
+
+
+class StreamWatch:
+    """Compares the true positions of a drive, period by period, with its limits: a position is rounded to a count."""
+
+    def __init__(self, fleet: VirtualFleet) -> None:
+        self._fleet = fleet
+        self._task = asyncio.get_running_loop().create_task(self._run())
+        self.problems: list[str] = []
+
+    async def _run(self) -> None:
+        places: list[float] = []
+        period_s = PERIOD_NS / NS_PER_S
+        while True:
+            places = [*places[-3:], position(self._fleet, "c0.x")]
+            if len(places) == 4:
+                speeds = [(after - before) / period_s for before, after in pairwise(places)]
+                changes = [(after - before) / period_s for before, after in pairwise(speeds)]
+                jerk = (changes[1] - changes[0]) / period_s
+                for name, value, rounding in (
+                    ("velocity", speeds[-1], 2 * COUNT / period_s),
+                    ("acceleration", changes[-1], 4 * COUNT / period_s**2),
+                    ("jerk", jerk, 8 * COUNT / period_s**3),
+                ):
+                    if abs(value) > LIMITS[name] + rounding:
+                        self.problems.append(f"{name} {value:.1f} at {places[-1]:.3f}")
+            await sleep_ns(self._fleet.clock, PERIOD_NS)
+
+    def close(self) -> None:
+        self._task.cancel()
+
+
+async def retarget_at_random(fleet: VirtualFleet, count: int, seed: int) -> list[StepRetarget]:
+    """Retarget a drive again and again, at random instants, also when it stands; the entries of the reports."""
+    draw = random.Random(seed)
+    assert (await outcome(fleet, job("[{do: enable, axes: [c0]}, {do: home}]"))).state == "done"
+    client, watch, entries = fleet.make_client(), StreamWatch(fleet), list[StepRetarget]()
+    left = count
+    while left:
+        submitted = await client.submit(job(f"[{{do: move, to: {{c0.x: {draw.uniform(-300, 300):.3f}}}}}]"))
+        await wait_for_state(fleet, submitted, "running")
+        wanted: float | None = None
+        for _ in range(min(left, draw.randint(1, 12))):
+            await sleep_ns(fleet.clock, round(draw.choice([0.02, 0.2, 0.7, 1.5]) * draw.random() * NS_PER_S))
+            target = round(draw.uniform(-300, 300), 3)
+            try:
+                assert (await submitted.retarget({"c0.x": target})).outcome == "changed"
+            except Refusal as error:
+                assert error.code in ("not-moving", "ended"), error
+                break
+            wanted = target
+            left -= 1
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert report.verdict == "green", report.steps[0].deviations
+        if wanted is not None:
+            assert position(fleet, "c0.x") == pytest.approx(wanted, abs=COUNT)
+        entries += report.steps[0].retargets
+    watch.close()
+    assert not watch.problems, watch.problems[:5]
+    return entries
+
+
+@pytest.mark.parametrize(("count", "seed"), [(20, 1), pytest.param(1000, 2, marks=pytest.mark.nightly)])
+def test_a_stream_goes_to_random_targets_on_the_way_within_its_limits(count: int, seed: int) -> None:
+    entries = run_fleet(lambda fleet: retarget_at_random(fleet, count, seed), streaming_fleet())
+    streamed = [entry for entry in entries if entry.way == "stream"]
+    assert len(streamed) >= 0.7 * len(entries)
+    assert max(entry.changed_ns or 0 for entry in streamed) <= 10 * PERIOD_NS
