@@ -16,6 +16,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.report import JobReport, StepRetarget
 from orchestrator.runtime.virtual.fleet import VirtualFleet
+from sim.cia402.unit import SimulatedDrive
 
 FAR = "[{do: move, to: {gantry.x: 300, gantry.y: 60, stage.u: 20}, speed: 0.3}]"
 OTHER = {"gantry.x": 40, "gantry.y": 80, "stage.u": 5}
@@ -325,41 +326,56 @@ def streaming_fleet() -> Fleet:
 
 
 class StreamWatch:
-    """Compares the true positions of a drive, period by period, with its limits: a position is rounded to a count."""
+    """Compares the positions that a drive follows, period by period, with its limits: each is rounded to a count, and
+    reached by a straight line, which is less than a count beside its curve."""
 
     def __init__(self, fleet: VirtualFleet) -> None:
-        self._fleet = fleet
-        self._task = asyncio.get_running_loop().create_task(self._run())
+        unit = fleet.controllers["c0"]
+        assert isinstance(unit, SimulatedDrive)
+        self._clock = fleet.clock
+        self._mover = unit.station.drive.servo.mover
+        self._follow = self._mover.follow_target
+        self._places: list[float] = []
+        self._at_ns = 0
         self.problems: list[str] = []
+        self.count = 0
 
-    async def _run(self) -> None:
-        places: list[float] = []
+    def __enter__(self) -> "StreamWatch":
+        self._mover.follow_target = self._note  # pyright: ignore[reportAttributeAccessIssue]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._mover.follow_target = self._follow  # pyright: ignore[reportAttributeAccessIssue]
+
+    def _note(self, target: float, period_s: float) -> None:
+        now_ns = self._clock.now_ns()
+        if now_ns - self._at_ns > 1.5 * PERIOD_NS:
+            self._places = []  # it begins from rest, or from a halt
+        self._places, self._at_ns = [*self._places[-3:], target * COUNT], now_ns
+        self.count += 1
+        self._check(self._places)
+        self._follow(target, period_s)
+
+    def _check(self, places: list[float]) -> None:
+        if len(places) < 4:
+            return
         period_s = PERIOD_NS / NS_PER_S
-        while True:
-            places = [*places[-3:], position(self._fleet, "c0.x")]
-            if len(places) == 4:
-                speeds = [(after - before) / period_s for before, after in pairwise(places)]
-                changes = [(after - before) / period_s for before, after in pairwise(speeds)]
-                jerk = (changes[1] - changes[0]) / period_s
-                for name, value, rounding in (
-                    ("velocity", speeds[-1], 2 * COUNT / period_s),
-                    ("acceleration", changes[-1], 4 * COUNT / period_s**2),
-                    ("jerk", jerk, 8 * COUNT / period_s**3),
-                ):
-                    if abs(value) > LIMITS[name] + rounding:
-                        self.problems.append(f"{name} {value:.1f} at {places[-1]:.3f}")
-            await sleep_ns(self._fleet.clock, PERIOD_NS)
-
-    def close(self) -> None:
-        self._task.cancel()
+        speeds = [(after - before) / period_s for before, after in pairwise(places)]
+        changes = [(after - before) / period_s for before, after in pairwise(speeds)]
+        for name, value, rounding in (
+            ("velocity", speeds[-1], 2 * COUNT / period_s),
+            ("acceleration", changes[-1], 4 * COUNT / period_s**2),
+            ("jerk", (changes[1] - changes[0]) / period_s, 8 * COUNT / period_s**3),
+        ):
+            if abs(value) > LIMITS[name] + rounding:
+                self.problems.append(f"{name} {value:.1f} at {places[-1]:.3f}, SYNC {self.count}")
 
 
 async def retarget_at_random(fleet: VirtualFleet, count: int, seed: int) -> list[StepRetarget]:
     """Retarget a drive again and again, at random instants, also when it stands; the entries of the reports."""
     draw = random.Random(seed)
     assert (await outcome(fleet, job("[{do: enable, axes: [c0]}, {do: home}]"))).state == "done"
-    client, watch, entries = fleet.make_client(), StreamWatch(fleet), list[StepRetarget]()
-    left = count
+    client, entries, left = fleet.make_client(), list[StepRetarget](), count
     while left:
         submitted = await client.submit(job(f"[{{do: move, to: {{c0.x: {draw.uniform(-300, 300):.3f}}}}}]"))
         await wait_for_state(fleet, submitted, "running")
@@ -380,14 +396,18 @@ async def retarget_at_random(fleet: VirtualFleet, count: int, seed: int) -> list
         if wanted is not None:
             assert position(fleet, "c0.x") == pytest.approx(wanted, abs=COUNT)
         entries += report.steps[0].retargets
-    watch.close()
-    assert not watch.problems, watch.problems[:5]
     return entries
 
 
 @pytest.mark.parametrize(("count", "seed"), [(20, 1), pytest.param(1000, 2, marks=pytest.mark.nightly)])
 def test_a_stream_goes_to_random_targets_on_the_way_within_its_limits(count: int, seed: int) -> None:
-    entries = run_fleet(lambda fleet: retarget_at_random(fleet, count, seed), streaming_fleet())
+    async def main(fleet: VirtualFleet) -> list[StepRetarget]:
+        with StreamWatch(fleet) as watch:
+            entries = await retarget_at_random(fleet, count, seed)
+        assert watch.count > 100 and not watch.problems, watch.problems[:5]
+        return entries
+
+    entries = run_fleet(main, streaming_fleet())
     streamed = [entry for entry in entries if entry.way == "stream"]
     assert len(streamed) >= 0.7 * len(entries)
     assert max(entry.changed_ns or 0 for entry in streamed) <= 10 * PERIOD_NS

@@ -83,6 +83,7 @@ async def continue_motion(
     (member,), (axis,) = agreement.members, agreement.plan.profiles
     from_s = (begin_fleet_ns - state.t0_fleet_ns) / NS_PER_S
     profile = agreement.plan.profiles[axis]
+    assert isinstance(request.move, Move)
     if not state.decided or not 0.0 < from_s < profile.duration_s or member not in motion.watch.reports:
         raise Refusal("late", "the axis is not on its way then")
     try:
