@@ -265,6 +265,12 @@ class ControllerInfo(Model):
         description="That of its adapter host's session; left out where it has none.",
     )
 
+    @property
+    def retarget_ability(self) -> RetargetAbility:
+        """How its axes get other targets while they move. Where it states nothing, they brake: by the longest time of a
+        stop they stand."""
+        return self.retarget or RetargetAbility(way="brake", within_s=self.costs.stop_ns / 1e9)
+
 
 class ClockMapping(Model):
     """The controller's clock against its host's: host_ns = host_at_ns + (ticks - ticks_at) * tick_ns.

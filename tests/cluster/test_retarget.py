@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from cluster.test_can_streams import fleet as streams_and_contour
 from cluster.worlds import PREPARE, demo_fleet, job, line_fleet, outcome, run_fleet
 
 from orchestrator.client import SubmittedJob, Tutti
@@ -402,6 +403,8 @@ async def retarget_at_random(fleet: VirtualFleet, count: int, seed: int) -> list
 @pytest.mark.parametrize(("count", "seed"), [(20, 1), pytest.param(1000, 2, marks=pytest.mark.nightly)])
 def test_a_stream_goes_to_random_targets_on_the_way_within_its_limits(count: int, seed: int) -> None:
     async def main(fleet: VirtualFleet) -> list[StepRetarget]:
+        info = await fleet.make_client().axis("c0.x")
+        assert (info.retarget.way, info.retarget.within_s) == ("stream", 0.1)
         with StreamWatch(fleet) as watch:
             entries = await retarget_at_random(fleet, count, seed)
         assert watch.count > 100 and not watch.problems, watch.problems[:5]
@@ -411,3 +414,64 @@ def test_a_stream_goes_to_random_targets_on_the_way_within_its_limits(count: int
     streamed = [entry for entry in entries if entry.way == "stream"]
     assert len(streamed) >= 0.7 * len(entries)
     assert max(entry.changed_ns or 0 for entry in streamed) <= 10 * PERIOD_NS
+
+
+def test_a_stream_reverses_without_a_rest_and_the_step_behind_it_follows_at_once() -> None:
+    async def main(fleet: VirtualFleet) -> JobReport:
+        assert (await outcome(fleet, job("[{do: enable, axes: [c0]}, {do: home}]"))).state == "done"
+        steps = "[{do: move, to: {c0.x: 200}}, {do: move, by: {c0.x: 7}}]"
+        _, submitted = await begin(fleet, steps, 0.8)
+        reply = await submitted.retarget({"c0.x": 10})
+        assert (reply.outcome, reply.way, reply.within_s) == ("changed", "stream", 0.1)
+        assert (await submitted.retarget({"c0.x": 10})).outcome == "same"
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert position(fleet, "c0.x") == pytest.approx(17, abs=COUNT)
+        recording = await fleet.make_client().load_recording(submitted, 0)
+        assert recording is not None
+        low, high = recording.axes["c0.x"].profile.extent_counts
+        assert low == pytest.approx(0, abs=1) and 10_000 < high < 200_000
+        return report
+
+    first, second = run_fleet(main, streaming_fleet()).steps
+    assert first.verdict == second.verdict == "green" and first.deviations == []
+    assert first.retargets[0].before == {"c0.x": 200} and first.positions["c0.x"].position == pytest.approx(
+        10, abs=0.01
+    )
+    assert second.chain is not None and second.chain.step == 0
+
+
+@pytest.mark.parametrize("what", ["pause", "stop", "estop"])
+def test_what_stops_a_step_stops_a_continued_stream(what: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, job("[{do: enable, axes: [c0]}, {do: home}]"))).state == "done"
+        client, submitted = await begin(fleet, "[{do: move, to: {c0.x: 200}}]", 0.8)
+        assert (await submitted.retarget({"c0.x": 10})).way == "stream"
+        if what == "pause":
+            await submitted.pause(now=True)
+            await wait_for_state(fleet, submitted, "paused")
+            await submitted.resume()
+            assert (await submitted.result()).state == "done"
+            assert position(fleet, "c0.x") == pytest.approx(10, abs=COUNT)
+            return
+        await (client.stop() if what == "stop" else client.estop())
+        assert (await submitted.result()).state in ("aborted", "failed")
+        stands = position(fleet, "c0.x")
+        await sleep_ns(fleet.clock, 3 * NS_PER_S)
+        assert position(fleet, "c0.x") == pytest.approx(stands, abs=COUNT)
+        assert stands > 20
+
+    run_fleet(main, streaming_fleet())
+
+
+def test_two_streams_brake_together() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        assert (await outcome(fleet, job("[{do: enable, axes: [gantry, c0, c2]}, {do: home}]"))).state == "done"
+        _, submitted = await begin(fleet, "[{do: move, to: {c0.x: 200, c2.x: -90}, speed: 0.5}]", 1.0)
+        assert (await submitted.retarget({"c0.x": 20, "c2.x": 30})).way == "brake"
+        report = await submitted.result()
+        assert report.state == "done", report.reason
+        assert position(fleet, "c0.x") == pytest.approx(20, abs=COUNT)
+        assert position(fleet, "c2.x") == pytest.approx(30, abs=COUNT)
+
+    run_fleet(main, streams_and_contour())

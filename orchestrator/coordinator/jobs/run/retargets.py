@@ -26,7 +26,7 @@ from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.report import StepReport, StepRetarget
-from orchestrator.model.state import ControllerInfo, RetargetAbility, RetargetWay
+from orchestrator.model.state import RetargetAbility, RetargetWay
 from orchestrator.model.steps.move import Move
 
 CHANGE_AFTER = 0.95  # of the time that a controller states for the change of its set-points
@@ -76,7 +76,7 @@ class StepRetargets:
         stream = find_stream(infos)
         reply = JobRetargeted(
             way="stream" if stream is not None else "brake",
-            within_s=max(map(find_within_s, infos.values()), default=0.0),
+            within_s=max((info.retarget_ability.within_s for info in infos.values()), default=0.0),
         )
         if goal == before:
             return reply.model_copy(update={"outcome": "same"})
@@ -195,9 +195,3 @@ class StepRetargets:
 
     def _change_last(self, **fields: int) -> None:
         self.entries[-1] = self.entries[-1].model_copy(update=fields)
-
-
-def find_within_s(info: ControllerInfo) -> float:
-    """The most time until the set-points of a controller's axes change: as it declares; for one that brakes, by then
-    it stands."""
-    return info.costs.stop_ns / NS_PER_S if info.retarget is None else info.retarget.within_s
