@@ -57,7 +57,9 @@ def resolve_retarget(
         if state is None:
             controller = controller_of(axis)
             raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
-        states[axis] = state
+        # A drive that brakes for the target before may state that it is not enabled meanwhile; the step looks again once
+        # it is at rest.
+        states[axis] = state.model_copy(update={"enabled": True})
     sums = {axis: _add(services, axis, distance, goal) for axis, distance in targets.by.items()}
     resolved = resolve_targets(move, AxisContext(view.fleet, states, infos, services.targets), sums)
     try:
