@@ -466,7 +466,9 @@ def test_what_stops_a_step_stops_a_continued_stream(what: str) -> None:
 
 def test_two_streams_brake_together() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        assert (await outcome(fleet, job("[{do: enable, axes: [c0, c2]}, {do: home, axes: [c0.x, c2.x]}]"))).state == "done"
+        assert (
+            await outcome(fleet, job("[{do: enable, axes: [c0, c2]}, {do: home, axes: [c0.x, c2.x]}]"))
+        ).state == "done"
         _, submitted = await begin(fleet, "[{do: move, to: {c0.x: 200, c2.x: -90}, speed: 0.5}]", 1.0)
         assert (await submitted.retarget({"c0.x": 20, "c2.x": 30})).way == "brake"
         report = await submitted.result()
