@@ -29,7 +29,7 @@ from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import FaultReport, StartClass, StepCosts
+from orchestrator.model.state import FaultReport, RetargetAbility, StartClass, StepCosts
 
 
 class ControllerRestarted(LinkClosed):
@@ -147,6 +147,11 @@ class DriverCapabilities:
     chunk_s: float = 0.0
     chunk_load_s: float = 0.0
     retarget_s: float = 0.0
+
+    @property
+    def retarget(self) -> RetargetAbility | None:
+        """How axes get other targets on the way; None: they brake, and start again."""
+        return RetargetAbility(way="stream", within_s=self.retarget_s) if self.retarget_s else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import CYCLIC_MODE, FOLLOWED, DictionaryObject
 from adapters.cia402.canopen.sdo import bus_off_fault
 from adapters.cia402.canopen.setpoint import count_accesses
+from adapters.cia402.capabilities import make_capabilities
 from adapters.cia402.connection import Cia402Connection, make_connection
 from adapters.cia402.costs import step_costs
 from adapters.cia402.fleetaxes import (
@@ -65,9 +66,6 @@ from orchestrator.model.fleet import CanBusLink, DigitalInput
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
-
-RETARGET_PERIODS = 10  # those that are sent ahead, and some for the request
-LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
 
 
 class Cia402Driver(
@@ -169,15 +167,7 @@ class Cia402Driver(
 
     @property
     def capabilities(self) -> DriverCapabilities:
-        return DriverCapabilities(
-            start_classes=("sync",),
-            orders=(2, 3) if self._streams else (2,),
-            independent_axes=False,
-            costs=self._step_costs(self._ramp_s),
-            chunk_s=LONGEST_CHUNK_S if self._streams else 0.0,
-            chunk_load_s=LOAD_S if self._streams else 0.0,
-            retarget_s=RETARGET_PERIODS * self._options.period_ms / 1000 if self._streams else 0.0,
-        )
+        return make_capabilities(self._step_costs(self._ramp_s), self._options.period_ms if self._streams else None)
 
     async def poll(self) -> ControllerReading:
         """Return the state that the drive sends unsolicited; nothing is queried."""

@@ -161,7 +161,7 @@ class Cia402Mover:
             if move.release is not None:
                 move.release.cancel()
 
-    # A path in chunks
+    # Streams that are continued
 
     async def load_chunk(self, chunk: PathChunk) -> ChunkFit:
         """Take the next chunk of the present path. Raises `Refusal`."""
@@ -171,18 +171,9 @@ class Cia402Mover:
         """Change over to the loaded chunk. Raises `Refusal`."""
         path.release_chunk(self._require_step(), number)
 
-    # Other targets
-
     async def retarget(self, profile: Profile, from_s: float) -> float:
-        """Continue the present stream by another profile, which is the present one up to `from_s`; return how long it
-        takes, s. Raises `Refusal`."""
-        move = self._require_step()
-        trajectory = move.lowered.trajectory
-        if trajectory is None or move.streamed_move is None:
-            raise Refusal("no-stream", "the drive follows no positions of this computer", "")
-        course_ns = round(profile.duration_s * NS_PER_S) + (TAIL_SYNCS + 1) * trajectory.period_ns
-        self._sync_scheduler.extend_start(move.sync_start, move.t0_ns + course_ns)
-        return path.change_course(move, profile, from_s)
+        """Continue by another profile behind `from_s`; return how long it takes, s. Raises `Refusal`."""
+        return path.change_course(self._require_step(), self._sync_scheduler, profile, from_s)
 
     # Outputs that are switched on the way
 

@@ -79,8 +79,7 @@ class ControllerCommands:
     """Answer `ctl/{id}/cmd/*` for one controller."""
 
     def __init__(self, context: ControllerContext, components: Components, stops: ControllerStops) -> None:
-        self._context = context
-        self._config, self._driver = context.config, context.driver
+        self._context, self._config, self._driver = context, context.config, context.driver
         self._components = components
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._stops = stops

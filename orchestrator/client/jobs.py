@@ -10,9 +10,9 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.progress import show_bar
-from orchestrator.client.queue import QueueRequests
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobQueue, JobResult, shorten_repr
+from orchestrator.client.retargets import RetargetRequests
 from orchestrator.client.tracebacks import end_tracebacks
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
@@ -34,7 +34,6 @@ from orchestrator.model.jobs.service import (
     PauseJob,
     RecordingReference,
     RecordingReply,
-    RetargetJob,
     RetryJob,
     SubmitJob,
 )
@@ -64,7 +63,7 @@ MAX_RECORDINGS = 100
 MAX_RESULT_POINTS = 10_000
 
 
-class JobRequests(QueueRequests):
+class JobRequests(RetargetRequests):
     """Submit jobs, follow them, and end them."""
 
     async def submit(
@@ -212,16 +211,6 @@ class JobRequests(QueueRequests):
         await self.request_service(
             "override", OverrideJob(**self.request_fields(), job_id=job_id, percent=percent), Reply
         )
-
-    async def retarget_job(
-        self, job_id: str, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
-    ) -> JobRetargeted:
-        """Send the axes of the move that a job executes now to other targets: all of its axes, each by `to` (user
-        position) or by `by` (distance from the target that it has). Returns as soon as the new targets count. Raises
-        `Refusal`: codes `not-running`, `not-moving`, `not-a-move`, `other-axes`, `soft-limit`, `paused`, `permit`."""
-        fields = {"job_id": job_id, "to": dict(to or {}), "by": dict(by or {})}
-        request = RetargetJob.model_validate({**self.request_fields(), **fields})
-        return await self.request_service("retarget", request, JobRetargeted)
 
     async def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

@@ -38,12 +38,10 @@ from orchestrator.model.jobs.service import (
     FleetReloaded,
     JobReference,
     JobReferences,
-    JobRetargeted,
     JobsFound,
     JobShown,
     JobsPruned,
     ListJobs,
-    OverrideJob,
     PauseJob,
     PointsRead,
     PruneJobs,
@@ -53,7 +51,6 @@ from orchestrator.model.jobs.service import (
     ReleaseAxes,
     ReloadFleet,
     ReorderJob,
-    RetargetJob,
     StopFleet,
     WiringChecked,
 )
@@ -106,8 +103,8 @@ class UserRequests:
             "approve": approvals.approve_job,
             "reorder": self._reorder_job,
             "pause": self._pause_job,
-            "override": self._override_job,
-            "retarget": self._retarget_job,
+            "override": scheduler.run_requests.override_job,
+            "retarget": scheduler.run_requests.retarget_job,
             "resume": self._resume_job,
             "prune": self._prune_jobs,
             "stop": self._stop_fleet,
@@ -250,13 +247,6 @@ class UserRequests:
     async def _pause_job(self, request: PauseJob) -> Reply:
         await self._scheduler.run_requests.pause_job(request.job_id, request.actor, now=request.now)
         return Reply()
-
-    async def _override_job(self, request: OverrideJob) -> Reply:
-        await self._scheduler.run_requests.override_job(request.job_id, request.percent)
-        return Reply()
-
-    async def _retarget_job(self, request: RetargetJob) -> JobRetargeted:
-        return await self._scheduler.run_requests.retarget_job(request)
 
     async def _resume_job(self, request: JobReference) -> Reply:
         await self._scheduler.run_requests.resume_job(request.job_id, request.actor)

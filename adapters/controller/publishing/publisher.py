@@ -40,7 +40,6 @@ from orchestrator.model.state import (
     LinkTotals,
     Mode,
     ReadPosition,
-    RetargetAbility,
 )
 from orchestrator.model.version import PROTOCOL, find_own_version
 
@@ -301,9 +300,7 @@ class StatePublisher:
             costs=capabilities.costs,
             chunk_s=capabilities.chunk_s,
             chunk_load_s=capabilities.chunk_load_s,
-            retarget=RetargetAbility(way="stream", within_s=capabilities.retarget_s)
-            if capabilities.retarget_s
-            else None,
+            retarget=capabilities.retarget,
             digest=self._config.digest,
             options_schema=_options_schema(self._context.make.options_model),
             tutti=find_own_version(),

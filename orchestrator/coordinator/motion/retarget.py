@@ -4,7 +4,7 @@ A single controller that follows positions of its computer continues to them on 
 start again: controllers that change one by one would leave their common instants.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -33,10 +33,10 @@ class AxisTargets:
     by: Mapping[str, AxisQuantity]
 
 
-async def read_infos(services: MotionServices, move: Move) -> dict[str, ControllerInfo]:
-    """What the controllers of a move can do. Raises `Refusal`."""
+async def read_infos(services: MotionServices, axes: Iterable[str]) -> dict[str, ControllerInfo]:
+    """What the controllers of axes can do. Raises `Refusal`."""
     view = services.fleet.view
-    return {name: await view.require_info(name) for name in dict.fromkeys(map(controller_of, move.named_axes))}
+    return {name: await view.require_info(name) for name in dict.fromkeys(map(controller_of, axes))}
 
 
 def resolve_retarget(
@@ -57,8 +57,8 @@ def resolve_retarget(
         if state is None:
             controller = controller_of(axis)
             raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
-        # A drive that brakes for the target before may state that it is not enabled meanwhile; the step looks again once
-        # it is at rest.
+        # A drive that brakes for the target before may state that it is not enabled meanwhile: the step looks again
+        # once it is at rest.
         states[axis] = state.model_copy(update={"enabled": True})
     sums = {axis: _add(services, axis, distance, goal) for axis, distance in targets.by.items()}
     resolved = resolve_targets(move, AxisContext(view.fleet, states, infos, services.targets), sums)

@@ -27,7 +27,6 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.report import StepReport, StepRetarget
 from orchestrator.model.state import RetargetAbility, RetargetWay
-from orchestrator.model.steps.move import Move
 
 CHANGE_AFTER = 0.95  # of the time that a controller states for the change of its set-points
 MAX_ENTRIES = 100  # of one step, in its report: the last ones
@@ -68,8 +67,7 @@ class StepRetargets:
         changed."""
         asked_fleet_ns, step = self._services.leadership.fleet_now_ns(), self._require_step()
         motion = self._services.motion
-        move = step.request.move
-        infos = await read_infos(motion, move) if isinstance(move, Move) else {}
+        infos = await read_infos(motion, step.request.axes)
         before = self._wanted or step.goal
         resolved = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), before, infos)
         goal = {axis: exact for axis, (exact, _) in resolved.exact.items()}
