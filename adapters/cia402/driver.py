@@ -23,9 +23,8 @@ from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import CYCLIC_MODE, FOLLOWED, DictionaryObject
 from adapters.cia402.canopen.sdo import bus_off_fault
 from adapters.cia402.canopen.setpoint import count_accesses
-from adapters.cia402.capabilities import make_capabilities
 from adapters.cia402.connection import Cia402Connection, make_connection
-from adapters.cia402.costs import step_costs
+from adapters.cia402.costs import make_capabilities, step_costs
 from adapters.cia402.fleetaxes import (
     needs_stream,
     node_number,

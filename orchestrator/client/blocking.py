@@ -407,14 +407,6 @@ class BlockingTutti(BlockingObject[Tutti]):
         `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
         self._run(self._wrapped.override_job(job_id, percent))
 
-    def retarget_job(
-        self, job_id: str, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
-    ) -> JobRetargeted:
-        """Send the axes of the move that a job executes now to other targets: all of its axes, each by `to` (user
-        position) or by `by` (distance from the target that it has). Returns as soon as the new targets count. Raises
-        `Refusal`: codes `not-running`, `not-moving`, `not-a-move`, `other-axes`, `soft-limit`, `paused`, `permit`."""
-        return self._run(self._wrapped.retarget_job(job_id, to, by=by))
-
     def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         self._run(self._wrapped.resume_job(job_id))
@@ -453,6 +445,14 @@ class BlockingTutti(BlockingObject[Tutti]):
         while the coordinator is away.
         """
         return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s, on_ready))
+
+    def retarget_job(
+        self, job_id: str, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
+    ) -> JobRetargeted:
+        """Send the axes of the move that a job executes now to other targets: all of its axes, each by `to` (user
+        position) or by `by` (distance from the target that it has). Returns as soon as the new targets count. Raises
+        `Refusal`: codes `not-running`, `not-moving`, `not-a-move`, `other-axes`, `soft-limit`, `paused`, `permit`."""
+        return self._run(self._wrapped.retarget_job(job_id, to, by=by))
 
     def preview_start(self, *job_ids: str) -> StartPreview:
         """What would move first if these jobs were released; without any, if the queue was started. Raises `Refusal`:

@@ -61,12 +61,12 @@ def resolve_retarget(
         # once it is at rest.
         states[axis] = state.model_copy(update={"enabled": True})
     sums = {axis: _add(services, axis, distance, goal) for axis, distance in targets.by.items()}
-    resolved = resolve_targets(move, AxisContext(view.fleet, states, infos, services.targets), sums)
+    resolved_move = resolve_targets(move, AxisContext(view.fleet, states, infos, services.targets), sums)
     try:
-        plan_motion(view.fleet, move, resolved.moves)
+        plan_motion(view.fleet, move, resolved_move.moves)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return resolved
+    return resolved_move
 
 
 def find_stream(infos: Mapping[str, ControllerInfo]) -> RetargetAbility | None:
@@ -77,7 +77,7 @@ def find_stream(infos: Mapping[str, ControllerInfo]) -> RetargetAbility | None:
 
 
 async def continue_motion(
-    services: MotionServices, motion: PlannedMotion, resolved: ResolvedMove, begin_fleet_ns: int
+    services: MotionServices, motion: PlannedMotion, resolved_move: ResolvedMove, begin_fleet_ns: int
 ) -> PlannedMotion:
     """Have the only member of a moving step continue to other targets, from where its axis will be at an instant.
     Raises `Refusal`: it moves as before, or its answer was lost."""
@@ -89,7 +89,7 @@ async def continue_motion(
     if not state.decided or not 0.0 < from_s < profile.duration_s or member not in motion.watch.reports:
         raise Refusal("late", "the axis is not on its way then")
     try:
-        (move,) = limit_speeds(services.fleet.view.fleet, request.move, resolved.moves)
+        (move,) = limit_speeds(services.fleet.view.fleet, request.move, resolved_move.moves)
         following = continue_profile(profile, from_s, move)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
@@ -108,8 +108,8 @@ async def continue_motion(
     changed_proposal = agreement.proposals[member].model_copy(update={"durations_s": durations_s})
     agreement.proposals[member] = changed_proposal
     motion.watch.extend(member, max(durations_s.values()))
-    ends = {**motion.planned.ends, **resolved.exact}
-    return replace(motion, planned=replace(motion.planned, resolved=resolved, plan=agreement.plan, ends=ends))
+    ends = {**motion.planned.ends, **resolved_move.exact}
+    return replace(motion, planned=replace(motion.planned, resolved=resolved_move, plan=agreement.plan, ends=ends))
 
 
 def _require_move(request: StepRequest, targets: AxisTargets) -> Move:
@@ -120,9 +120,9 @@ def _require_move(request: StepRequest, targets: AxisTargets) -> Move:
     if move.triggers:
         # Their places are counted from where the axes started.
         raise Refusal("not-a-move", "outputs are switched on the way of the present move (`triggers`)", "stop it")
-    axes, named = set(request.axes), [*targets.to, *targets.by]
-    if set(named) != axes or len(named) != len(axes):
-        text = f"the present move is one of {', '.join(sorted(axes))}, the targets are of {', '.join(named) or 'none'}"
+    axes, named_axes = set(request.axes), [*targets.to, *targets.by]
+    if set(named_axes) != axes or len(named_axes) != len(axes):
+        text = f"the present move is one of {', '.join(sorted(axes))}, the targets are of {', '.join(named_axes) or 'none'}"
         raise Refusal("other-axes", text, "name one target for each axis of the move")
     return move.model_copy(update={"to": dict(targets.to), "by": dict(targets.by)})
 

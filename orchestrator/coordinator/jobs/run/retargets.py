@@ -34,7 +34,7 @@ RETARGETED = "the step before it got other targets"
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _Wish:
     """One request. fleet_ns: when it came. stream: how its controller continues on the way; None: the axes brake."""
 
     request: RetargetJob
@@ -68,15 +68,15 @@ class StepRetargets:
         asked_fleet_ns, step = self._services.leadership.fleet_now_ns(), self._require_step()
         motion = self._services.motion
         infos = await read_infos(motion, step.request.axes)
-        before = self._wanted or step.goal
-        resolved = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), before, infos)
-        goal = {axis: exact for axis, (exact, _) in resolved.exact.items()}
+        present_goal = self._wanted or step.goal
+        resolved_move = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), present_goal, infos)
+        goal = {axis: exact for axis, (exact, _) in resolved_move.exact.items()}
         stream = find_stream(infos)
         reply = JobRetargeted(
             way="stream" if stream is not None else "brake",
             within_s=max((info.retarget_ability.within_s for info in infos.values()), default=0.0),
         )
-        if goal == before:
+        if goal == present_goal:
             return reply.model_copy(update={"outcome": "same"})
         self._wanted = goal
         self._asked += 1
@@ -85,9 +85,9 @@ class StepRetargets:
             if number < self._asked:
                 self._replaced += 1
                 return reply.model_copy(update={"outcome": "replaced"})
-            asked = _Asked(request, resolved, goal, asked_fleet_ns, stream)
+            wish = _Wish(request, resolved_move, goal, asked_fleet_ns, stream)
             try:
-                return reply.model_copy(update={"way": await self._apply(step, asked)})
+                return reply.model_copy(update={"way": await self._apply(step, wish)})
             finally:
                 if number == self._asked:
                     self._wanted = {}
@@ -116,11 +116,11 @@ class StepRetargets:
             raise Refusal("paused", f"the job is being paused by {pause.paused_by}", "resume it first")
         return step
 
-    async def _apply(self, step: MotionStep, asked: _Asked) -> RetargetWay:
+    async def _apply(self, step: MotionStep, wish: _Wish) -> RetargetWay:
         """Have the present step go to other targets, and return by which way. Raises `Refusal`."""
-        chain, actor = self._chain, asked.request.actor
+        chain, actor = self._chain, wish.request.actor
         if self._require_step() is step and chain.starts_behind(step):
-            self._change_goal(step, asked)
+            self._change_goal(step, wish)
             await chain.feed_hold(actor)
             return "brake"
         chain.prevent_release(RETARGETED)
@@ -130,62 +130,66 @@ class StepRetargets:
         if chain.is_decided:
             raise Refusal("not-moving", "the move ends, and the next one starts behind it", "ask again for that one")
         await chain.drop(RETARGETED, actor)
-        if await self._continue(step, asked):
+        if await self._continue(step, wish):
             return "stream"
         if self._state.motion_step is not step:
             raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
-        self._change_goal(step, asked)
+        self._change_goal(step, wish)
         is_begun = step.motion is not None and step.motion.start.state.decided
         await step.feed_hold(actor)
         if is_begun:
-            self._change_last(changed_ns=self._services.leadership.fleet_now_ns() - asked.fleet_ns)
+            self._change_last(changed_ns=self._services.leadership.fleet_now_ns() - wish.fleet_ns)
         return "brake"
 
-    async def _continue(self, step: MotionStep, asked: _Asked) -> bool:
+    async def _continue(self, step: MotionStep, wish: _Wish) -> bool:
         """Have the present motion continue to its new targets on the way; whether it does."""
         motion = step.motion
-        if asked.stream is None or motion is None or step.is_retargeted or motion.start.state.paused_by is not None:
+        if wish.stream is None or motion is None or step.is_retargeted or motion.start.state.paused_by is not None:
             return False
-        begin_ns = asked.fleet_ns + round(CHANGE_AFTER * asked.stream.within_s * NS_PER_S)
-        before = step.goal
+        begin_ns = wish.fleet_ns + round(CHANGE_AFTER * wish.stream.within_s * NS_PER_S)
+        old_goal = step.goal
         try:
-            changed = await continue_motion(self._services.motion, motion, asked.resolved, begin_ns)
-            step.take_motion(motion, changed)
+            continued_motion = await continue_motion(self._services.motion, motion, wish.resolved, begin_ns)
+            step.take_motion(motion, continued_motion)
         except Refusal as refusal:
-            self._services.log.info(f"braked for its other target: {refusal}", job=asked.request.job_id)
+            self._services.log.info(f"braked for its other target: {refusal}", job=wish.request.job_id)
             return False
-        self._note(before, asked, "stream")
-        after_ns = begin_ns - asked.fleet_ns
+        self._note(old_goal, wish, "stream")
+        after_ns = begin_ns - wish.fleet_ns
         self._change_last(changed_ns=after_ns, started_ns=after_ns)
-        self._state.note_start(changed.start.state.t0_fleet_ns, changed.duration_s)
-        self._chain.look_ahead(changed)
+        self._state.note_start(continued_motion.start.state.t0_fleet_ns, continued_motion.duration_s)
+        self._chain.look_ahead(continued_motion)
         return True
 
-    def _change_goal(self, step: MotionStep, asked: _Asked) -> None:
+    def _change_goal(self, step: MotionStep, wish: _Wish) -> None:
         """Have the step take its new targets with its next plan."""
-        self._note(step.goal, asked, "brake")
-        step.retarget(asked.goal)
+        self._note(step.goal, wish, "brake")
+        step.retarget(wish.goal)
 
-    def _note(self, before: Mapping[str, Fraction], asked: _Asked, way: RetargetWay) -> None:
+    def _note(self, old_goal: Mapping[str, Fraction], wish: _Wish, way: RetargetWay) -> None:
         """Note a retarget for the report; one whose motion has not started yet is replaced by it."""
         last = self.entries[-1] if self.entries else None
-        number, replaced, earlier = 1 if last is None else last.number + 1, self._replaced, self._as_user(before)
+        number, replaced_count, old_targets = (
+            1 if last is None else last.number + 1,
+            self._replaced,
+            self._as_user(old_goal),
+        )
         if last is not None and last.started_ns is None:
-            replaced, earlier = replaced + last.replaced + 1, last.before
+            replaced_count, old_targets = replaced_count + last.replaced + 1, last.before
             self.entries.pop()
         self._replaced = 0
         entry = StepRetarget(
             number=number,
-            by=asked.request.actor,
+            by=wish.request.actor,
             utc=self._services.clock.utc(),
-            before=earlier,
-            to=self._as_user(asked.goal),
+            before=old_targets,
+            to=self._as_user(wish.goal),
             way=way,
-            replaced=replaced,
-            asked_fleet_ns=asked.fleet_ns,
+            replaced=replaced_count,
+            asked_fleet_ns=wish.fleet_ns,
         )
         self.entries = [*self.entries, entry][-MAX_ENTRIES:]
-        self._services.log.info(f"other targets, by {entry.by}: {entry.to}", job=asked.request.job_id)
+        self._services.log.info(f"other targets, by {entry.by}: {entry.to}", job=wish.request.job_id)
 
     def _as_user(self, goal: Mapping[str, Fraction]) -> dict[str, float]:
         axes = {axis: self._services.view.axis_now(axis) for axis in goal}
