@@ -122,7 +122,8 @@ def _require_move(request: StepRequest, targets: AxisTargets) -> Move:
         raise Refusal("not-a-move", "outputs are switched on the way of the present move (`triggers`)", "stop it")
     axes, named_axes = set(request.axes), [*targets.to, *targets.by]
     if set(named_axes) != axes or len(named_axes) != len(axes):
-        text = f"the present move is one of {', '.join(sorted(axes))}, the targets are of {', '.join(named_axes) or 'none'}"
+        target_axes = ", ".join(named_axes) or "none"
+        text = f"the present move is one of {', '.join(sorted(axes))}, the targets are of {target_axes}"
         raise Refusal("other-axes", text, "name one target for each axis of the move")
     return move.model_copy(update={"to": dict(targets.to), "by": dict(targets.by)})
 
