@@ -23,6 +23,7 @@ from orchestrator.clock.latency import StartLatency
 from orchestrator.clock.rate import CrystalRate
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import DigitalInput
+from orchestrator.model.profile import Profile
 
 
 @runtime_checkable
@@ -73,6 +74,18 @@ class PathDriver(Protocol):
     async def release_chunk(self, number: int) -> None:
         """Have the controller change over to the chunk that was loaded last, in one act of its own. Raises `Refusal`
         (code `late`): then it certainly continues with the present one."""
+        ...
+
+
+@runtime_checkable
+class RetargetDriver(Protocol):
+    """A driver that continues a move to another target on the way, with a `retarget_s` in its `capabilities`. Without
+    it the axes brake, and start again."""
+
+    async def retarget(self, profiles: Mapping[str, Profile], from_s: float) -> Mapping[str, float]:
+        """Continue the present move by other profiles, which are the present ones up to `from_s` after its start, and
+        return how long it takes, by axis, s from its start. Raises `Refusal` (code `late`: what comes behind `from_s`
+        is sent already); then it continues as before."""
         ...
 
 

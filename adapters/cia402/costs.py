@@ -6,12 +6,15 @@ from adapters.cia402.canopen.bus import SYNC
 from adapters.cia402.canopen.objects import DEMAND, OUTPUTS, STATUSWORD, TARGET
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.sync.stream import COPIES
+from adapters.contract import DriverCapabilities
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.link.can import CanFrame, frame_ns
 from orchestrator.model.state import StepCosts
 
 _FULL = CanFrame(0x7FF, bytes(8))
 _READS, _ORDERS = 4, 5  # of arming: SDOs with verification; mode, target, profile, and the drive's state
+LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
+RETARGET_PERIODS = 10  # those that are sent ahead, and some for the request
 _STOP_FRAMES = 3  # what waits for a SYNC, both controlword and position, and the controlword that counts at once
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, both ways
 _HANDLED_NS = 5 * NS_PER_MS  # usual time of an SDO server to answer
@@ -55,4 +58,19 @@ def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float,
         arm_ns=(_READS + watched) * exchange_ns + _ORDERS * each_ns + said_ns,
         disarm_ns=_STOP_FRAMES * each_ns + 2 * way_ns + cycle_ns,
         stop_ns=_STOP_FRAMES * each_ns + way_ns + cycle_ns + 2 * NS_PER_MS + ceil(ramp_s * NS_PER_S),
+    )
+
+
+def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabilities:
+    """What a drive supports. period_ms: of the positions that it follows; None: it follows none."""
+    if period_ms is None:
+        return DriverCapabilities(start_classes=("sync",), orders=(2,), independent_axes=False, costs=costs)
+    return DriverCapabilities(
+        start_classes=("sync",),
+        orders=(2, 3),
+        independent_axes=False,
+        costs=costs,
+        chunk_s=LONGEST_CHUNK_S,
+        chunk_load_s=LOAD_S,
+        retarget_s=RETARGET_PERIODS * period_ms / 1000,
     )

@@ -9,6 +9,7 @@ from adapters.abilities import (
     ManualDriver,
     OutputDriver,
     PathDriver,
+    RetargetDriver,
     SamplingDriver,
     SettingsDriver,
     SharedLineDriver,
@@ -23,7 +24,7 @@ from adapters.cia402.canopen.objects import CYCLIC_MODE, FOLLOWED, DictionaryObj
 from adapters.cia402.canopen.sdo import bus_off_fault
 from adapters.cia402.canopen.setpoint import count_accesses
 from adapters.cia402.connection import Cia402Connection, make_connection
-from adapters.cia402.costs import step_costs
+from adapters.cia402.costs import make_capabilities, step_costs
 from adapters.cia402.fleetaxes import (
     needs_stream,
     node_number,
@@ -65,13 +66,12 @@ from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import StepCosts
 
-LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
-
 
 class Cia402Driver(
     ConnectedDriver[Cia402Connection],
     SettingsDriver,
     PathDriver,
+    RetargetDriver,
     SamplingDriver,
     TriggerDriver,
     LatchDriver,
@@ -166,14 +166,7 @@ class Cia402Driver(
 
     @property
     def capabilities(self) -> DriverCapabilities:
-        return DriverCapabilities(
-            start_classes=("sync",),
-            orders=(2, 3) if self._streams else (2,),
-            independent_axes=False,
-            costs=self._step_costs(self._ramp_s),
-            chunk_s=LONGEST_CHUNK_S if self._streams else 0.0,
-            chunk_load_s=LOAD_S if self._streams else 0.0,
-        )
+        return make_capabilities(self._step_costs(self._ramp_s), self._options.period_ms if self._streams else None)
 
     async def poll(self) -> ControllerReading:
         """Return the state that the drive sends unsolicited; nothing is queried."""
@@ -226,6 +219,10 @@ class Cia402Driver(
     async def release_chunk(self, number: int) -> None:
         with log_refusals(self._log, "the release of a chunk"):
             await self.connection.mover.release_chunk(number)
+
+    async def retarget(self, profiles: Mapping[str, Profile], from_s: float) -> Mapping[str, float]:
+        with log_refusals(self._log, "a retarget"):
+            return {self._axis: await self.connection.mover.retarget(profiles[self._axis], from_s)}
 
     async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
         del axes  # it has one

@@ -23,6 +23,7 @@ from adapters.cia402.timing import DriveTiming, standing_ns
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk, SwitchedOutput
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
+from orchestrator.model.profile import Profile
 
 _OVERDUE_NS = NS_PER_S  # a motion that ends later than this is blocked, or has never begun
 _LONGEST_PATH_NS = 86_400 * NS_PER_S  # for which a path in chunks keeps the SYNC of its bus
@@ -160,7 +161,7 @@ class Cia402Mover:
             if move.release is not None:
                 move.release.cancel()
 
-    # A path in chunks
+    # Streams that are continued
 
     async def load_chunk(self, chunk: PathChunk) -> ChunkFit:
         """Take the next chunk of the present path. Raises `Refusal`."""
@@ -169,6 +170,10 @@ class Cia402Mover:
     async def release_chunk(self, number: int) -> None:
         """Change over to the loaded chunk. Raises `Refusal`."""
         path.release_chunk(self._require_step(), number)
+
+    async def retarget(self, profile: Profile, from_s: float) -> float:
+        """Continue by another profile behind `from_s`; return how long it takes, s. Raises `Refusal`."""
+        return path.change_course(self._require_step(), self._sync_scheduler, profile, from_s)
 
     # Outputs that are switched on the way
 

@@ -1,4 +1,4 @@
-"""The continuation of a path: the chunk behind the present one, and the change over to its positions."""
+"""Streams that are continued: by the chunk of a path behind the present one, or to another target."""
 
 from dataclasses import replace
 from math import ceil
@@ -6,9 +6,12 @@ from math import ceil
 from adapters.cia402.lowering import Cia402Lowered
 from adapters.cia402.shapes.course import SetpointTrajectory
 from adapters.cia402.step import DriveStep
+from adapters.cia402.sync.starts import SyncScheduler
+from adapters.cia402.sync.stream import TAIL_SYNCS
 from adapters.contract import ChunkFit, PathChunk
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
+from orchestrator.model.profile import Profile
 
 
 def load_chunk(move: DriveStep, chunk: PathChunk) -> ChunkFit:
@@ -38,6 +41,26 @@ def release_chunk(move: DriveStep, number: int) -> None:
     profile = trajectory.profile
     durations_s = {lowered_step.axis: trajectory.duration_s}
     move.lowered = replace(lowered_step, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
+
+
+def change_course(move: DriveStep, sync_scheduler: SyncScheduler, profile: Profile, from_s: float) -> float:
+    """Take the positions that are not sent yet from another profile, which is the present one up to `from_s`; return
+    how long it takes, s. Raises `Refusal`."""
+    lowered_step, streamed_move = move.lowered, move.streamed_move
+    if lowered_step.trajectory is None or streamed_move is None:
+        raise Refusal("no-stream", "the drive follows no positions of this computer", "")
+    trajectory = SetpointTrajectory(profile, lowered_step.trajectory.period_ns, is_chunk=True)
+    number = streamed_move.next_number
+    # Position n is that of the plan n + 1 periods after the start.
+    if number * trajectory.period_ns / NS_PER_S > from_s or streamed_move.is_done:
+        raise Refusal("late", "the positions behind the place where the move was to be continued are sent", "")
+    sync_scheduler.extend_start(
+        move.sync_start, move.t0_ns + (trajectory.point_count + TAIL_SYNCS) * trajectory.period_ns
+    )
+    streamed_move.continue_with(trajectory, number)
+    durations_s = {lowered_step.axis: trajectory.duration_s}
+    move.lowered = replace(lowered_step, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
+    return trajectory.duration_s
 
 
 def _make_trajectory(lowered: Cia402Lowered, chunk: PathChunk) -> SetpointTrajectory:

@@ -58,7 +58,7 @@ class DriveReader:
             actual_counts=float(node.actual),
             velocity_counts_s=self._velocity() if is_moving else 0.0,
             moving=is_moving,
-            enabled=node.is_enabled,
+            enabled=self._is_powered,
             limit=_limit_switches(node.inputs),
         )
         return ControllerReading(
@@ -85,6 +85,12 @@ class DriveReader:
         node = self._node
         units = float(self._options.velocity_units) if VELOCITY in node.layout.reported else 1.0
         return node.velocity / units
+
+    @property
+    def _is_powered(self) -> bool:
+        """Whether its power stage is on: also in the quick stop that completes a stop, which it leaves enabled."""
+        node = self._node
+        return node.is_enabled or (node.state is DriveState.QUICK_STOP and self._power.is_stopping)
 
     def _is_moving(self) -> bool:
         """Return whether the drive moves: by its statusword during an operation; otherwise by its position, which shows

@@ -58,6 +58,8 @@ from orchestrator.model.messages import (
     Reply,
     Request,
     ResetRequest,
+    RetargetReply,
+    RetargetRequest,
     SamplesTaken,
     SamplingBegun,
     SetPositionRequest,
@@ -77,8 +79,7 @@ class ControllerCommands:
     """Answer `ctl/{id}/cmd/*` for one controller."""
 
     def __init__(self, context: ControllerContext, components: Components, stops: ControllerStops) -> None:
-        self._context = context
-        self._config, self._driver = context.config, context.driver
+        self._context, self._config, self._driver = context, context.config, context.driver
         self._components = components
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._stops = stops
@@ -98,6 +99,7 @@ class ControllerCommands:
             "start-at-once": (StartAtOnceRequest, StartedReply, steps.start_at_once),
             "load-chunk": (LoadChunkRequest, ChunkReply, components.chunks.load),
             "release-chunk": (ReleaseChunkRequest, Reply, components.chunks.release),
+            "retarget": (RetargetRequest, RetargetReply, components.retargets.retarget),
             "disarm": (DisarmRequest, DisarmedReply, components.withdrawal.disarm_step),
             "stop": (StopRequest, Reply, self._handle_stop),
             "enable": (EnableRequest, Reply, self._handle_enable),

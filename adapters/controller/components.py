@@ -13,6 +13,7 @@ from adapters.controller.publishing.publisher import StatePublisher, StateSource
 from adapters.controller.slots.participant import StepParticipant
 from adapters.controller.slots.parts import StepParts
 from adapters.controller.slots.path_chunks import PathChunks
+from adapters.controller.slots.retargets import MoveRetargets
 from adapters.controller.slots.sampling import SampleCollection
 from adapters.controller.slots.step_checks import StepChecks
 from adapters.controller.slots.step_events import StepEvents
@@ -48,6 +49,7 @@ class Components:
     withdrawal: StepWithdrawal
     settling: SettlingMonitor
     chunks: PathChunks
+    retargets: MoveRetargets
     samples: SampleCollection
     triggers: TriggerCollection
     surveillance: Surveillance
@@ -88,6 +90,7 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         withdrawal=withdrawal,
         settling=settling,
         chunks=PathChunks(context, steps, fence, leases, status),
+        retargets=MoveRetargets(context, steps, fence, leases, status),
         samples=SampleCollection(context, status, steps),
         triggers=TriggerCollection(context, status, steps),
         surveillance=surveillance,

@@ -19,6 +19,7 @@ from orchestrator.model.jobs.service import (
     FleetReloaded,
     JobReference,
     JobReferences,
+    JobRetargeted,
     JobRetried,
     JobsFound,
     JobShown,
@@ -37,6 +38,7 @@ from orchestrator.model.jobs.service import (
     ReleaseAxes,
     ReloadFleet,
     ReorderJob,
+    RetargetJob,
     RetryJob,
     StopFleet,
     SubmitJob,
@@ -120,6 +122,12 @@ def _describe_override(request: OverrideJob) -> str:
     return f"{request.job_id} {request.percent:g} %"
 
 
+def _describe_retarget(request: RetargetJob) -> str:
+    targets = [*(f"{axis} to {target}" for axis, target in request.to.items())]
+    targets += [f"{axis} by {distance}" for axis, distance in request.by.items()]
+    return f"{request.job_id} {', '.join(targets)}"
+
+
 def _describe_age(request: PruneJobs) -> str:
     return f"older than {request.older_s:g} s, but the newest {request.keep}"
 
@@ -168,6 +176,7 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "read-live": ServiceVerb(ReadLive, LiveRead, "viewer", reads=True),
     "stop-live": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
     "end-live": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
+    "retarget": ServiceVerb(RetargetJob, JobRetargeted, "operator", subject=_describe_retarget),
     "prune": ServiceVerb(PruneJobs, JobsPruned, "maintainer", subject=_describe_age),
     "stop": ServiceVerb(StopFleet, Reply, "viewer", subject=_describe_stop),
     "start-queue": ServiceVerb(StartQueue, Reply, "operator"),

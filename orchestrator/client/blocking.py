@@ -33,7 +33,7 @@ from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.rest import JobRest
 from orchestrator.model.jobs.restart import StartPreview
-from orchestrator.model.jobs.service import FleetNames, JobRetried, JobShown, WireFinding
+from orchestrator.model.jobs.service import FleetNames, JobRetargeted, JobRetried, JobShown, WireFinding
 from orchestrator.model.messages import TraceReply
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobPlan, JobPlanned
@@ -116,6 +116,14 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         """Play the path that the job moves on at `percent` (10 to 120) of its planned speed; where it is on none, plan
         its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         self._run(self._wrapped.override(percent))
+
+    def retarget(
+        self, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
+    ) -> JobRetargeted:
+        """Send the axes of the move that the job executes now to other targets, by `to` (user positions) or `by`
+        (distances from the targets that they have). Raises `Refusal`: codes `not-running`, `not-moving`, `not-a-move`,
+        `other-axes`, `soft-limit`, `paused`, `permit`."""
+        return self._run(self._wrapped.retarget(to, by=by))
 
     def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
@@ -572,6 +580,14 @@ class BlockingTutti(BlockingObject[Tutti]):
         while the coordinator is away.
         """
         return self._run(self._wrapped.wait_for_job(job_id, on_progress, poll_s, on_ready))
+
+    def retarget_job(
+        self, job_id: str, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
+    ) -> JobRetargeted:
+        """Send the axes of the move that a job executes now to other targets: all of its axes, each by `to` (user
+        position) or by `by` (distance from the target that it has). Returns as soon as the new targets count. Raises
+        `Refusal`: codes `not-running`, `not-moving`, `not-a-move`, `other-axes`, `soft-limit`, `paused`, `permit`."""
+        return self._run(self._wrapped.retarget_job(job_id, to, by=by))
 
     def preview_start(self, *job_ids: str) -> StartPreview:
         """What would move first if these jobs were released; without any, if the queue was started. Raises `Refusal`:

@@ -10,9 +10,9 @@ from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.progress import show_bar
-from orchestrator.client.queue import QueueRequests
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobQueue, JobResult, shorten_repr
+from orchestrator.client.retargets import RetargetRequests
 from orchestrator.client.tracebacks import end_tracebacks
 from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
@@ -24,6 +24,7 @@ from orchestrator.model.jobs.service import (
     DryRunDone,
     FindJob,
     JobReference,
+    JobRetargeted,
     JobRetried,
     JobsFound,
     JobShown,
@@ -62,7 +63,7 @@ MAX_RECORDINGS = 100
 MAX_RESULT_POINTS = 10_000
 
 
-class JobRequests(QueueRequests):
+class JobRequests(RetargetRequests):
     """Submit jobs, follow them, and end them."""
 
     async def submit(
@@ -408,6 +409,14 @@ class SubmittedJob(str):
         """Play the path that the job moves on at `percent` (10 to 120) of its planned speed; where it is on none, plan
         its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         await self._requests.override_job(self, percent)
+
+    async def retarget(
+        self, to: Mapping[str, float | str] | None = None, *, by: Mapping[str, float | str] | None = None
+    ) -> JobRetargeted:
+        """Send the axes of the move that the job executes now to other targets, by `to` (user positions) or `by`
+        (distances from the targets that they have). Raises `Refusal`: codes `not-running`, `not-moving`, `not-a-move`,
+        `other-axes`, `soft-limit`, `paused`, `permit`."""
+        return await self._requests.retarget_job(self, to, by=by)
 
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

@@ -41,7 +41,7 @@ class ReadingRequests(FleetRequests):
         if axis_now is None:
             text = f"{controller}: its adapter does not answer, so that the offset of {name} is not known"
             raise Refusal("absent", text, "is its adapter host running?", controller)
-        return describe_axis(name, fleet.controllers[controller], config, axis_now)
+        return describe_axis(name, config, axis_now, await self.controller_info(controller))
 
     async def position(self, axis: str) -> float:
         """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""

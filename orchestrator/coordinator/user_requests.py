@@ -41,7 +41,6 @@ from orchestrator.model.jobs.service import (
     JobShown,
     JobsPruned,
     ListJobs,
-    OverrideJob,
     PauseJob,
     PointsRead,
     PruneJobs,
@@ -102,7 +101,8 @@ class UserRequests:
             "approve": approvals.approve_job,
             "reorder": self._reorder_job,
             "pause": self._pause_job,
-            "override": self._override_job,
+            "override": scheduler.run_requests.override_job,
+            "retarget": scheduler.run_requests.retarget_job,
             "resume": self._resume_job,
             **intake.live.handlers,
             "prune": self._prune_jobs,
@@ -245,10 +245,6 @@ class UserRequests:
 
     async def _pause_job(self, request: PauseJob) -> Reply:
         await self._scheduler.run_requests.pause_job(request.job_id, request.actor, now=request.now)
-        return Reply()
-
-    async def _override_job(self, request: OverrideJob) -> Reply:
-        await self._scheduler.run_requests.override_job(request.job_id, request.percent)
         return Reply()
 
     async def _resume_job(self, request: JobReference) -> Reply:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from math import ceil, log10
 
-from orchestrator.model.fleet import Axis, Controller
-from orchestrator.model.state import AxisState
+from orchestrator.model.fleet import Axis
+from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility
 from orchestrator.model.units import parse_quantity
 
 MAX_DIGITS = 12
@@ -18,7 +18,9 @@ class AxisInfo:
     one count; digits: decimals with which that is shown. least, most: where it may be sent, in user positions as of
     now (the soft limits plus the offset); None: it has no soft limits, or is endless (`wrap`). velocity, acceleration,
     jerk: limits, in its unit per second (², ³); jerk None: it is planned with trapezoids. wrap: the length of a turn.
-    referenced: whether its position counts from its reference. description: from the fleet file.
+    referenced: whether its position counts from its reference. description: from the fleet file. retarget: how it gets
+    another target on the way, and the most time from a request until its set-points change; where several controllers
+    move together, they brake.
     """
 
     name: str
@@ -36,17 +38,19 @@ class AxisInfo:
     wrap: float | None
     referenced: bool
     description: str
+    retarget: RetargetAbility
 
 
-def describe_axis(name: str, controller: Controller, axis: Axis, axis_now: AxisState) -> AxisInfo:
-    """What is known about `controller.axis` from the fleet file, and its offset from its state."""
+def describe_axis(name: str, axis: Axis, axis_now: AxisState, info: ControllerInfo) -> AxisInfo:
+    """What is known about `controller.axis` from the fleet file, its offset from its state, and what its controller
+    can do."""
     resolution = float(1 / axis.scale)
     wrap = None if axis.wrap is None else float(parse_quantity(axis.wrap, axis.unit, name))
     limits = None if wrap is not None else axis.soft_limits
     offset = axis_now.offset
     return AxisInfo(
         name=name,
-        make=controller.adapter,
+        make=info.make,
         motor=axis.motors[0],
         unit=axis.unit,
         kind=axis.kind,
@@ -60,4 +64,5 @@ def describe_axis(name: str, controller: Controller, axis: Axis, axis_now: AxisS
         wrap=wrap,
         referenced=axis_now.referenced,
         description=axis.description,
+        retarget=info.retarget_ability,
     )

@@ -430,6 +430,20 @@ class ReleaseChunkRequest(StepRequest):
     number: int
 
 
+class RetargetRequest(StepRequest):
+    """Continue the motion that began at T0 by other profiles: up to `from_s` after T0 they are the present ones."""
+
+    t0_fleet_ns: Int53
+    from_s: float
+    profiles: dict[str, Profile]
+
+
+class RetargetReply(Reply):
+    """The motion is continued so. durations_s: by axis, from T0 to its end."""
+
+    durations_s: dict[str, float] = Field(default={})
+
+
 class DisarmRequest(StepRequest):
     """Unload; nothing starts.
 

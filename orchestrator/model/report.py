@@ -8,7 +8,7 @@ from orchestrator.model.base import Int53, Model
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
-from orchestrator.model.state import AxisEvidence, ClockMapping, ReadPosition, StartClass, TimeInterval
+from orchestrator.model.state import AxisEvidence, ClockMapping, ReadPosition, RetargetWay, StartClass, TimeInterval
 from orchestrator.model.text.text_fields import SHOW_TEXT
 from orchestrator.model.units import Unit
 
@@ -233,6 +233,27 @@ class FeedHold(Model):
     rest_skew: SkewInterval | None = None
 
 
+class StepRetarget(Model):
+    """Other targets that a moving step has got, in user positions, each in the unit of its axis.
+
+    number: from 1. before: the targets that it had; empty where it was not planned yet. replaced: how many retargets
+    before it were overtaken by it. asked_fleet_ns: when it was asked for. changed_ns: from then until its set-points
+    had changed, at the latest; started_ns: from then to the T0 of the new motion. None: that did not come about, as
+    where nothing moved yet, or the axes stood at the target already.
+    """
+
+    number: Int53
+    by: str
+    utc: str
+    before: dict[str, float]
+    to: dict[str, float]
+    way: RetargetWay
+    replaced: Int53 = 0
+    asked_fleet_ns: Int53
+    changed_ns: Int53 | None = None
+    started_ns: Int53 | None = None
+
+
 Verdict = Literal["green", "amber", "red", "none"]
 VERDICTS: tuple[Verdict, ...] = ("green", "amber", "red")
 """From the best to the worst."""
@@ -354,7 +375,7 @@ class TriggerReport(Model):
 
 class StepReport(Model):
     """The record of one step, or of a whole scan (`scan`), followed by that of its point that was not done.
-    After feed holds it describes the last part, and lists the holds before.
+    After feed holds and retargets it describes the last part, and lists those before; of retargets, the last ones.
 
     verdict: green only if starts, durations and ends are certainly as promised, by the controllers' evidence and by the
     promises. start_skew: by the evidence alone. promised_skew: where the promises make it narrower, what they make of
@@ -383,6 +404,7 @@ class StepReport(Model):
     )
     refused: RefusalDetails | None = None
     feed_holds: list[FeedHold] = Field(default=[])
+    retargets: list[StepRetarget] = Field(default=[])
     scan: ScanSummary | None = None
     positions: dict[str, ReadPosition] = Field(
         default={},

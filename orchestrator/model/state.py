@@ -219,6 +219,19 @@ class CertificateEnd(Model):
     ends_utc: Utc
 
 
+RetargetWay = Literal["brake", "stream"]
+"""How a moving axis gets another target. `brake`: it brakes by its plan, and starts again from there. `stream`: its
+positions continue to the new target from where they are."""
+
+
+class RetargetAbility(Model):
+    """How the axes of a controller get other targets while they move. within_s: the most time from a request until
+    their set-points change."""
+
+    way: RetargetWay
+    within_s: float
+
+
 class ControllerInfo(Model):
     """Identity and capabilities of a controller."""
 
@@ -237,6 +250,11 @@ class ControllerInfo(Model):
         default=0.0, description="Longest chunk of a path that it loads while it moves, s; 0: a path is loaded whole."
     )
     chunk_load_s: float = Field(default=0.0, description="How long loading it takes at most, s.")
+    retarget: RetargetAbility | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How its axes get other targets while they move; left out: they brake, and start again.",
+    )
     digest: str
     options_schema: dict[str, Any]
     tutti: Label = Field(default="", description="Version of Tutti of its adapter host.")
@@ -246,6 +264,12 @@ class ControllerInfo(Model):
         exclude_if=lambda certificate: certificate is None,
         description="That of its adapter host's session; left out where it has none.",
     )
+
+    @property
+    def retarget_ability(self) -> RetargetAbility:
+        """How its axes get other targets while they move. Where it states nothing, they brake: by the longest time of a
+        stop they stand."""
+        return self.retarget or RetargetAbility(way="brake", within_s=self.costs.stop_ns / 1e9)
 
 
 class ClockMapping(Model):

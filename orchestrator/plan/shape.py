@@ -23,6 +23,7 @@ from ruckig import (
 )
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.profile import MotionState
 
 MAX_DURATION_S = 7000.0
 # Ruckig's margin on its results is 1e-8 (its README); ten times that, relative to the distance, is a defect.
@@ -194,3 +195,30 @@ def get_workspace(n: int) -> tuple[Any, Any, Any]:
         question.target_acceleration = zeros
         _workspaces[n] = (Ruckig(n), Trajectory(n), question)
     return _workspaces[n]
+
+
+def solve_way(state: MotionState, target: float, limits: tuple[float, float, float]) -> list[tuple[float, float]]:
+    """The fastest way of one axis from `state` to rest at `target`, as lengths (s) and jerks. limits: velocity,
+    acceleration and jerk, which `state` keeps. Raises `PlanError`."""
+    velocity, acceleration, jerk = limits
+    solver, trajectory, _ = get_workspace(1)
+    # A question of its own: that of the workspace is asked from rest.
+    question: Any = InputParameter(1)  # pyright: ignore[reportUnknownVariableType]
+    question.target_position = [(target - state.position) / velocity]
+    question.current_velocity = [state.velocity / velocity]
+    question.current_acceleration = [state.acceleration / velocity]
+    question.max_velocity, question.max_acceleration, question.max_jerk = (
+        [1.0],
+        [acceleration / velocity],
+        [jerk / velocity],
+    )
+    try:
+        result = solver.calculate(question, trajectory)
+    except Exception as error:  # Ruckig has no exception class of its own for invalid input
+        raise PlanError(f"Ruckig refuses the input: {error}") from None
+    if result not in _SOLVED:
+        raise PlanError(f"Ruckig returned {result}")
+    way = trajectory.profiles[0][0]
+    # Before the seven segments it brings what exceeds a limit by rounding back to it.
+    durations_s, jerks = cast(list[float], [*way.brake.t, *way.t]), cast(list[float], [*way.brake.j, *way.j])
+    return [(duration_s, part * velocity) for duration_s, part in zip(durations_s, jerks, strict=True)]

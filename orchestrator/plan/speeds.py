@@ -19,13 +19,19 @@ def plan_motion(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) ->
     speed = step.speed
     if isinstance(speed, float | int):
         return plan_step(moves, step.sync, speed, step.ramps)
+    return plan_step(limit_speeds(fleet, step, moves), step.sync, 1.0, step.ramps)
+
+
+def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> list[AxisMove]:
+    """The moves of a step with the speed that it states as the limit of each. Raises `PlanError`."""
+    speed = step.speed
+    if isinstance(speed, float | int):
+        return [replace(move, velocity=move.velocity * speed) for move in moves]
     if isinstance(speed, Mapping):
-        limited_moves = _limit_named(fleet, speed, moves)
-    elif speed == MANUAL:
-        limited_moves = [replace(move, velocity=move.velocity * fleet.axis(move.axis).manual_speed) for move in moves]
-    else:
-        limited_moves = _limit_line(fleet, speed, moves)
-    return plan_step(limited_moves, step.sync, 1.0, step.ramps)
+        return _limit_named(fleet, speed, moves)
+    if speed == MANUAL:
+        return [replace(move, velocity=move.velocity * fleet.axis(move.axis).manual_speed) for move in moves]
+    return _limit_line(fleet, speed, moves)
 
 
 def _limit_named(fleet: Fleet, speeds: Mapping[str, float | str], moves: Sequence[AxisMove]) -> list[AxisMove]:

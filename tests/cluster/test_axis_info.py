@@ -22,6 +22,7 @@ def test_an_axis_is_described_from_the_fleet_file_with_its_offset() -> None:
         assert (info.least, info.most) == (float(config.soft_limits.min), float(config.soft_limits.max))
         assert (info.velocity, info.acceleration) == (config.limits.velocity, config.limits.acceleration)
         assert info.referenced
+        assert info.retarget.way == "brake" and info.retarget.within_s > 0
         position = await client.position("gantry.x")
         await outcome(fleet, job(f"[{{do: set-position, axes: {{gantry.x: {position + 10}}}}}]"))
         moved = await client.axis("gantry.x")
@@ -34,9 +35,9 @@ def test_an_axis_is_described_from_the_fleet_file_with_its_offset() -> None:
 def test_an_axis_that_turns_has_no_limits() -> None:
     async def main(fleet: VirtualFleet) -> None:
         axis_now = (await fleet.make_client().axes())["gantry.x"]
-        controller = fleet.fleet.controllers["gantry"]
+        controller = await fleet.make_client().controller_info("gantry")
         turning = fleet.fleet.axis("gantry.x").model_copy(update={"kind": "rotary", "wrap": 360})
-        info = describe_axis("gantry.x", controller, turning, axis_now)
+        info = describe_axis("gantry.x", turning, axis_now, controller)
         assert info.wrap == 360.0 and info.least is None and info.most is None
 
     run_fleet(main)

@@ -333,6 +333,6 @@ def test_a_chained_step_that_was_paused_in_its_motion_counts_as_begun_from_rest(
         await submitted.resume()
         report = await submitted.result()
         assert report.state == "done", report.reason
-        assert chained(report) == [None, False] and breaks(report) == ["the job was paused in it"]
+        assert chained(report) == [None, False] and breaks(report) == ["it was braked on the way"]
 
     run_fleet(main)

@@ -93,6 +93,13 @@ class SyncScheduler:
         self._starts.sort(key=lambda shot: shot.t0_ns)
         return shot
 
+    def extend_start(self, start: SyncStart, until_ns: int) -> None:
+        """Let a stream last until `until_ns`. Raises `Refusal` (bus-busy) when another start is reserved until then."""
+        if any(start.t0_ns < shot.t0_ns < until_ns + START_SPACING_NS for shot in self._starts):
+            text = "the bus is to start other drives before the stream would end"
+            raise Refusal("bus-busy", text, "start drives of one bus in one step")
+        start.until_ns = max(start.until_ns, until_ns)
+
     def load_frames(
         self,
         node: int,

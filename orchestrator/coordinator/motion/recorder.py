@@ -15,7 +15,7 @@ class StepRecorder:
     """Records the states of a step's members until `finish`."""
 
     def __init__(self, view: FleetView, profiles: Mapping[str, Profile]) -> None:
-        self._profiles = profiles
+        self.profiles = profiles
         self._members = group_by_controller(profiles)
         self._every = 1
         self._seen = 0
@@ -45,7 +45,7 @@ class StepRecorder:
         """Stop recording, and return the recording."""
         self._unlisten()
         axes: dict[str, AxisRecording] = {}
-        for axis, profile in self._profiles.items():
+        for axis, profile in self.profiles.items():
             config = self._fleet.axis(axis)
             axes[axis] = AxisRecording(
                 unit=config.unit,

@@ -1,7 +1,7 @@
 """A motion step: plan, negotiate, start in two phases, watch, report."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
@@ -152,7 +152,9 @@ class MotionStep:
     def __init__(self, services: MotionServices, request: StepRequest) -> None:
         self._services = services
         self._request = request
-        self._goal: dict[str, Fraction] = {}
+        self._goal: Mapping[str, Fraction] = {}
+        self._next_goal: Mapping[str, Fraction] = {}
+        """Other targets that it has got; they count from its next plan on."""
         self._motion: PlannedMotion | None = None
         self._rest: PathRest | None = None
         self._stops: list[PathStop] = []
@@ -161,6 +163,27 @@ class MotionStep:
     def request(self) -> StepRequest:
         """Its number, its move and its job."""
         return self._request
+
+    @property
+    def goal(self) -> Mapping[str, Fraction]:
+        """The exact targets that its axes have, motor positions; empty while they are not planned yet."""
+        return self._next_goal or self._goal
+
+    @property
+    def is_retargeted(self) -> bool:
+        """Whether it has got other targets than those it was planned for."""
+        return bool(self._next_goal)
+
+    def retarget(self, goal: Mapping[str, Fraction]) -> None:
+        """Go to other targets, from its next plan on: `run` again, once it is braked."""
+        self._next_goal = goal
+
+    def take_motion(self, motion: PlannedMotion, changed: PlannedMotion) -> None:
+        """`motion` continues to other targets on the way, as `changed` states. Raises `Refusal`: it is over."""
+        if self._motion is not motion:
+            raise Refusal("late", "the motion has ended")
+        self._motion = changed
+        self._goal = {axis: exact for axis, (exact, _) in changed.planned.resolved.exact.items()}
 
     @property
     def motion(self) -> PlannedMotion | None:
@@ -183,6 +206,8 @@ class MotionStep:
     async def _plan(self, seen_ns: int | None) -> PlannedStep:
         if self._rest is not None:
             return await plan_resumed(self._services, self._rest)
+        if self._next_goal:
+            self._goal, self._next_goal = self._next_goal, {}
         return await plan_request(self._services, self._request, self._goal, seen_ns)
 
     async def _run_once(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
@@ -287,6 +312,9 @@ class MotionStep:
             await observer.on_state("running", "")
             observer.on_started(start.state.t0_fleet_ns, motion.duration_s)
             await motion.watch.run()
+            if self._motion is not None and self._motion.planned is not motion.planned:
+                motion = self._motion
+                recorder.profiles = motion.agreement.plan.profiles
             if motion.watch.failure is not None:
                 await self._handle_failure(motion, observer)
             done_report = report = await self._finish(motion)

@@ -66,11 +66,16 @@ class StepWatch:
             remove()
 
     def set_durations(self, ends_s: Mapping[str, float]) -> None:
-        """Set how long members of a path have moved, from T0, as they have stated with its last chunk."""
+        """Set how long members move, from T0, as they have stated last."""
         for member, end_s in ends_s.items():
             report = self.reports[member]
             lowered_s = dict.fromkeys(report.lowered_s, end_s)
             self.reports[member] = report.model_copy(update={"lowered_s": lowered_s, "planned_s": lowered_s})
+
+    def extend(self, member: str, end_s: float) -> None:
+        """A member goes to another target on the way, and moves until `end_s` after T0."""
+        self.set_durations({member: end_s})
+        self._due_ns = self._state.t0_fleet_ns + round(end_s * NS_PER_S)
 
     async def run(self) -> None:
         """Return as soon as all members have ended, or one has failed."""

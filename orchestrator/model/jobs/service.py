@@ -20,11 +20,13 @@ from orchestrator.model.report import (
     StepRecording,
     StepReport,
 )
+from orchestrator.model.state import RetargetWay
 from orchestrator.model.steps.points import DIGEST_PATTERN, MAX_POINTS, MAX_SCAN_AXES, PART_BYTES, PointAxis, PointTable
 from orchestrator.model.text.text_fields import PLAIN_TEXT, SHOW_TEXT
-from orchestrator.model.units import Unit
+from orchestrator.model.units import AxisQuantity, Unit
 
 MAX_MANUAL_LEASE_S = 24 * 3600.0  # `tutti axis acquire --for`; a client that renews uses a much shorter one
+MAX_RETARGET_AXES = 256
 MANUAL_HOLDER_PATTERN = r"^manual-[a-z0-9-]{1,60}$"
 
 
@@ -139,6 +141,23 @@ class OverrideJob(JobReference):
     """Play the present path of a running job at another speed."""
 
     percent: float = Field(description="Of its planned speed, 10 to 120.")
+
+
+class RetargetJob(JobReference):
+    """Send the axes of the move that a job executes now to other targets, all of them. to: user positions; by:
+    distances from the targets that they have."""
+
+    to: dict[str, AxisQuantity] = Field(default={}, max_length=MAX_RETARGET_AXES)
+    by: dict[str, AxisQuantity] = Field(default={}, max_length=MAX_RETARGET_AXES)
+
+
+class JobRetargeted(Reply):
+    """outcome: `changed`; `same`: the axes had these targets already; `replaced`: a newer request has taken its place.
+    way, within_s: how the targets change, and the most time from the request until set-points do."""
+
+    outcome: Literal["changed", "same", "replaced"] = "changed"
+    way: RetargetWay = "brake"
+    within_s: float = 0.0
 
 
 class JobReferences(Request):

@@ -23,6 +23,7 @@ ASKED_FOR_CLASSES = {
     "orchestrator/cli/manual/one_step.py": "`tutti axis` checks the words of its command before there is a job",
     "orchestrator/cli/paths/path.py": "`tutti path plot` draws paths",
     "orchestrator/coordinator/motion/planning.py": "the planner of paths and that of moves are two",
+    "orchestrator/coordinator/motion/retarget.py": "a move can have other targets, a path has not",
     "orchestrator/gateway/stream/targets.py": "the page draws the targets of moves",
 }
 MOST_TESTS = 15

@@ -3,6 +3,8 @@
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import JobRetargeted, OverrideJob, RetargetJob
+from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobProgress, StepReport
 
 OVERRIDE_PERCENT = 10, 120
@@ -32,16 +34,24 @@ class RunRequests:
         if now:
             await run.feed_hold(actor)
 
-    async def override_job(self, job_id: str, percent: float) -> None:
+    async def override_job(self, request: OverrideJob) -> Reply:
         """Play the path of a running job at another speed, or plan its next moves for it. Raises `Refusal`."""
-        run = self._register.running.get(job_id)
+        run, percent = self._register.running.get(request.job_id), request.percent
         if run is None:
-            raise await self._register.make_refusal(job_id, "not-running", "an override is for a job that runs")
+            raise await self._register.make_refusal(request.job_id, "not-running", "an override is for a job that runs")
         low, high = OVERRIDE_PERCENT
         if not low <= percent <= high:
             text = f"{percent:g} % is not between {low} and {high} %"
             raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
         await run.override(percent / 100)
+        return Reply()
+
+    async def retarget_job(self, request: RetargetJob) -> JobRetargeted:
+        """Send the axes of the present move of a running job to other targets."""
+        run = self._register.running.get(request.job_id)
+        if run is None:
+            raise await self._register.make_refusal(request.job_id, "not-running", "a retarget is for a job that runs")
+        return await run.retarget(request)
 
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""

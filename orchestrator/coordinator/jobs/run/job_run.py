@@ -23,6 +23,7 @@ from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.steps.context import StepContext
 from orchestrator.model.errors import Refusal, shorten_text
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.messages import StopMode
 from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
 
@@ -147,6 +148,15 @@ class JobRun:
             if self._chain.is_prepared and not self._chain.is_decided:
                 await self._chain.drop("its speed was changed", self.row.actor)
         self._state.publish_progress()
+
+    async def retarget(self, request: RetargetJob) -> JobRetargeted:
+        """Send the axes of the move that it executes to other targets. Raises `Refusal`: nothing has changed."""
+        if self.row.proposed:
+            text = f"the plan of job {self.row.id} was approved with the targets that it has"
+            raise Refusal("approved", text, "stop it, and submit a job with other targets")
+        if self._steps.locate(self._state.step).point is not None:
+            raise Refusal("not-a-move", "the present move is a point of a scan", "wait for its end, or stop it")
+        return await self._step_run.retarget(request)
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""

@@ -119,7 +119,7 @@ class MotionChain:
         number."""
         self._breaks.setdefault(index, self._breaks.pop(None, ""))
         if self._kept == index:
-            self._kept, self._breaks[index] = None, "the job was paused in it"
+            self._kept, self._breaks[index] = None, "it was braked on the way"
 
     # Pauses and ends
 
@@ -128,6 +128,10 @@ class MotionChain:
         self._paused = True
         if self._ahead is not None:
             self._ahead.prevent_release(reason)
+
+    def starts_behind(self, step: MotionStep) -> bool:
+        """Whether `step`, the present one, is still being started behind the one before it."""
+        return self._ahead is not None and self._ahead.step is step
 
     async def settle_pause(self) -> None:
         """Wait until it is known whether the step behind the present one starts."""

@@ -7,6 +7,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.jobs.check import predict_s
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
+from orchestrator.coordinator.jobs.run.retargets import RETARGETED, StepRetargets
 from orchestrator.coordinator.jobs.run.run_state import JobPause, RunState
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
@@ -14,6 +15,7 @@ from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.coordinator.steps.context import StepContext
 from orchestrator.coordinator.steps.kinds import run_step
 from orchestrator.model.errors import NOT_REFERENCED, SETTING_CHANGED, Refusal
+from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import FeedHold, JobState, StepReport
 from orchestrator.model.steps.base import Step
@@ -39,8 +41,13 @@ class StepRun:
         self._state = state
         self._pause = state.pause
         self._chain = chain
+        self._retargets = StepRetargets(services, state, chain)
         self._axes = axes
         self._rest = axes.rest
+
+    async def retarget(self, request: RetargetJob) -> JobRetargeted:
+        """Send the axes of the present move to other targets. Raises `Refusal`: nothing has changed."""
+        return await self._retargets.retarget(request)
 
     async def wait_while_paused(self) -> None:
         """Wait until the job is resumed, if it is paused. Raises `JobInterrupted` when it is ended."""
@@ -61,10 +68,12 @@ class StepRun:
             raise self._pause.given_up
 
     async def run_step(self, index: int, step: Step) -> StepReport:
-        """Run a step; after a feed hold it continues to the same targets from where its axes stand."""
+        """Run a step; after a feed hold it continues to the same targets from where its axes stand, after a retarget to
+        the new ones."""
         holds: list[FeedHold] = []
         waited_codes = {SETTING_CHANGED}
         motion = as_motion(step)
+        self._retargets.begin_step()
         if motion is not None:
             self._state.motion_step = self._chain.begin_step(index, motion)
         try:
@@ -75,14 +84,17 @@ class StepRun:
                     waited_codes.add(NOT_REFERENCED)  # by the change, if not by what ends it
                     await self._wait_for_cause(report.reason)
                     continue
-                if refused_code != FEED_HOLD:
-                    return report.model_copy(update={"feed_holds": holds})
-                await self._chain.drop("the job is paused", self._context.actor)
-                if report.state == "stopped":
+                is_retargeted = await self._retargets.continue_step(report)
+                if refused_code != FEED_HOLD and not is_retargeted:
+                    return report.model_copy(update={"feed_holds": holds, "retargets": self._retargets.entries})
+                is_held = self._pause.braked or not is_retargeted
+                await self._chain.drop("the job is paused" if is_held else RETARGETED, self._context.actor)
+                if report.state == "stopped" and is_held:
                     services, by = self._services, self._pause.paused_by or self._pause.resumed_by
                     holds.append(FeedHold(by=by, utc=services.clock.utc(), rest_skew=report.end_skew))
                 self._state.note_hold(is_moved=report.state == "stopped")
-                await self.wait_while_paused()
+                if is_held:  # a pause at the end of the step comes there
+                    await self.wait_while_paused()
                 await self._rest.wait_for_rest()
         finally:
             self._state.motion_step = None
@@ -139,12 +151,14 @@ class StepRun:
 
     async def _on_state(self, state: JobState, reason: str) -> None:
         await self._state.change_state(state, reason)
-        if self._pause.braked and state != "planning" and self._state.motion_step is not None:
-            # The pause was requested while nothing could be braked yet.
-            await self._state.motion_step.feed_hold(self._pause.paused_by or "")
+        step = self._state.motion_step
+        if step is not None and state != "planning" and (self._pause.braked or step.is_retargeted):
+            # The pause or the retarget was requested while nothing could be braked yet.
+            await step.feed_hold(self._pause.paused_by or self._context.actor)
 
     def _on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
         self._state.note_start(t0_fleet_ns, duration_s)
+        self._retargets.note_start(t0_fleet_ns)
         step = self._state.motion_step
         if step is not None and step.motion is not None:
             self._chain.look_ahead(step.motion)
