@@ -23,6 +23,8 @@ from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
     FindJob,
+    GoJob,
+    JobGone,
     JobReference,
     JobRetried,
     JobsFound,
@@ -210,6 +212,17 @@ class JobRequests(QueueRequests):
         await self.request_service(
             "override", OverrideJob(**self.request_fields(), job_id=job_id, percent=percent), Reply
         )
+
+    async def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
+        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start, fleet
+        time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
+        `too-late`, and what has ended the wait.
+
+        at_fleet_ns: that instant; without it, as soon as all controllers can."""
+        request = GoJob(**self.request_fields(), job_id=job_id, at_fleet_ns=at_fleet_ns)
+        reply = await self.request_service("go", request, JobGone)
+        assert reply.t0_fleet_ns is not None
+        return reply.t0_fleet_ns
 
     async def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
@@ -408,6 +421,11 @@ class SubmittedJob(str):
         """Play the path that the job moves on at `percent` (10 to 120) of its planned speed; where it is on none, plan
         its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         await self._requests.override_job(self, percent)
+
+    async def go(self, at_fleet_ns: int | None = None) -> int:
+        """Start the step of the job that waits armed, at that instant (fleet time, ns) or as soon as all controllers
+        can; return T0. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`, `too-late`."""
+        return await self._requests.go_job(self, at_fleet_ns)
 
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

@@ -1,6 +1,6 @@
 """Negotiation of a start: what the members can make of a plan, how they start together, and the budget of that."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
 
@@ -47,6 +47,7 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where the job does not sta
 # SMC-4000 make moves of a tenth of a second longer by half of it.
 SAME_DURATION_S = 50e-6
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
+WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
 SPARE_LEAD_FACTOR = 2  # on the known need
 LEAD_FACTOR = 1.25  # on the need of the same members in their last step, so that a slower step needs no extra round
 READING_NS = 500 * NS_PER_MS  # maximum age of the last clock reading when arming begins
@@ -61,7 +62,7 @@ class StartAgreement:
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
     hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
     tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
-    is not advanced. first: of a path that members execute in chunks.
+    is not advanced. tick_share: of a tick, how far the members' ticks may drift apart over an advance. first: of a path that members execute in chunks.
     """
 
     plan: StepPlan
@@ -73,6 +74,7 @@ class StartAgreement:
     advance_ns: int = 0
     tick_residual_ns: int = 0
     aligned: bool = False
+    tick_share: float = MAX_TICK_RESIDUAL
     present: PresentMove | None = None
     first: FirstChunk | None = None
     triggers: StepTriggers = field(default_factory=StepTriggers)
@@ -201,9 +203,11 @@ class StartNegotiation:
         chunk = await self._plan_first_chunk()
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
         is_aligned = bool(self._request.move.align)
-        first = StartAgreement(plan, aligned=is_aligned, first=chunk, triggers=self._triggers)
-        # Instants on the way are counted from a T0 by the clock.
-        wires = [] if self._triggers.owners else self._view.fleet.wiring
+        waits = self._request.wait is not None
+        tick_share = WAIT_TICK_RESIDUAL if waits else MAX_TICK_RESIDUAL
+        first = StartAgreement(plan, aligned=is_aligned, tick_share=tick_share, first=chunk, triggers=self._triggers)
+        # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
+        wires = [] if self._triggers.owners or waits else self._view.fleet.wiring
         lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
@@ -322,6 +326,34 @@ class StartNegotiation:
             except Refusal:
                 # Without the advance it is within the budget.
                 agreement.advance_ns, agreement.tick_residual_ns, agreement.budget = 0, 0, budget
+
+    # Armed and waiting
+
+    async def extend_lead(self, agreement: StartAgreement, holds_ns: Sequence[int]) -> int:
+        """Get proposals for the first of `holds_ns`, beyond the lead time, for which the budget holds; return its index.
+        Raises `Refusal`."""
+        lead_ns, last_refusal = self._lead_ns(agreement), Refusal("start-skew", "")
+        for index, hold_ns in enumerate(holds_ns):
+            agreement.lead_ns = lead_ns + hold_ns
+            await self._propose(agreement)
+            try:
+                self.judge(agreement, agreement.proposals)
+            except Refusal as refusal:
+                last_refusal = refusal
+            else:
+                return index
+        raise last_refusal
+
+    def allows_advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> bool:
+        """Whether T0 can be brought forward by `spare_ns`, to within a tick, within the budget."""
+        self.advance(agreement, armed, spare_ns)
+        advanced_ns, budget_ns = agreement.advance_ns, spare_ns - _longest_tick_ns(agreement)
+        agreement.advance_ns = agreement.tick_residual_ns = 0
+        return advanced_ns > 0 and advanced_ns >= budget_ns
+
+    def find_lead_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
+        """The lead time of members that are armed now, as measured if `use_known`, else as declared."""
+        return self._needed_ns(agreement, use_known=use_known)
 
     def start_options(self, agreement: StartAgreement, members: Iterable[str]) -> dict[str, StartOptions]:
         """The start options of each of `members`."""
@@ -498,9 +530,13 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
         return spare_ns, 0
     shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
     tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
-    count = min(spare_ns // tick_ns, MAX_TICK_RESIDUAL * tick_ns / off_ns if off_ns else inf) // 1
+    count = min(spare_ns // tick_ns, agreement.tick_share * tick_ns / off_ns if off_ns else inf) // 1
     # Instants are whole nanoseconds.
     return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
+
+
+def _longest_tick_ns(agreement: StartAgreement) -> int:
+    return ceil(max((proposal.tick_ns for proposal in agreement.proposals.values()), default=0.0))
 
 
 def _longest_braking_s(resolved: ResolvedMove, plan: StepPlan) -> float:

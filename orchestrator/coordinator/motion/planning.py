@@ -14,6 +14,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
+from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
@@ -27,12 +28,14 @@ MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its pat
 
 @dataclass(frozen=True, slots=True)
 class StepRequest:
-    """A motion step of a job: step number `index`, the move or path, and the job with its defaults."""
+    """A motion step of a job: step number `index`, the move or path, and the job with its defaults. wait: the terms on
+    which it waits armed."""
 
     job_id: str
     job: Job
     index: int
     move: Motion
+    wait: ArmedTerms | None = None
 
     @property
     def axes(self) -> list[str]:

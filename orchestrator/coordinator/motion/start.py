@@ -29,7 +29,7 @@ from orchestrator.model.messages import (
     GoRequest,
     Reply,
 )
-from orchestrator.model.report import JobState
+from orchestrator.model.report import ArmedReport, JobState
 
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for the last round of proposals before the aligned start
 ALIGN_ASK_NS = NS_PER_S  # closer to the start than this, clock readings do not improve any more
@@ -53,7 +53,7 @@ class StartState:
     arming_fleet_ns: start of the last arming. promised_fleet_ns: when the promises were asked for that all have made.
     settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
     last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
-    withdrawn: why a step that follows another one does not start behind it; "" while it may.
+    waited: how a step that waited armed was started. withdrawn: why a step that follows another one does not start behind it; "" while it may.
     """
 
     armed: Mapping[str, ArmedReply]
@@ -64,6 +64,7 @@ class StartState:
     unloaded: bool = False
     decided: bool = False
     paused_by: str | None = None
+    waited: ArmedReport | None = None
     withdrawn: str = ""
 
     def require_not_paused(self) -> None:
@@ -95,6 +96,8 @@ class StartSequence:
         self._agreement = agreement
         self._permit_watch = permit_watch
         self.state = StartState({})
+        self._not_before_ns = 0
+        """T0 is not before this, fleet time."""
 
     async def run(self, on_state: StateCallback) -> None:
         """Arm and release all members. A member that is late while nothing has moved is armed again, with more lead.
@@ -113,7 +116,9 @@ class StartSequence:
                 await self._await_alignment()
             state.arming_fleet_ns = self._leadership.fleet_now_ns()
             agreement.advance_ns = agreement.tick_residual_ns = 0
-            state.t0_fleet_ns = agreement.choose_start(state.arming_fleet_ns + agreement.lead_ns)
+            state.t0_fleet_ns = agreement.choose_start(
+                max(state.arming_fleet_ns + agreement.lead_ns, self._not_before_ns)
+            )
             try:
                 await run_while_recording(on_state("arming", ""), self._arm())
                 await self._judge_frozen_mappings()
@@ -269,6 +274,7 @@ class StartSequence:
         go_ns = go_factor * self._go_ns(0 if has_waited else promised_ns - armed_ns)
         slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not has_waited else 0
         earliest_ns = max(state.settled_fleet_ns + go_ns + slack_ns + agreement.disarm_ns, agreement.follows_ns)
+        earliest_ns = max(earliest_ns, self._not_before_ns)
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
         state.t0_fleet_ns -= agreement.advance_ns

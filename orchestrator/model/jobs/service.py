@@ -141,6 +141,18 @@ class OverrideJob(JobReference):
     percent: float = Field(description="Of its planned speed, 10 to 120.")
 
 
+class GoJob(JobReference):
+    """Start the step of a running job that waits armed. at_fleet_ns: its T0; None: as soon as all controllers can."""
+
+    at_fleet_ns: Int53 | None = None
+
+
+class JobGone(Reply):
+    """t0_fleet_ns: the instant at which all axes start, which is agreed."""
+
+    t0_fleet_ns: Int53 | None = None
+
+
 class JobReferences(Request):
     """Several jobs. For `release`: an empty list stands for all held jobs."""
 

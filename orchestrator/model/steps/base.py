@@ -12,6 +12,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
+from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.text.text_fields import PLAIN_TEXT
@@ -200,6 +201,15 @@ class Step(ScriptModel):
         return None
 
     @property
+    def armed_terms(self) -> ArmedTerms | None:
+        """The terms on which it has the motion directly behind it wait armed."""
+        return None
+
+    def find_armed_obstacle(self) -> str:
+        """Why this motion cannot wait armed, with a remedy; empty: it can."""
+        return ""
+
+    @property
     def has_unread_points(self) -> bool:
         """Whether its points are still in a file, or in a form that is read where the job is submitted."""
         return False
@@ -301,6 +311,11 @@ class MotionOptions(Step):
     max_start_skew: OwnSkew = None
     max_end_skew: OwnSkew = None
     max_path_skew: OwnSkew = None
+
+    def find_armed_obstacle(self) -> str:
+        if self.start in ("line", "at_once"):
+            return f"`start: {self.start}` has no instant that can be agreed on a request; use `start: auto`"
+        return "`align` delays the start; remove it" if self.align else ""
 
 
 class StepSampling(Model):

@@ -9,8 +9,11 @@ from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
+from orchestrator.model.steps.wait_armed import WaitArmed
 
-SingleStep = Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Latch | Scan | FollowPath
+SingleStep = (
+    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | WaitArmed | Latch | Scan | FollowPath
+)
 
 Motion = Move | FollowPath
 """A step that is one motion with an agreed start."""

@@ -43,6 +43,13 @@ class RunRequests:
             raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
         await run.override(percent / 100)
 
+    async def go_job(self, job_id: str, at_fleet_ns: int | None) -> int:
+        """Start the step of a running job that waits armed; return T0, fleet time."""
+        run = self._register.running.get(job_id)
+        if run is None:
+            raise await self._register.make_refusal(job_id, "not-running", "`go` is for a job that is armed")
+        return await run.go(at_fleet_ns)
+
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""
         run = self._register.running.get(job_id)

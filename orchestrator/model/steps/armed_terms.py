@@ -1,0 +1,53 @@
+"""The terms on which a motion waits armed, and where such a wait may stand."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class ArmedTerms:
+    """What a motion that is loaded waits for. input: `controller.input`; None: a request, which starts it in any case.
+    value: the level that the input must take. level: it may have that level already. timeout_ns: the wait's end."""
+
+    input: str | None
+    value: bool
+    level: bool
+    timeout_ns: int
+
+
+class ArmedStep(Protocol):
+    """What is asked of a step here."""
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def is_motion(self) -> bool: ...
+
+    @property
+    def armed_terms(self) -> ArmedTerms | None: ...
+
+    def find_armed_obstacle(self) -> str: ...
+
+
+def check_armed_waits(steps: Sequence[ArmedStep]) -> None:
+    """Raise `ValueError` for a `wait_armed` that does not stand directly before a motion that can wait."""
+    for number, (step, following) in enumerate(_pair_steps(steps)):
+        if step.armed_terms is None:
+            continue
+        if following is None or not following.is_motion:
+            found = "nothing" if following is None else f"`do: {following.kind}`"
+            raise ValueError(
+                f"steps.{number}: `do: wait_armed` stands directly before a move or a path of the same list; {found} "
+                "follows it; move it there, or remove it"
+            )
+        obstacle = following.find_armed_obstacle()
+        if obstacle:
+            raise ValueError(f"steps.{number + 1}: {obstacle}, and step {number + 1} (wait_armed) has it wait armed")
+
+
+def _pair_steps(steps: Sequence[ArmedStep]) -> Iterable[tuple[ArmedStep, ArmedStep | None]]:
+    """Each step with the one behind it."""
+    return zip_longest(steps, steps[1:])
