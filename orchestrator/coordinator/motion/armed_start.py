@@ -5,6 +5,8 @@ With the order T0 is brought forward as far as all members can be released: prom
 the order, as for any step. Where a member cannot bring T0 forward, all are armed anew with the order.
 """
 
+import asyncio
+
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.motion.armed_wait import ArmedWait, GoOrder
@@ -58,7 +60,8 @@ class ArmedStart(StartSequence):
         )
 
     async def go(self, at_fleet_ns: int | None) -> int:
-        """Start the step that waits: at once, or at that instant, fleet time; return T0. Raises `Refusal`."""
+        """Start the step that waits: at once, or at that instant, fleet time; return T0, once it is agreed, or that instant before it is.
+        Raises `Refusal`."""
         if self._order is not None or self._wait.order is not None:
             raise Refusal("begun", "the step was started already", "")
         if not self._is_waiting:
@@ -66,7 +69,7 @@ class ArmedStart(StartSequence):
         if at_fleet_ns is not None:
             self._require_possible(at_fleet_ns)
         order = self._wait.give_go(at_fleet_ns)
-        return await order.settled
+        return await asyncio.shield(order.settled) if at_fleet_ns is None else at_fleet_ns
 
     def pause(self, actor: str) -> None:
         """End the wait, unless the order to start has come: the step waits anew when its job is resumed."""

@@ -62,7 +62,8 @@ class StartAgreement:
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
     hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
     tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
-    is not advanced. tick_share: of a tick, how far the members' ticks may drift apart over an advance. first: of a path that members execute in chunks.
+    is not advanced. tick_share: of a tick, how far the members' ticks may drift apart over an advance. first: of a path
+    that members execute in chunks.
     """
 
     plan: StepPlan
@@ -330,8 +331,8 @@ class StartNegotiation:
     # Armed and waiting
 
     async def extend_lead(self, agreement: StartAgreement, holds_ns: Sequence[int]) -> int:
-        """Get proposals for the first of `holds_ns`, beyond the lead time, for which the budget holds; return its index.
-        Raises `Refusal`."""
+        """Get proposals for the first of `holds_ns`, beyond the lead time, for which the budget holds; return its
+        index. Raises `Refusal`."""
         lead_ns, last_refusal = self._lead_ns(agreement), Refusal("start-skew", "")
         for index, hold_ns in enumerate(holds_ns):
             agreement.lead_ns = lead_ns + hold_ns

@@ -53,7 +53,8 @@ class StartState:
     arming_fleet_ns: start of the last arming. promised_fleet_ns: when the promises were asked for that all have made.
     settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
     last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
-    waited: how a step that waited armed was started. withdrawn: why a step that follows another one does not start behind it; "" while it may.
+    waited: how a step that
+    waited armed was started. withdrawn: why a step that follows another one does not start behind it; "" while it may.
     """
 
     armed: Mapping[str, ArmedReply]

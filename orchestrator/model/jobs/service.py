@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from orchestrator.model.base import Model
+from orchestrator.model.base import Int53, Model
 from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply, Request
@@ -148,7 +148,8 @@ class GoJob(JobReference):
 
 
 class JobGone(Reply):
-    """t0_fleet_ns: the instant at which all axes start, which is agreed."""
+    """t0_fleet_ns: the instant at which all axes start, which is agreed; where one was asked for, that one, before it is
+    agreed."""
 
     t0_fleet_ns: Int53 | None = None
 
