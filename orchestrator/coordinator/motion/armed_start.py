@@ -37,8 +37,7 @@ class ArmedStart(StartSequence):
         permit_watch: PermitWatch,
     ) -> None:
         super().__init__(services, planned.request, negotiation, agreement, permit_watch)
-        assert planned.request.wait is not None
-        self._wait = ArmedWait(services, planned, planned.request.wait, permit_watch)
+        self._wait = ArmedWait(services, planned, agreement.members, permit_watch)
         self._holds_ns = list(HOLDS_NS)
         self._is_waiting = False
         self._advances = False
@@ -60,8 +59,8 @@ class ArmedStart(StartSequence):
         )
 
     async def go(self, at_fleet_ns: int | None) -> int:
-        """Start the step that waits: at once, or at that instant, fleet time; return T0, once it is agreed, or that instant before it is.
-        Raises `Refusal`."""
+        """Start the step that waits: at once, or at that instant, fleet time; return T0, once it is agreed, or that
+        instant before it is. Raises `Refusal`."""
         if self._order is not None or self._wait.order is not None:
             raise Refusal("begun", "the step was started already", "")
         if not self._is_waiting:

@@ -1,7 +1,7 @@
 """The wait of a motion that is loaded: for a request or an input, as long as everything stays as it was armed."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -37,13 +37,15 @@ class ArmedWait:
     """The wait of one armed step. wake: of a change that ends it or may end it."""
 
     def __init__(
-        self, services: MotionServices, planned: PlannedStep, terms: ArmedTerms, permit_watch: PermitWatch
+        self, services: MotionServices, planned: PlannedStep, members: Iterable[str], permit_watch: PermitWatch
     ) -> None:
-        self.terms = terms
+        assert planned.request.wait is not None
+        self.terms: ArmedTerms = planned.request.wait
         self.order: GoOrder | None = None
         self._view = services.fleet.view
         self._leadership = services.leadership
         self._planned = planned
+        self._members = frozenset(members)
         self._permit_watch = permit_watch
         self._permits = services.fleet.permits
         self._changed = asyncio.Event()
@@ -141,8 +143,8 @@ class ArmedWait:
         self._permit_watch.require_held()
         if self._leadership.over:
             raise Refusal("leadership-lost", "another coordinator has taken over")
-        for member, instance in self._planned.instances.items():
-            absence = self._view.describe_absence(member, instance)
+        for member in sorted(self._members):
+            absence = self._view.describe_absence(member, self._planned.instances.get(member))
             if absence is not None:
                 raise Refusal("absent", f"{member}: {absence}, while the step waited armed", REMEDY, member)
         if self.terms.input is not None and self.order is None:
@@ -164,7 +166,7 @@ class ArmedWait:
     def _take_state(self, state: ControllerState) -> None:
         if self.terms.input is not None and controller_of(self.terms.input) == state.controller:
             self._take_input(state)
-        if state.controller not in self._planned.instances or self._armed_ns is None:
+        if state.controller not in self._members or self._armed_ns is None:
             return
         if state.fleet_ns is None or state.fleet_ns < self._armed_ns + ARRIVING_NS:
             return

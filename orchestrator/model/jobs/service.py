@@ -148,8 +148,8 @@ class GoJob(JobReference):
 
 
 class JobGone(Reply):
-    """t0_fleet_ns: the instant at which all axes start, which is agreed; where one was asked for, that one, before it is
-    agreed."""
+    """t0_fleet_ns: the instant at which all axes start, which is agreed; where one was asked for, that one, which is
+    agreed shortly before it."""
 
     t0_fleet_ns: Int53 | None = None
 
