@@ -364,6 +364,7 @@ class StartNegotiation:
             "brake_s": 0.0 if self._planned.path else _longest_braking_s(self._planned.resolved, agreement.plan),
             "early_ns": self._early_ns,
             "follows": agreement.present is not None,
+            "waits_armed": self._request.wait is not None,
         }
         start_class = "auto" if wish == "line" else wish
         first = agreement.first
