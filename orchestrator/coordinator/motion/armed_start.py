@@ -208,6 +208,11 @@ class ArmedStart(StartSequence):
 
     # The start
 
+    def _find_slow_ns(self, promise_ns: int) -> int:
+        """Members that have waited compare what is loaded before they promise, which takes as long as ever: what is
+        beyond that counts."""
+        return max(0, promise_ns - self._estimator.promise_ns)
+
     async def _start(self, on_state: StateCallback, order: GoOrder) -> None:
         """Release the members for the earliest T0, or for the one asked for. Raises `Refusal`; all are disarmed."""
         self._not_before_ns = order.at_fleet_ns or 0

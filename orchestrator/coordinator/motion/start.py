@@ -272,7 +272,7 @@ class StartSequence:
                 estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        go_ns = go_factor * self._go_ns(0 if has_waited else promised_ns - armed_ns)
+        go_ns = go_factor * self._go_ns(0 if has_waited else self._find_slow_ns(promised_ns - armed_ns))
         slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not has_waited else 0
         earliest_ns = max(state.settled_fleet_ns + go_ns + slack_ns + agreement.disarm_ns, agreement.follows_ns)
         earliest_ns = max(earliest_ns, self._not_before_ns)
@@ -290,6 +290,10 @@ class StartSequence:
             estimator.record_following(released_ns - promised_ns)
         if not has_waited:
             estimator.record_release(released_ns - armed_ns, released_ns - promised_ns)
+
+    def _find_slow_ns(self, promise_ns: int) -> int:
+        """How much of the time that promises have taken tells that the machine is slow."""
+        return promise_ns
 
     def _go_ns(self, promise_ns: int = 0) -> int:
         """The time to allow for decision and release. promise_ns: how long the promises have just taken."""
