@@ -41,7 +41,7 @@ from adapters.yaskawa.shapes.course_records import (
 )
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.shapes.trapezoid import RegisterTrapezoid, SampleAlignment, YaskawaBounds, fit_registers
-from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
@@ -60,6 +60,7 @@ SKEW_SAMPLES = 10.0  # allowed path deviation, at its peak speed,
 NEAR_COUNTS = 2.0  # or this number of counts
 SHORTEST_COURSE = 8  # records
 LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
+OPENING_NS = 6 * NS_PER_MS  # less than the shortest time for the answer to a release
 STOP_EXCHANGES = 2  # the one under way, and the stop
 HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
 LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state what expressions add (L1626)
@@ -450,12 +451,13 @@ def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, 
 
 def _find_disarm_ns(context: LoweringContext, start: StartOptions, tick_ns: float) -> int:
     """How long before T0 a step at rest can last be withdrawn. Of one that waits armed: by a stop, which halts a program
-    that has passed the gate; verifying that the rest is unloaded takes longer, and does not matter."""
+    that has passed the gate; verifying that all is unloaded takes longer, and does not matter. The gate must be opened
+    before, in the time that the coordinator allows for its answer."""
     gate, options, disarm_ns = context.gate, context.options, context.costs.disarm_ns
     if gate is None or not start.waits_armed or start.wait is not None or start.drive is not None:
         return disarm_ns
     stop_ns = STOP_EXCHANGES * options.exchange_ns + WITHDRAW_NS
-    return min(disarm_ns, max(math.ceil(gate.release_before * tick_ns), stop_ns))
+    return min(disarm_ns, max(math.ceil(gate.release_before * tick_ns) - OPENING_NS, stop_ns))
 
 
 def _find_release_ns(
