@@ -17,8 +17,7 @@ from orchestrator.model.steps.armed_terms import ArmedTerms
 
 LOOK_NS = 50 * NS_PER_MS  # between two looks at members that may have fallen silent
 ARRIVING_NS = 5 * NS_PER_MS  # a state may have been made this much before the answer that it is armed was sent
-PUSHED_UNITS = 0.05  # by which an axis with an encoder of its own may stand elsewhere, in its unit …
-PUSHED_COUNTS = 10  # … and in counts at least
+PUSHED_COUNTS = 10  # by which an axis may stand elsewhere: a motor that holds its place is not still
 REMEDY = "find the cause, then submit the job again"
 
 
@@ -184,7 +183,8 @@ class ArmedWait:
     def _compare_axis(self, name: str, before: AxisState, now: AxisState) -> None:
         config = self._view.fleet.axis(name)
         off = max(abs(now.commanded_counts - before.commanded_counts), abs(now.raw_counts - before.raw_counts))
-        allowed = max(PUSHED_COUNTS, abs(config.to_counts(PUSHED_UNITS)))
+        window = 0.0 if config.in_position_window is None else config.in_position_window * abs(float(config.scale))
+        allowed = max(PUSHED_COUNTS, window)
         if off > allowed:
             text = f"axis {name} was moved by {config.to_unit(off):g} {config.unit}"
         elif now.limit not in ("none", before.limit):

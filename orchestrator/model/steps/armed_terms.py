@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,11 +20,10 @@ class ArmedTerms:
 class ArmedStep(Protocol):
     """What is asked of a step here."""
 
-    @property
-    def kind(self) -> str: ...
+    is_motion: ClassVar[bool]
 
     @property
-    def is_motion(self) -> bool: ...
+    def kind(self) -> str: ...
 
     @property
     def armed_terms(self) -> ArmedTerms | None: ...
