@@ -36,6 +36,7 @@ from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.campaign.rest import find_at_rest
+from orchestrator.campaign.start_requests import StartRequests
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
@@ -80,6 +81,8 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 }
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
+_ARMED_WINDOW_NS = 3 * NS_PER_S  # after arming; some steps are started before
+_GO_NS = (500 * NS_PER_MS, 4 * NS_PER_S)  # from the beginning of a wait to `go`, earliest and latest
 _STAGES_AT_ONCE: tuple[Stage, ...] = ("arm", "commit", "go")  # which one request goes through
 _REQUEST_WINDOWS_NS: dict[Stage, tuple[str, int]] = {
     "chunk": ("load-chunk", 3 * NS_PER_S),  # until after its release
@@ -92,6 +95,7 @@ _KINDS: dict[Stage, MainKind] = {
     "chunk": "path",
     "trigger": "trigger",
     "at-once": "at-once",
+    "armed-waiting": "armed",
 }
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
@@ -186,6 +190,11 @@ class _Scenario:
         client = self.virtual.make_client()
         await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._check_epoch)
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
+        if any(cell.stage == "armed-waiting" for cell in self._seed_run.cells):
+            goer = StartRequests(self.virtual.make_client("goer"), self._clock, Random(self._seed_run.seed))
+            asking = asyncio.get_running_loop().create_task(goer.run(_GO_NS))
+        else:
+            asking = None
         axes = list(self._seed_run.fleet.controllers)
         if await self._prepare_axes(client, axes, axes):
             for number, cell in enumerate(self._seed_run.cells):
@@ -194,6 +203,8 @@ class _Scenario:
                 if not last and not await self._restore_axes(client):
                     break
         looking.cancel()
+        if asking is not None:
+            asking.cancel()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:
@@ -301,7 +312,7 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
-        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once"):
+        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once", "armed-waiting"):
             stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
@@ -529,6 +540,8 @@ class _Scenario:
             return now_ns + self._draw.randrange(self._expected_homing_ns(request.member) + 1)
         if stage in _FAULT_WINDOWS_NS and is_reached and going_out:
             return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
+        if stage == "armed-waiting" and request.verb == "arm" and request.accepted:
+            return now_ns + self._draw.randrange(_ARMED_WINDOW_NS)
         if stage == "arm" and is_reached and going_out:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
         if stage == "chain" and request.verb == "arm" and request.accepted and request.fields["after_step"] is not None:

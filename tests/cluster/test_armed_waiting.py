@@ -11,7 +11,7 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.report import JobReport, JobState, StepReport
+from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, StepReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
@@ -27,7 +27,9 @@ async def submit_armed(fleet: VirtualFleet, armed: Job = THERE) -> SubmittedJob:
     client = fleet.make_client()
     submitted = await client.submit(armed)
     while True:
-        progress = (await client.show_job(submitted)).progress
+        shown = await client.show_job(submitted)
+        progress = shown.progress
+        assert shown.entry.state not in FINISHED_STATES, shown.entry.reason
         if progress is not None and progress.armed is not None:
             return submitted
         await sleep_ns(fleet.clock, 5 * NS_PER_MS)
@@ -101,7 +103,7 @@ def test_go_to_t0_takes_one_start_lead() -> None:
         await outcome(fleet, PREPARE)
         await outcome(fleet, KNOWN)  # what this fleet needs is known then
         for number in range(WAITS):
-            submitted = await submit_armed(fleet, THERE if number % 2 else BACK)
+            submitted = await submit_armed(fleet, BACK if number % 2 else THERE)
             await sleep_ns(fleet.clock, draw.randrange(59 * NS_PER_S))
             await submitted.go()
             report = await submitted.wait()

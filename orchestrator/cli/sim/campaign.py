@@ -28,6 +28,7 @@ STAGE_NAMES = (
     "chunk",
     "trigger",
     "at-once",
+    "armed-waiting",
 )
 """Those of the campaign, which is not loaded for the help text."""
 
@@ -42,8 +43,8 @@ STAGE_NAMES = (
     "stages",
     multiple=True,
     type=click.Choice(STAGE_NAMES),
-    help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk, trigger and "
-    "at-once.",
+    help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk, trigger, "
+    "at-once and armed-waiting.",
 )
 @click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")
