@@ -113,6 +113,11 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         its next moves so (10 to 100). Raises `Refusal`: codes `not-running`, `not-on-path`, `override`."""
         self._run(self._wrapped.override(percent))
 
+    def go(self, at_fleet_ns: int | None = None) -> int:
+        """Start the step of the job that waits armed, at that instant (fleet time, ns) or as soon as all controllers
+        can; return T0. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`, `too-late`."""
+        return self._run(self._wrapped.go(at_fleet_ns))
+
     def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         self._run(self._wrapped.resume())
@@ -398,6 +403,15 @@ class BlockingTutti(BlockingObject[Tutti]):
         can; where it is on none, plan its next moves for `percent` (10 to 100) of theirs. Raises `Refusal`: codes
         `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
         self._run(self._wrapped.override_job(job_id, percent))
+
+    def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
+        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start,
+        fleet time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
+        `too-late`, and what has ended the wait.
+
+        at_fleet_ns: an instant to start at instead, which is agreed shortly before it, and returned at once; without
+        it, as soon as all controllers can."""
+        return self._run(self._wrapped.go_job(job_id, at_fleet_ns))
 
     def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

@@ -17,6 +17,13 @@ class ArmedTerms:
     timeout_ns: int
 
 
+def describe_armed_obstacle(*, aligns: bool, records: bool) -> str:
+    """Why a motion with these options cannot wait armed, with a remedy; empty: it can."""
+    if aligns:
+        return "`align` delays the start; remove it"
+    return "controllers `record` from an instant that is known ahead; remove that" if records else ""
+
+
 class ArmedStep(Protocol):
     """What is asked of a step here."""
 

@@ -312,11 +312,6 @@ class MotionOptions(Step):
     max_end_skew: OwnSkew = None
     max_path_skew: OwnSkew = None
 
-    def find_armed_obstacle(self) -> str:
-        if self.start in ("line", "at_once"):
-            return f"`start: {self.start}` has no instant that can be agreed on a request; use `start: auto`"
-        return "`align` delays the start; remove it" if self.align else ""
-
 
 class StepSampling(Model):
     """Positions that controllers record by themselves while a step moves, more densely than they can be polled."""
