@@ -82,7 +82,6 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
 _ARMED_WINDOW_NS = 3 * NS_PER_S  # after arming; some steps are started before
-_GO_NS = (500 * NS_PER_MS, 4 * NS_PER_S)  # from the beginning of a wait to `go`, earliest and latest
 _STAGES_AT_ONCE: tuple[Stage, ...] = ("arm", "commit", "go")  # which one request goes through
 _REQUEST_WINDOWS_NS: dict[Stage, tuple[str, int]] = {
     "chunk": ("load-chunk", 3 * NS_PER_S),  # until after its release
@@ -190,11 +189,8 @@ class _Scenario:
         client = self.virtual.make_client()
         await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._check_epoch)
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
-        if any(cell.stage == "armed-waiting" for cell in self._seed_run.cells):
-            goer = StartRequests(self.virtual.make_client("goer"), self._clock, Random(self._seed_run.seed))
-            asking = asyncio.get_running_loop().create_task(goer.run(_GO_NS))
-        else:
-            asking = None
+        starts = StartRequests(self.virtual, self._seed_run.seed)
+        starts.begin(needed=any(cell.stage == "armed-waiting" for cell in self._seed_run.cells))
         axes = list(self._seed_run.fleet.controllers)
         if await self._prepare_axes(client, axes, axes):
             for number, cell in enumerate(self._seed_run.cells):
@@ -203,8 +199,7 @@ class _Scenario:
                 if not last and not await self._restore_axes(client):
                     break
         looking.cancel()
-        if asking is not None:
-            asking.cancel()
+        starts.end()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:
@@ -540,12 +535,11 @@ class _Scenario:
             return now_ns + self._draw.randrange(self._expected_homing_ns(request.member) + 1)
         if stage in _FAULT_WINDOWS_NS and is_reached and going_out:
             return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
-        if stage == "armed-waiting" and request.verb == "arm" and request.accepted:
-            return now_ns + self._draw.randrange(_ARMED_WINDOW_NS)
         if stage == "arm" and is_reached and going_out:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
-        if stage == "chain" and request.verb == "arm" and request.accepted and request.fields["after_step"] is not None:
-            return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
+        if _is_loaded(stage, request):
+            latest_ns = self._t0_host_ns(request) + _CHAIN_WINDOW_NS if stage == "chain" else now_ns + _ARMED_WINDOW_NS
+            return self._draw.randint(now_ns, max(now_ns, latest_ns))
         verb, window_ns = _REQUEST_WINDOWS_NS.get(stage, ("", 0))
         if request.verb == verb and going_out and request.fields.get("after_step", 0) is not None:
             return now_ns + self._draw.randrange(window_ns)
@@ -649,6 +643,13 @@ def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, i
     """The instant of a fault in this step has come."""
     if not arrival.done():
         arrival.set_result(step)
+
+
+def _is_loaded(stage: Stage, request: RecordedRequest) -> bool:
+    """Whether a member has loaded the step of a fault while it waits, armed or behind a moving one."""
+    if request.verb != "arm" or not request.accepted:
+        return False
+    return stage == "armed-waiting" or (stage == "chain" and request.fields["after_step"] is not None)
 
 
 def _is_of_stage(request: RecordedRequest, stage: Stage) -> bool:

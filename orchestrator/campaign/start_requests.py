@@ -3,27 +3,38 @@
 from contextlib import suppress
 from random import Random
 
-from orchestrator.client.api import Tutti
-from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.errors import Refusal
+from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 _LOOK_NS = 100 * NS_PER_MS
+_GO_NS = (500 * NS_PER_MS, 4 * NS_PER_S)  # from when a wait was seen to `go`, earliest and latest
 
 
 class StartRequests:
     """Sends `go`, in vain if something has ended the wait."""
 
-    def __init__(self, client: Tutti, clock: Clock, draw: Random) -> None:
-        self._client = client
-        self._clock = clock
-        self._draw = draw
+    def __init__(self, fleet: VirtualFleet, seed: int) -> None:
+        self._fleet = fleet
+        self._draw = Random(seed)
+        self._tasks = TaskOwner()
 
-    async def run(self, after_ns: tuple[int, int]) -> None:
-        """Look for waits, and end each. after_ns: when, after it was seen, earliest and latest."""
+    def begin(self, *, needed: bool) -> None:
+        """Look for waits from now on, where there are any."""
+        if needed:
+            self._tasks.spawn(self._run())
+
+    def end(self) -> None:
+        """Look for none any more."""
+        self._tasks.cancel_all()
+
+    async def _run(self) -> None:
+        client = self._fleet.make_client("starter")
         while True:
-            await sleep_ns(self._clock, _LOOK_NS)
+            await sleep_ns(self._fleet.clock, _LOOK_NS)
             with suppress(Refusal):
-                armed_jobs = (await self._client.list_jobs(state="armed")).jobs
+                armed_jobs = (await client.list_jobs(state="armed")).jobs
                 if armed_jobs:
-                    await sleep_ns(self._clock, self._draw.randint(*after_ns))
-                    await self._client.go_job(armed_jobs[0].id)
+                    await sleep_ns(self._fleet.clock, self._draw.randint(*_GO_NS))
+                    await client.go_job(armed_jobs[0].id)

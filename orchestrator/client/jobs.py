@@ -23,8 +23,6 @@ from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
     FindJob,
-    GoJob,
-    JobGone,
     JobReference,
     JobRetried,
     JobsFound,
@@ -61,7 +59,6 @@ DRY_RUN_STEPS = 50  # in one request, so that other requests get their turn
 DRY_RUN_S = 30.0  # for such a part
 SUBMIT_STEP_S = 0.01
 MAX_RECORDINGS = 100
-GO_S = 20.0  # for the answer to `go`, which waits where the controllers are just being loaded anew
 MAX_RESULT_POINTS = 10_000
 
 
@@ -213,18 +210,6 @@ class JobRequests(QueueRequests):
         await self.request_service(
             "override", OverrideJob(**self.request_fields(), job_id=job_id, percent=percent), Reply
         )
-
-    async def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
-        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start,
-        fleet time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
-        `too-late`, and what has ended the wait.
-
-        at_fleet_ns: an instant to start at instead, which is agreed shortly before it, and returned at once; without
-        it, as soon as all controllers can."""
-        request = GoJob(**self.request_fields(), job_id=job_id, at_fleet_ns=at_fleet_ns)
-        reply = await self.request_service("go", request, JobGone, GO_S)
-        assert reply.t0_fleet_ns is not None
-        return reply.t0_fleet_ns
 
     async def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""

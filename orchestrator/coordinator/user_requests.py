@@ -36,15 +36,12 @@ from orchestrator.model.jobs.service import (
     FleetLoaded,
     FleetNames,
     FleetReloaded,
-    GoJob,
-    JobGone,
     JobReference,
     JobReferences,
     JobsFound,
     JobShown,
     JobsPruned,
     ListJobs,
-    OverrideJob,
     PauseJob,
     PointsRead,
     PruneJobs,
@@ -106,8 +103,8 @@ class UserRequests:
             "approve": approvals.approve_job,
             "reorder": self._reorder_job,
             "pause": self._pause_job,
-            "override": self._override_job,
-            "go": self._go_job,
+            "override": scheduler.run_requests.override_job,
+            "go": scheduler.run_requests.go_job,
             "resume": self._resume_job,
             "prune": self._prune_jobs,
             "stop": self._stop_fleet,
@@ -250,13 +247,6 @@ class UserRequests:
     async def _pause_job(self, request: PauseJob) -> Reply:
         await self._scheduler.run_requests.pause_job(request.job_id, request.actor, now=request.now)
         return Reply()
-
-    async def _override_job(self, request: OverrideJob) -> Reply:
-        await self._scheduler.run_requests.override_job(request.job_id, request.percent)
-        return Reply()
-
-    async def _go_job(self, request: GoJob) -> JobGone:
-        return JobGone(t0_fleet_ns=await self._scheduler.run_requests.go_job(request.job_id, request.at_fleet_ns))
 
     async def _resume_job(self, request: JobReference) -> Reply:
         await self._scheduler.run_requests.resume_job(request.job_id, request.actor)

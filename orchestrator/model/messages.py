@@ -244,6 +244,11 @@ class StartOptions(Model):
     chunk: ChunkOptions | None = None
     triggers: list[OutputTrigger] = Field(default=[])
 
+    @property
+    def starts_soon(self) -> bool:
+        """Whether the release comes close to the start, so that what counts is how late that can be withdrawn."""
+        return self.follows or self.waits_armed
+
 
 class ProposeRequest(StepRequest):
     """Ask whether a member can execute these profiles. digest: the configuration that the coordinator assumes.

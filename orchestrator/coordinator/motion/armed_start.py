@@ -128,7 +128,7 @@ class ArmedStart(StartSequence):
         state, agreement = self.state, self._agreement
         tries = len(LEAD_GROWTH)
         while True:
-            self._holds_ns = self._holds_ns[await self._negotiation.extend_lead(agreement, self._holds_ns) :]
+            await self._extend_lead()
             state.arming_fleet_ns = self._leadership.fleet_now_ns()
             agreement.advance_ns = agreement.tick_residual_ns = 0
             state.t0_fleet_ns = agreement.choose_start(state.arming_fleet_ns + agreement.lead_ns)
@@ -144,9 +144,31 @@ class ArmedStart(StartSequence):
                     raise
             else:
                 self._wait.note_armed()
-                spare_ns = state.t0_fleet_ns - self._leadership.fleet_now_ns()
-                self._advances = self._negotiation.allows_advance(agreement, state.armed, spare_ns)
+                self._advances = self._allows_advance()
                 return
+
+    async def _extend_lead(self) -> None:
+        """Get proposals for a T0 as far ahead as the budget allows. Raises `Refusal`."""
+        while True:
+            await self._negotiation.renegotiate(self._agreement, None, self._holds_ns[0])
+            try:
+                self._negotiation.judge(self._agreement, self._agreement.proposals)
+            except Refusal:
+                if len(self._holds_ns) == 1:
+                    raise
+                del self._holds_ns[0]
+            else:
+                return
+
+    def _allows_advance(self) -> bool:
+        """Whether T0 can be brought forward to this moment, to within a tick, within the budget."""
+        agreement = self._agreement
+        spare_ns = self.state.t0_fleet_ns - self._leadership.fleet_now_ns()
+        self._negotiation.advance(agreement, self.state.armed, spare_ns)
+        advanced_ns, agreement.advance_ns, agreement.tick_residual_ns = agreement.advance_ns, 0, 0
+        return advanced_ns > 0 and advanced_ns >= spare_ns - max(
+            proposal.tick_ns for proposal in agreement.proposals.values()
+        )
 
     async def _unload(self) -> None:
         await self.disarm()
@@ -165,12 +187,12 @@ class ArmedStart(StartSequence):
     @property
     def _anew_ns(self) -> int:
         """From the order to T0 where the members are armed anew."""
-        return self._negotiation.find_lead_ns(self._agreement, use_known=True) + 2 * EXCHANGE_NS
+        return self._negotiation.needed_ns(self._agreement, use_known=True) + 2 * EXCHANGE_NS
 
     @property
     def _most_lead_ns(self) -> int:
         """From the order to T0 at most: the order comes while the members are being armed anew."""
-        arming_ns = self._negotiation.find_lead_ns(self._agreement, use_known=False) + 2 * EXCHANGE_NS
+        arming_ns = self._negotiation.needed_ns(self._agreement, use_known=False) + 2 * EXCHANGE_NS
         return arming_ns + self._lead_ns
 
     @property
@@ -199,8 +221,8 @@ class ArmedStart(StartSequence):
         now_ns, lead_ns = self._leadership.fleet_now_ns(), self._lead_ns
         ahead_ns = at_fleet_ns - now_ns
         if ahead_ns < lead_ns:
-            where = f"{format_ns(-ahead_ns)} ago" if ahead_ns < 0 else f"only {format_ns(ahead_ns)} ahead"
-            text = f"fleet time {at_fleet_ns} ns is {where}; the nearest possible is {now_ns + lead_ns} ns"
+            place_words = f"{format_ns(-ahead_ns)} ago" if ahead_ns < 0 else f"only {format_ns(ahead_ns)} ahead"
+            text = f"fleet time {at_fleet_ns} ns is {place_words}; the nearest possible is {now_ns + lead_ns} ns"
             raise Refusal("too-near", text, f"ask for one that is {format_ns(lead_ns)} ahead, or without an instant")
         if at_fleet_ns > self._wait.ends_ns:
             text = f"fleet time {at_fleet_ns} ns is after the end of the wait at {self._wait.ends_ns} ns"
@@ -208,15 +230,12 @@ class ArmedStart(StartSequence):
 
     # The start
 
-    def _find_slow_ns(self, promise_ns: int) -> int:
-        """Members that have waited compare what is loaded before they promise, which takes as long as ever: what is
-        beyond that counts."""
-        return max(0, promise_ns - self._estimator.promise_ns)
-
     async def _start(self, on_state: StateCallback, order: GoOrder) -> None:
         """Release the members for the earliest T0, or for the one asked for. Raises `Refusal`; all are disarmed."""
-        self._not_before_ns = order.at_fleet_ns or 0
-        if self._advances and self._not_before_ns <= self.state.t0_fleet_ns:
+        not_before_ns = self._agreement.not_before_ns = order.at_fleet_ns or 0
+        # Members that have waited compare what is loaded before they promise, which takes as long as ever.
+        self.state.usual_promise_ns = self._estimator.promise_ns
+        if self._advances and not_before_ns <= self.state.t0_fleet_ns:
             try:
                 await self._release(on_state, 1)
             except Refusal as refusal:

@@ -182,11 +182,11 @@ class ArmedWait:
 
     def _compare_axis(self, name: str, before: AxisState, now: AxisState) -> None:
         config = self._view.fleet.axis(name)
-        off = max(abs(now.commanded_counts - before.commanded_counts), abs(now.raw_counts - before.raw_counts))
+        off_counts = max(abs(now.commanded_counts - before.commanded_counts), abs(now.raw_counts - before.raw_counts))
         window = 0.0 if config.in_position_window is None else config.in_position_window * abs(float(config.scale))
-        allowed = max(PUSHED_COUNTS, window)
-        if off > allowed:
-            text = f"axis {name} was moved by {config.to_unit(off):g} {config.unit}"
+        allowed_counts = max(PUSHED_COUNTS, window)
+        if off_counts > allowed_counts:
+            text = f"axis {name} was moved by {config.to_unit(off_counts):g} {config.unit}"
         elif now.limit not in ("none", before.limit):
             text = f"axis {name} is at its {now.limit} limit switch"
         elif before.enabled and not now.enabled:
@@ -212,11 +212,11 @@ class ArmedWait:
 
     def _take_input(self, state: ControllerState) -> None:
         assert self.terms.input is not None
-        active = state.inputs.get(split_name(self.terms.input)[1])
-        if active is None:
+        is_active = state.inputs.get(split_name(self.terms.input)[1])
+        if is_active is None:
             return
-        was_active, self._input_active = self._input_active, active
-        if self.order is None and active == self.terms.value and was_active is not None and was_active != active:
+        was_active, self._input_active = self._input_active, is_active
+        if self.order is None and is_active == self.terms.value and was_active not in (None, is_active):
             self._give_order("input", state.read_fleet_ns or self._leadership.fleet_now_ns())
 
     def _give_order(self, by: Literal["input", "request"], go_ns: int, at_fleet_ns: int | None = None) -> None:

@@ -1,6 +1,6 @@
 """Negotiation of a start: what the members can make of a plan, how they start together, and the budget of that."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import ceil, inf
 
@@ -17,7 +17,7 @@ from orchestrator.coordinator.motion.budget import (
 from orchestrator.coordinator.motion.chain import END_SEEN_NS, PresentMove
 from orchestrator.coordinator.motion.path_bound import make_path_bound, require_tolerance
 from orchestrator.coordinator.motion.path_chunks import FirstChunk, plan_first_chunk
-from orchestrator.coordinator.motion.planning import PlannedStep
+from orchestrator.coordinator.motion.planning import MAX_TICK_RESIDUAL, PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.coordinator.motion.trigger import TriggerStart
@@ -46,8 +46,6 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where the job does not sta
 # A member that ends this much later, a twentieth of a servo tick, does not need another round. Quantised ramps of an
 # SMC-4000 make moves of a tenth of a second longer by half of it.
 SAME_DURATION_S = 50e-6
-MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
-WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
 SPARE_LEAD_FACTOR = 2  # on the known need
 LEAD_FACTOR = 1.25  # on the need of the same members in their last step, so that a slower step needs no extra round
 READING_NS = 500 * NS_PER_MS  # maximum age of the last clock reading when arming begins
@@ -62,8 +60,8 @@ class StartAgreement:
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
     hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
     tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
-    is not advanced. tick_share: of a tick, how far the members' ticks may drift apart over an advance. first: of a path
-    that members execute in chunks.
+    is not advanced. tick_share: of a tick, how far the members' ticks may drift apart over an advance. not_before_ns:
+    T0 is not before that, fleet time. first: of a path that members execute in chunks.
     """
 
     plan: StepPlan
@@ -76,6 +74,7 @@ class StartAgreement:
     tick_residual_ns: int = 0
     aligned: bool = False
     tick_share: float = MAX_TICK_RESIDUAL
+    not_before_ns: int = 0
     present: PresentMove | None = None
     first: FirstChunk | None = None
     triggers: StepTriggers = field(default_factory=StepTriggers)
@@ -131,7 +130,7 @@ class StartAgreement:
     def follows_ns(self) -> int:
         """The earliest T0 of a step that follows, for the members that hold it beside the present one, fleet time."""
         if self.present is None:
-            return 0
+            return self.not_before_ns
         gaps = [proposal.gap_ns for proposal in self.proposals.values() if proposal.gap_ns is not None]
         return max(
             self.present.ends_fleet_ns + self.present.between.pause_ns,
@@ -167,7 +166,7 @@ class StartAgreement:
             for member, proposal in self.proposals.items()
             if proposal.tick_at_fleet_ns is not None and self.profiles(member)
         ]
-        return find_closest_ticks(grids, from_ns, within_ns)[0]
+        return find_closest_ticks(grids, max(from_ns, self.not_before_ns), within_ns)[0]
 
     def start_window(self, member: str, terms: list[BudgetTerm]) -> StartWindow:
         """The window of the member's start around T0, from the terms that it states."""
@@ -203,12 +202,10 @@ class StartNegotiation:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
-        is_aligned = bool(self._request.move.align)
-        waits = self._request.wait is not None
-        tick_share = WAIT_TICK_RESIDUAL if waits else MAX_TICK_RESIDUAL
-        first = StartAgreement(plan, aligned=is_aligned, tick_share=tick_share, first=chunk, triggers=self._triggers)
+        first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
+        first.tick_share = self._request.tick_share
         # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
-        wires = [] if self._triggers.owners or waits else self._view.fleet.wiring
+        wires = [] if self._triggers.owners or self._request.wait is not None else self._view.fleet.wiring
         lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
@@ -258,7 +255,7 @@ class StartNegotiation:
     def earliest_following_ns(self, agreement: StartAgreement) -> int:
         """The earliest T0 of a step that follows, fleet time, with the loading after the end of the present one."""
         present = agreement.present
-        earliest_ns = max(agreement.follows_ns, self._now_ns() + self._needed_ns(agreement, use_known=True))
+        earliest_ns = max(agreement.follows_ns, self._now_ns() + self.needed_ns(agreement, use_known=True))
         if present is None or not (agreement.loads_later or present.between.acts):
             return earliest_ns
         proposals_later = {name: proposal for name, proposal in agreement.proposals.items() if proposal.gap_ns is None}
@@ -272,13 +269,13 @@ class StartNegotiation:
             begun_ns = max(begun_ns, present.between.pause_ns + self._estimator.acting_ns)
         return max(earliest_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)
 
-    async def renegotiate(self, agreement: StartAgreement, growth: int | None) -> None:
+    async def renegotiate(self, agreement: StartAgreement, growth: int | None, hold_ns: int = 0) -> None:
         """Get new proposals for another lead time, over which clock bounds must hold. Raises `Refusal`.
 
-        growth: factor on the declared lead time; None: the lead time as for the first arming.
+        growth: factor on the declared lead time; None: the lead time as for the first arming. hold_ns: added to it.
         """
-        lead_ns = self._lead_ns(agreement) if growth is None else growth * self._needed_ns(agreement, use_known=False)
-        agreement.lead_ns = lead_ns
+        lead_ns = self._lead_ns(agreement) if growth is None else growth * self.needed_ns(agreement, use_known=False)
+        agreement.lead_ns = lead_ns + hold_ns
         await self._propose(agreement)
 
     def judge(self, agreement: StartAgreement, stated: Mapping[str, Proposal] | Mapping[str, ArmedReply]) -> None:
@@ -327,34 +324,6 @@ class StartNegotiation:
             except Refusal:
                 # Without the advance it is within the budget.
                 agreement.advance_ns, agreement.tick_residual_ns, agreement.budget = 0, 0, budget
-
-    # Armed and waiting
-
-    async def extend_lead(self, agreement: StartAgreement, holds_ns: Sequence[int]) -> int:
-        """Get proposals for the first of `holds_ns`, beyond the lead time, for which the budget holds; return its
-        index. Raises `Refusal`."""
-        lead_ns, last_refusal = self._lead_ns(agreement), Refusal("start-skew", "")
-        for index, hold_ns in enumerate(holds_ns):
-            agreement.lead_ns = lead_ns + hold_ns
-            await self._propose(agreement)
-            try:
-                self.judge(agreement, agreement.proposals)
-            except Refusal as refusal:
-                last_refusal = refusal
-            else:
-                return index
-        raise last_refusal
-
-    def allows_advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> bool:
-        """Whether T0 can be brought forward by `spare_ns`, to within a tick, within the budget."""
-        self.advance(agreement, armed, spare_ns)
-        advanced_ns, budget_ns = agreement.advance_ns, spare_ns - _longest_tick_ns(agreement)
-        agreement.advance_ns = agreement.tick_residual_ns = 0
-        return advanced_ns > 0 and advanced_ns >= budget_ns
-
-    def find_lead_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
-        """The lead time of members that are armed now, as measured if `use_known`, else as declared."""
-        return self._needed_ns(agreement, use_known=use_known)
 
     def start_options(self, agreement: StartAgreement, members: Iterable[str]) -> dict[str, StartOptions]:
         """The start options of each of `members`."""
@@ -488,14 +457,14 @@ class StartNegotiation:
     def _lead_ns(self, agreement: StartAgreement) -> int:
         """The lead time to use. Where T0 can be brought forward, an unused lead costs nothing, so a generous one saves
         a second arming of a member that is slow once."""
-        known_ns = self._needed_ns(agreement, use_known=True)
+        known_ns = self.needed_ns(agreement, use_known=True)
         if agreement.present is not None:
             return self.earliest_following_ns(agreement) - self._now_ns()
         if agreement.can_advance:
-            return min(SPARE_LEAD_FACTOR * known_ns, self._needed_ns(agreement, use_known=False))
+            return min(SPARE_LEAD_FACTOR * known_ns, self.needed_ns(agreement, use_known=False))
         return known_ns
 
-    def _needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
+    def needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
         """The lead time that the members need, as measured if `use_known`, else as declared."""
         margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
         at_once = {
@@ -535,10 +504,6 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
     count = min(spare_ns // tick_ns, agreement.tick_share * tick_ns / off_ns if off_ns else inf) // 1
     # Instants are whole nanoseconds.
     return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
-
-
-def _longest_tick_ns(agreement: StartAgreement) -> int:
-    return ceil(max((proposal.tick_ns for proposal in agreement.proposals.values()), default=0.0))
 
 
 def _longest_braking_s(resolved: ResolvedMove, plan: StepPlan) -> float:

@@ -23,6 +23,8 @@ from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
+MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
+WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
 MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its path was braked: rounding
 
 
@@ -36,6 +38,11 @@ class StepRequest:
     index: int
     move: Motion
     wait: ArmedTerms | None = None
+
+    @property
+    def tick_share(self) -> float:
+        """Of a tick, how far the members' ticks may drift apart over an advance of T0."""
+        return MAX_TICK_RESIDUAL if self.wait is None else WAIT_TICK_RESIDUAL
 
     @property
     def axes(self) -> list[str]:

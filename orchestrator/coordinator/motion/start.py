@@ -53,8 +53,9 @@ class StartState:
     arming_fleet_ns: start of the last arming. promised_fleet_ns: when the promises were asked for that all have made.
     settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
     last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
-    waited: how a step that
-    waited armed was started. withdrawn: why a step that follows another one does not start behind it; "" while it may.
+    waited: how a step that waited armed was started.
+    usual_promise_ns: what promises take beyond that tells that the machine is slow.
+    withdrawn: why a step that follows another one does not start behind it; "" while it may.
     """
 
     armed: Mapping[str, ArmedReply]
@@ -66,6 +67,7 @@ class StartState:
     decided: bool = False
     paused_by: str | None = None
     waited: ArmedReport | None = None
+    usual_promise_ns: int = 0
     withdrawn: str = ""
 
     def require_not_paused(self) -> None:
@@ -97,8 +99,6 @@ class StartSequence:
         self._agreement = agreement
         self._permit_watch = permit_watch
         self.state = StartState({})
-        self._not_before_ns = 0
-        """T0 is not before this, fleet time."""
 
     async def run(self, on_state: StateCallback) -> None:
         """Arm and release all members. A member that is late while nothing has moved is armed again, with more lead.
@@ -117,9 +117,7 @@ class StartSequence:
                 await self._await_alignment()
             state.arming_fleet_ns = self._leadership.fleet_now_ns()
             agreement.advance_ns = agreement.tick_residual_ns = 0
-            state.t0_fleet_ns = agreement.choose_start(
-                max(state.arming_fleet_ns + agreement.lead_ns, self._not_before_ns)
-            )
+            state.t0_fleet_ns = agreement.choose_start(state.arming_fleet_ns + agreement.lead_ns)
             try:
                 await run_while_recording(on_state("arming", ""), self._arm())
                 await self._judge_frozen_mappings()
@@ -272,10 +270,9 @@ class StartSequence:
                 estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        go_ns = go_factor * self._go_ns(0 if has_waited else self._find_slow_ns(promised_ns - armed_ns))
+        go_ns = go_factor * self._go_ns(0 if has_waited else max(0, promised_ns - armed_ns - state.usual_promise_ns))
         slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not has_waited else 0
         earliest_ns = max(state.settled_fleet_ns + go_ns + slack_ns + agreement.disarm_ns, agreement.follows_ns)
-        earliest_ns = max(earliest_ns, self._not_before_ns)
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
         state.t0_fleet_ns -= agreement.advance_ns
@@ -290,10 +287,6 @@ class StartSequence:
             estimator.record_following(released_ns - promised_ns)
         if not has_waited:
             estimator.record_release(released_ns - armed_ns, released_ns - promised_ns)
-
-    def _find_slow_ns(self, promise_ns: int) -> int:
-        """How much of the time that promises have taken tells that the machine is slow."""
-        return promise_ns
 
     def _go_ns(self, promise_ns: int = 0) -> int:
         """The time to allow for decision and release. promise_ns: how long the promises have just taken."""

@@ -6,11 +6,10 @@ from typing import Any
 from orchestrator.coordinator.steps.context import ReportFields, StepContext
 from orchestrator.coordinator.steps.dwell import run_dwell
 from orchestrator.coordinator.steps.home import run_home
-from orchestrator.coordinator.steps.io import run_output, run_wait
+from orchestrator.coordinator.steps.io import run_output, run_wait, run_wait_armed
 from orchestrator.coordinator.steps.latch import run_latch
 from orchestrator.coordinator.steps.motors import run_motors
 from orchestrator.coordinator.steps.set_position import run_set_position
-from orchestrator.coordinator.steps.wait_armed import run_wait_armed
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home

@@ -40,16 +40,16 @@ class ArmedStep(Protocol):
 
 def check_armed_waits(steps: Sequence[ArmedStep]) -> None:
     """Raise `ValueError` for a `wait_armed` that does not stand directly before a motion that can wait."""
-    for number, (step, following) in enumerate(_pair_steps(steps)):
+    for number, (step, next_step) in enumerate(_pair_steps(steps)):
         if step.armed_terms is None:
             continue
-        if following is None or not following.is_motion:
-            found = "nothing" if following is None else f"`do: {following.kind}`"
+        if next_step is None or not next_step.is_motion:
+            behind_words = "nothing" if next_step is None else f"`do: {next_step.kind}`"
             raise ValueError(
-                f"steps.{number}: `do: wait_armed` stands directly before a move or a path of the same list; {found} "
+                f"steps.{number}: `do: wait_armed` stands directly before a move or a path of the same list; {behind_words} "
                 "follows it; move it there, or remove it"
             )
-        obstacle = following.find_armed_obstacle()
+        obstacle = next_step.find_armed_obstacle()
         if obstacle:
             raise ValueError(f"steps.{number + 1}: {obstacle}, and step {number + 1} (wait_armed) has it wait armed")
 

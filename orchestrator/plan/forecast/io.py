@@ -37,7 +37,7 @@ def forecast_wait(state: ForecastState, at: ForecastContext, step: WaitInput) ->
 
 def forecast_wait_armed(state: ForecastState, at: ForecastContext, step: WaitArmed) -> Span:
     """The motion behind it starts on a request, or by an input, within its timeout."""
-    occasion = "a request (`tutti job go`) comes"
+    occasion = "a request to start comes"
     if step.input is not None and state.check_name(at, step.input, "input"):
         occasion = f"input {step.input} becomes {'active' if step.value else 'inactive'}, or {occasion}"
     state.notes[f"{occasion} within {format_ns(step.timeout)}"] = None

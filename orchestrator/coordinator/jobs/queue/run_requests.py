@@ -3,6 +3,8 @@
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
+from orchestrator.model.jobs.service import GoJob, JobGone, OverrideJob
+from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobProgress, StepReport
 
 OVERRIDE_PERCENT = 10, 120
@@ -32,8 +34,9 @@ class RunRequests:
         if now:
             await run.feed_hold(actor)
 
-    async def override_job(self, job_id: str, percent: float) -> None:
+    async def override_job(self, request: OverrideJob) -> Reply:
         """Play the path of a running job at another speed, or plan its next moves for it. Raises `Refusal`."""
+        job_id, percent = request.job_id, request.percent
         run = self._register.running.get(job_id)
         if run is None:
             raise await self._register.make_refusal(job_id, "not-running", "an override is for a job that runs")
@@ -42,13 +45,14 @@ class RunRequests:
             text = f"{percent:g} % is not between {low} and {high} %"
             raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
         await run.override(percent / 100)
+        return Reply()
 
-    async def go_job(self, job_id: str, at_fleet_ns: int | None) -> int:
-        """Start the step of a running job that waits armed; return T0, fleet time."""
-        run = self._register.running.get(job_id)
+    async def go_job(self, request: GoJob) -> JobGone:
+        """Start the step of a running job that waits armed."""
+        run = self._register.running.get(request.job_id)
         if run is None:
-            raise await self._register.make_refusal(job_id, "not-running", "`go` is for a job that is armed")
-        return await run.go(at_fleet_ns)
+            raise await self._register.make_refusal(request.job_id, "not-running", "`go` is for a job that is armed")
+        return JobGone(t0_fleet_ns=await run.go(request.at_fleet_ns))
 
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""
