@@ -145,9 +145,11 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
+        starts = StartRequests(scenario.virtual, seed, [cell.stage for cell in cells])
         try:
             await scenario.run_phases()
         finally:
+            starts.end()
             seed_run.lines = scenario.virtual.lines
             seed_run.violations = scenario.checker.violations
             seed_run.fleet_s = clock.now_ns() / NS_PER_S
@@ -189,8 +191,6 @@ class _Scenario:
         client = self.virtual.make_client()
         await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._check_epoch)
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
-        starts = StartRequests(self.virtual, self._seed_run.seed)
-        starts.begin(needed=any(cell.stage == "armed-waiting" for cell in self._seed_run.cells))
         axes = list(self._seed_run.fleet.controllers)
         if await self._prepare_axes(client, axes, axes):
             for number, cell in enumerate(self._seed_run.cells):
@@ -199,7 +199,6 @@ class _Scenario:
                 if not last and not await self._restore_axes(client):
                     break
         looking.cancel()
-        starts.end()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:

@@ -1,8 +1,10 @@
 """A program that starts the steps that wait armed, some time after each wait has begun."""
 
+from collections.abc import Collection
 from contextlib import suppress
 from random import Random
 
+from orchestrator.campaign.recorder import Stage
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.errors import Refusal
@@ -13,20 +15,17 @@ _GO_NS = (500 * NS_PER_MS, 4 * NS_PER_S)  # from when a wait was seen to `go`, e
 
 
 class StartRequests:
-    """Sends `go`, in vain if something has ended the wait."""
+    """Sends `go` from now on, if one of `stages` has such steps; in vain if something has ended the wait."""
 
-    def __init__(self, fleet: VirtualFleet, seed: int) -> None:
+    def __init__(self, fleet: VirtualFleet, seed: int, stages: Collection[Stage]) -> None:
         self._fleet = fleet
         self._draw = Random(seed)
         self._tasks = TaskOwner()
-
-    def begin(self, *, needed: bool) -> None:
-        """Look for waits from now on, where there are any."""
-        if needed:
+        if "armed-waiting" in stages:
             self._tasks.spawn(self._run())
 
     def end(self) -> None:
-        """Look for none any more."""
+        """Look for waits no more."""
         self._tasks.cancel_all()
 
     async def _run(self) -> None:

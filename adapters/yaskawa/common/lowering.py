@@ -451,8 +451,8 @@ def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, 
 
 def _find_disarm_ns(context: LoweringContext, start: StartOptions, tick_ns: float) -> int:
     """How long before T0 a step at rest can last be withdrawn. Of one that waits armed: by a stop, which halts a
-    program that has passed the gate; verifying that all is unloaded takes longer, and does not matter. The gate must be opened
-    before, in the time that the coordinator allows for its answer."""
+    program that has passed the gate; verifying that all is unloaded takes longer, and does not matter. The gate
+    must be opened before, in the time that the coordinator allows for its answer."""
     gate, options, disarm_ns = context.gate, context.options, context.costs.disarm_ns
     if gate is None or not start.waits_armed or start.wait is not None or start.drive is not None:
         return disarm_ns

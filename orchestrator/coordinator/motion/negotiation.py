@@ -17,7 +17,7 @@ from orchestrator.coordinator.motion.budget import (
 from orchestrator.coordinator.motion.chain import END_SEEN_NS, PresentMove
 from orchestrator.coordinator.motion.path_bound import make_path_bound, require_tolerance
 from orchestrator.coordinator.motion.path_chunks import FirstChunk, plan_first_chunk
-from orchestrator.coordinator.motion.planning import MAX_TICK_RESIDUAL, PlannedStep
+from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.coordinator.motion.trigger import TriggerStart
@@ -60,8 +60,7 @@ class StartAgreement:
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
     hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
     tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
-    is not advanced. tick_share: of a tick, how far the members' ticks may drift apart over an advance. not_before_ns:
-    T0 is not before that, fleet time. first: of a path that members execute in chunks.
+    is not advanced. not_before_ns: T0 is not before that, fleet time. first: of a path that members execute in chunks.
     """
 
     plan: StepPlan
@@ -73,7 +72,6 @@ class StartAgreement:
     advance_ns: int = 0
     tick_residual_ns: int = 0
     aligned: bool = False
-    tick_share: float = MAX_TICK_RESIDUAL
     not_before_ns: int = 0
     present: PresentMove | None = None
     first: FirstChunk | None = None
@@ -203,9 +201,8 @@ class StartNegotiation:
         chunk = await self._plan_first_chunk()
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
-        first.tick_share = self._request.tick_share
         # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
-        wires = [] if self._triggers.owners or self._request.wait is not None else self._view.fleet.wiring
+        wires = [] if self._triggers.owners else self._request.choose_wires(self._view.fleet.wiring)
         lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
@@ -316,7 +313,7 @@ class StartNegotiation:
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
         budget allows."""
-        agreement.advance_ns, agreement.tick_residual_ns = _find_advance(agreement, spare_ns)
+        agreement.advance_ns, agreement.tick_residual_ns = _find_advance(agreement, spare_ns, self._request.tick_share)
         if agreement.tick_residual_ns:
             budget = agreement.budget
             try:
@@ -368,7 +365,10 @@ class StartNegotiation:
                 if member in movers and "line" in (await self._view.query_info(member)).start_classes
             }
             line = TriggerStart(wire, waiters)
-            online = waiters and (await self._view.query_state(line.driver)).mode != "offline"
+            # T0 of a line cannot be brought forward.
+            online = (
+                waiters and self._request.wait is None and (await self._view.query_state(line.driver)).mode != "offline"
+            )
         except BusError:
             return None
         return line if online else None
@@ -490,7 +490,7 @@ def _line_arming_ns(line: list[tuple[StepCosts, float]]) -> float:
     return max(arming_ns) if all(costs.interleaved for costs, _ in line) else sum(arming_ns)
 
 
-def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
+def _find_advance(agreement: StartAgreement, spare_ns: int, tick_share: float) -> tuple[int, int]:
     """How much T0 can advance, and how far that is at most from a whole number of any member's ticks: an advance by
     whole ticks leaves what is armed unchanged. (0, 0) if a member cannot advance."""
     if not agreement.can_advance:
@@ -501,7 +501,7 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
         return spare_ns, 0
     shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
     tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
-    count = min(spare_ns // tick_ns, agreement.tick_share * tick_ns / off_ns if off_ns else inf) // 1
+    count = min(spare_ns // tick_ns, tick_share * tick_ns / off_ns if off_ns else inf) // 1
     # Instants are whole nanoseconds.
     return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
 

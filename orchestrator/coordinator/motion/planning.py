@@ -10,6 +10,7 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.errors import SETTING_CHANGED, Refusal
+from orchestrator.model.fleet import TriggerWire
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.names import controller_of
@@ -38,6 +39,11 @@ class StepRequest:
     index: int
     move: Motion
     wait: ArmedTerms | None = None
+
+    def choose_wires(self, wiring: Sequence[TriggerWire]) -> Sequence[TriggerWire]:
+        """The trigger lines that may start it: none where it waits armed, because their T0 cannot be brought
+        forward."""
+        return wiring if self.wait is None else ()
 
     @property
     def tick_share(self) -> float:

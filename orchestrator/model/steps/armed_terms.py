@@ -46,8 +46,8 @@ def check_armed_waits(steps: Sequence[ArmedStep]) -> None:
         if next_step is None or not next_step.is_motion:
             behind_words = "nothing" if next_step is None else f"`do: {next_step.kind}`"
             raise ValueError(
-                f"steps.{number}: `do: wait_armed` stands directly before a move or a path of the same list; {behind_words} "
-                "follows it; move it there, or remove it"
+                f"steps.{number}: `do: wait_armed` stands directly before a move or a path of the same list; "
+                f"{behind_words} follows it; move it there, or remove it"
             )
         obstacle = next_step.find_armed_obstacle()
         if obstacle:
