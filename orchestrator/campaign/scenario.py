@@ -547,9 +547,7 @@ class _Scenario:
         t0_ns = self._t0_host_ns(request)
         if stage == "fire":
             return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_WINDOW_NS)
-        if stage in ("motion", "trigger"):
-            return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS)
-        return None
+        return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS) if stage in ("motion", "trigger") else None
 
     def _expected_homing_ns(self, member: str) -> int:
         """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the

@@ -6,12 +6,13 @@ from statistics import median
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, origin_host_ns, outcome, refusal, run_fleet
 
+from orchestrator.client.api import Tutti
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, StepReport
+from orchestrator.model.report import FINISHED_STATES, JobProgress, JobReport, JobState, QueueEntry, StepReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 
@@ -22,14 +23,19 @@ def armed_job(targets: str, terms: str = "") -> Job:
 THERE = armed_job("gantry.x: 20, gantry.y: 10, stage.u: 4")
 
 
+async def find_entry(client: Tutti, submitted: SubmittedJob) -> tuple[QueueEntry, JobProgress | None]:
+    shown = await client.show_job(submitted)
+    assert shown.entry is not None
+    return shown.entry, shown.progress
+
+
 async def submit_armed(fleet: VirtualFleet, armed: Job = THERE) -> SubmittedJob:
     """Submit a job; return once its step waits armed."""
     client = fleet.make_client()
     submitted = await client.submit(armed)
     while True:
-        shown = await client.show_job(submitted)
-        progress = shown.progress
-        assert shown.entry.state not in FINISHED_STATES, shown.entry.reason
+        entry, progress = await find_entry(client, submitted)
+        assert entry.state not in FINISHED_STATES, entry.reason
         if progress is not None and progress.armed is not None:
             return submitted
         await sleep_ns(fleet.clock, 5 * NS_PER_MS)
@@ -73,8 +79,14 @@ async def go_refused(submitted: SubmittedJob) -> str:
 
 async def wait_for_state(fleet: VirtualFleet, submitted: SubmittedJob, state: JobState) -> None:
     client = fleet.make_client()
-    while (await client.show_job(submitted)).entry.state != state:
+    while (await find_entry(client, submitted))[0].state != state:
         await sleep_ns(fleet.clock, 5 * NS_PER_MS)
+
+
+async def ended(submitted: SubmittedJob) -> JobReport:
+    report = await submitted.wait()
+    assert isinstance(report, JobReport)
+    return report
 
 
 def moved(report: JobReport) -> StepReport:
@@ -88,7 +100,7 @@ def test_go_starts_all_members_within_the_promise() -> None:
         await sleep_ns(fleet.clock, 3 * NS_PER_S)
         assert not is_moving(fleet) and fleet.journal.list_decisions(submitted.id) == []
         t0_ns = await submitted.go()
-        report = await submitted.wait()
+        report = await ended(submitted)
         assert report.state == "done", report.reason
         step = moved(report)
         assert step.t0_fleet_ns == t0_ns and step.verdict == "green" and step.waited_armed is not None
@@ -106,7 +118,7 @@ def test_go_to_t0_takes_one_start_lead() -> None:
             submitted = await submit_armed(fleet, BACK if number % 2 else THERE)
             await sleep_ns(fleet.clock, draw.randrange(59 * NS_PER_S))
             await submitted.go()
-            report = await submitted.wait()
+            report = await ended(submitted)
             assert report.state == "done" and moved(report).verdict != "red", report
             wait = moved(report).waited_armed
             assert wait is not None
@@ -137,7 +149,7 @@ def test_an_input_starts_it_by_its_edge_alone() -> None:
         submitted = await submit_armed(fleet, by_door)
         await sleep_ns(fleet.clock, NS_PER_S)
         await set_door(fleet, active=True)
-        report = await submitted.wait()
+        report = await ended(submitted)
         wait = moved(report).waited_armed
         assert report.state == "done" and wait is not None and wait.by == "input"
         level = armed_job("stage.u: 1", ", input: gantry.door, level: true")
@@ -152,7 +164,7 @@ def test_a_second_go_is_refused_and_one_after_the_end() -> None:
         submitted = await submit_armed(fleet)
         await submitted.go()
         assert await go_refused(submitted) == "begun"
-        await submitted.wait()
+        await ended(submitted)
         assert await go_refused(submitted) == "ended"
 
     run_fleet(main)
@@ -172,7 +184,7 @@ def test_an_instant_is_met_or_refused_and_it_stays_armed() -> None:
         at_ns = fleet.clock.now_ns() - origin_ns + 31 * NS_PER_S  # the members are armed anew meanwhile
         assert await submitted.go(at_ns) == at_ns
         assert await go_refused(submitted) == "begun"
-        step = moved(await submitted.wait())
+        step = moved(await ended(submitted))
         assert step.state == "done" and step.t0_fleet_ns is not None and 0 <= step.t0_fleet_ns - at_ns < 2 * NS_PER_MS
 
     run_fleet(main)
@@ -192,7 +204,7 @@ def test_a_pause_ends_the_wait_and_it_waits_anew() -> None:
         await sleep_ns(fleet.clock, NS_PER_S)
         assert not is_moving(fleet)
         await submitted.go()
-        assert (await submitted.wait()).state == "done"
+        assert (await ended(submitted)).state == "done"
 
     run_fleet(main)
 
@@ -254,7 +266,7 @@ def test_what_ends_the_wait_starts_nothing_later(cause: str) -> None:
         await sleep_ns(fleet.clock, NS_PER_S)
         await CAUSES[cause](fleet, submitted)
         begun = motion_counts(fleet)
-        report = await submitted.wait()
+        report = await ended(submitted)
         assert report.state in ("failed", "aborted", "cancelled"), report
         assert await go_refused(submitted) == "ended"
         await sleep_ns(fleet.clock, 30 * NS_PER_S)

@@ -61,7 +61,7 @@ NEAR_COUNTS = 2.0  # or this number of counts
 SHORTEST_COURSE = 8  # records
 LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
 OPENING_NS = 6 * NS_PER_MS  # less than the shortest time for the answer to a release
-STOP_EXCHANGES = 2  # the one under way, and the stop
+WITHDRAW_EXCHANGES = 2  # the one under way, and the stop
 HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
 LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state what expressions add (L1626)
 
@@ -456,7 +456,7 @@ def _find_disarm_ns(context: LoweringContext, start: StartOptions, tick_ns: floa
     gate, options, disarm_ns = context.gate, context.options, context.costs.disarm_ns
     if gate is None or not start.waits_armed or start.wait is not None or start.drive is not None:
         return disarm_ns
-    stop_ns = STOP_EXCHANGES * options.exchange_ns + WITHDRAW_NS
+    stop_ns = WITHDRAW_EXCHANGES * options.exchange_ns + WITHDRAW_NS
     return min(disarm_ns, max(math.ceil(gate.release_before * tick_ns) - OPENING_NS, stop_ns))
 
 

@@ -121,8 +121,8 @@ class LeadTimeEstimator:
     @property
     def promise_ns(self) -> int:
         """How long promises take at most, as far as it is known; 0 until then."""
-        known = self._releases_ns.is_known and self._goes_ns.is_known
-        return max(0, round(self._releases_ns.longest - self._goes_ns.longest)) if known else 0
+        is_known = self._releases_ns.is_known and self._goes_ns.is_known
+        return max(0, round(self._releases_ns.longest - self._goes_ns.longest)) if is_known else 0
 
     def record_late_promise(self, promise_ns: int, members: int) -> None:
         """Record that promises took so long that no time was left for `go`. A member that takes far longer than

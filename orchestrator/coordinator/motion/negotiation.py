@@ -202,7 +202,7 @@ class StartNegotiation:
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
         # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
-        wires = [] if self._triggers.owners else self._request.choose_wires(self._view.fleet.wiring)
+        wires = self._request.choose_wires([] if self._triggers.owners else self._view.fleet.wiring)
         lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
@@ -365,10 +365,7 @@ class StartNegotiation:
                 if member in movers and "line" in (await self._view.query_info(member)).start_classes
             }
             line = TriggerStart(wire, waiters)
-            # T0 of a line cannot be brought forward.
-            online = (
-                waiters and self._request.wait is None and (await self._view.query_state(line.driver)).mode != "offline"
-            )
+            online = waiters and (await self._view.query_state(line.driver)).mode != "offline"
         except BusError:
             return None
         return line if online else None
