@@ -35,6 +35,7 @@ PAGES = (
     "how-to/handle-alarms.md",
     "how-to/look-at-a-run.md",
     "how-to/use-python.md",
+    "how-to/arm-and-go.md",
     "how-to/test-your-jobs.md",
     "how-to/manage-users-and-roles.md",
     "how-to/use-http.md",
