@@ -63,6 +63,7 @@ from orchestrator.model.steps.repeat import JobStep as Step
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
+from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.model.templates.template import Template, load_job
 
 __version__ = _version("tutti")
@@ -125,6 +126,7 @@ __all__ = [
     "TimeInterval",
     "Tutti",
     "TuttiError",
+    "WaitArmed",
     "WaitInput",
     "WrongValue",
     "load_fleet",

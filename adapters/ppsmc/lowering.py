@@ -114,7 +114,7 @@ def lower_step(
     durations_s = {move.name: move.shape.duration_s / rate if move.shape else 0.0 for move in moves}
     ramps_s = max((move.shape.stop_s for move in real_moves if move.shape is not None), default=0.0)
     costs = step_costs(options, traits.char_ns, traits.installed, ramps_s, waits=wait is not None)
-    if start_options.follows and wait is None and drive is None:
+    if start_options.starts_soon and wait is None and drive is None:
         costs = withdrawable_costs(costs, start.usual_ns, _POLL_LINES * options.decode_ns[1])
     return PpSmcLowered(
         start_class="host" if wait is None else "line",

@@ -16,7 +16,7 @@ from adapters.shrc203.shapes.pair import TwoPartMove, find_two_part_moves
 from adapters.shrc203.shapes.trapezoid import DISTANCE_MAX, RAMP_MAX_MS, ShrcBounds, ShrcTrapezoid, fit_trapezoid
 from adapters.shrc203.wire.replies import axis_argument
 from adapters.toolkit.firing import learned_terms
-from adapters.toolkit.host_start import find_release_ns
+from adapters.toolkit.host_start import find_release_ns, withdrawable_costs
 from adapters.toolkit.path_error import legs_in_host_time, path_error_counts
 from adapters.toolkit.wired_points import (
     WiredInput,
@@ -146,6 +146,8 @@ def lower_step(
         costs = traits.line_costs
     elif start_options.follows:
         costs = following_costs(options, traits.char_ns, commands.load, costs)
+    elif start_options.waits_armed:
+        costs = withdrawable_costs(costs, lead_ns + (len(commands.start) + len("\r\n")) * traits.char_ns)
     return ShrcLowered(
         start_class="host" if wait is None else "line",
         durations_s=durations_s,

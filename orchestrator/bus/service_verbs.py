@@ -17,6 +17,8 @@ from orchestrator.model.jobs.service import (
     FleetLoaded,
     FleetNames,
     FleetReloaded,
+    GoJob,
+    JobGone,
     JobReference,
     JobReferences,
     JobRetargeted,
@@ -118,6 +120,10 @@ def _describe_pause(request: PauseJob) -> str:
     return request.job_id + " now" * request.now
 
 
+def _describe_go(request: GoJob) -> str:
+    return request.job_id + ("" if request.at_fleet_ns is None else f" at {request.at_fleet_ns} ns")
+
+
 def _describe_override(request: OverrideJob) -> str:
     return f"{request.job_id} {request.percent:g} %"
 
@@ -171,6 +177,7 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "reorder": ServiceVerb(ReorderJob, Reply, "operator", subject=_describe_place),
     "pause": ServiceVerb(PauseJob, Reply, "operator", subject=_describe_pause),
     "resume": ServiceVerb(JobReference, Reply, "operator", subject=_name_job),
+    "go": ServiceVerb(GoJob, JobGone, "operator", subject=_describe_go),
     "override": ServiceVerb(OverrideJob, Reply, "operator", subject=_describe_override),
     "ask-live": ServiceVerb(AskLive, LiveAsked, "operator", logged=False),
     "read-live": ServiceVerb(ReadLive, LiveRead, "viewer", reads=True),

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from orchestrator.campaign.armed_waits import find_outlasted
 from orchestrator.campaign.at_once import AtOnceChecker
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
@@ -107,7 +108,7 @@ class InvariantChecker:
         steps = self._records.find_steps(phase)
         reports = {job_id: self._fleet.journal.load_report(job_id) for job_id in phase.jobs}
         self._check_promises(phase)
-        for text in self._recorder.starts.take_unasked():
+        for text in (*self._recorder.starts.take_unasked(), *find_outlasted(self._recorder.requests, phase)):
             self.add_violation("11", text)
         self._check_jobs(phase, reports)
         for name in self._whole_fleet.controllers:

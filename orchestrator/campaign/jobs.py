@@ -14,6 +14,7 @@ from orchestrator.model.queue import QueueTerms
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.model.triggers import Trigger
 
 SPEED_FRACTION = 0.17  # of the speed limits: no axis reaches its target before the fault
@@ -26,13 +27,15 @@ CHAIN_MOVE_S = (0.8, 1.3)  # of a move in a chain at that speed, without its ram
 CHAIN_BACK_S = (0.0, 0.15)
 PATH_SHARES = (0.4, 1.0, 0.5, 0.1)  # of the way of a move, at the end of each line
 PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
+ARMED_TIMEOUT = "30 s"  # of a step that waits armed
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live"]
+MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live", "armed"]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
 several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
-once. live: a live job whose program asks for a chain."""
+once. live: a live job whose program asks for a chain. armed: its move waits
+armed for a request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +120,20 @@ def _draw_main(
     if kind in ("chain", "at-once", "live"):
         return _draw_chain("main", axes, member, draw, alone=kind == "at-once")
     job = _draw_moves("main", axes, draw, steps_before)
+    if kind == "armed":
+        return _let_wait(job)
     return _add_triggers(job, axes.fleet, axes.controllers) if kind == "trigger" else job
+
+
+def _let_wait(job: Job) -> Job:
+    """The job with a wait before its move, which starts by no line."""
+    steps: list[Any] = []
+    for step in job.steps:
+        if step.is_motion:
+            steps.append(WaitArmed(timeout=ARMED_TIMEOUT))
+            step = step.model_copy(update={"start": "auto"})
+        steps.append(step)
+    return job.model_copy(update={"steps": steps})
 
 
 def make_trial(fleet: Fleet, member: str, priority: int = 9) -> JobOrder:

@@ -12,12 +12,25 @@ from orchestrator.campaign.start_recorder import StartRecorder
 from orchestrator.clock.base import Clock
 
 Stage = Literal[
-    "jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain", "chunk", "trigger", "at-once", "live"
+    "jog",
+    "home",
+    "propose",
+    "arm",
+    "commit",
+    "go",
+    "fire",
+    "motion",
+    "chain",
+    "chunk",
+    "trigger",
+    "at-once",
+    "live",
+    "armed-waiting",
 ]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
 the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way; at-once:
 a step that starts at once is requested, and waits for the end of the one before; live: a step that a live job was asked
-for is loaded behind a moving one, or moves."""
+for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 
 _RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk", "start-at-once")

@@ -37,6 +37,7 @@ from orchestrator.campaign.program import run_program
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.campaign.rest import find_at_rest
+from orchestrator.campaign.start_requests import StartRequests
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
@@ -82,6 +83,7 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 }
 _FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
+_ARMED_WINDOW_NS = 3 * NS_PER_S  # after arming; some steps are started before
 _STAGES_AT_ONCE: tuple[Stage, ...] = ("arm", "commit", "go")  # which one request goes through
 _REQUEST_WINDOWS_NS: dict[Stage, tuple[str, int]] = {
     "chunk": ("load-chunk", 3 * NS_PER_S),  # until after its release
@@ -95,6 +97,7 @@ _KINDS: dict[Stage, MainKind] = {
     "trigger": "trigger",
     "at-once": "at-once",
     "live": "live",
+    "armed-waiting": "armed",
 }
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
@@ -145,9 +148,11 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
+        starts = StartRequests(scenario.virtual, seed, [cell.stage for cell in cells])
         try:
             await scenario.run_phases()
         finally:
+            starts.end()
             seed_run.lines = scenario.virtual.lines
             seed_run.violations = scenario.checker.violations
             seed_run.fleet_s = clock.now_ns() / NS_PER_S
@@ -314,7 +319,7 @@ class _Scenario:
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
         stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
-        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once", "live"):
+        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once", "live", "armed-waiting"):
             stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
@@ -545,9 +550,13 @@ class _Scenario:
             return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
         if stage == "arm" and is_reached and going_out:
             return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
-        is_behind = request.verb == "arm" and request.accepted and request.fields["after_step"] is not None
-        if stage in ("chain", "live") and is_behind:
-            return self._draw.randint(now_ns, max(now_ns, self._t0_host_ns(request) + _CHAIN_WINDOW_NS))
+        if _is_loaded(stage, request):
+            latest_ns = (
+                self._t0_host_ns(request) + _CHAIN_WINDOW_NS
+                if stage in ("chain", "live")
+                else now_ns + _ARMED_WINDOW_NS
+            )
+            return self._draw.randint(now_ns, max(now_ns, latest_ns))
         verb, window_ns = _REQUEST_WINDOWS_NS.get(stage, ("", 0))
         if request.verb == verb and going_out and request.fields.get("after_step", 0) is not None:
             return now_ns + self._draw.randrange(window_ns)
@@ -556,9 +565,7 @@ class _Scenario:
         t0_ns = self._t0_host_ns(request)
         if stage == "fire":
             return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_WINDOW_NS)
-        if stage in ("motion", "trigger"):
-            return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS)
-        return None
+        return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS) if stage in ("motion", "trigger") else None
 
     def _expected_homing_ns(self, member: str) -> int:
         """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the
@@ -651,6 +658,13 @@ def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, i
     """The instant of a fault in this step has come."""
     if not arrival.done():
         arrival.set_result(step)
+
+
+def _is_loaded(stage: Stage, request: RecordedRequest) -> bool:
+    """Whether a member has loaded the step of a fault while it waits, armed or behind a moving one."""
+    if request.verb != "arm" or not request.accepted:
+        return False
+    return stage == "armed-waiting" or (stage == "chain" and request.fields["after_step"] is not None)
 
 
 def _is_of_stage(request: RecordedRequest, stage: Stage) -> bool:

@@ -125,6 +125,11 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         `other-axes`, `soft-limit`, `paused`, `permit`."""
         return self._run(self._wrapped.retarget(to, by=by))
 
+    def go(self, at_fleet_ns: int | None = None) -> int:
+        """Start the step of the job that waits armed, at that instant (fleet time, ns) or as soon as all controllers
+        can; return T0. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`, `too-late`."""
+        return self._run(self._wrapped.go(at_fleet_ns))
+
     def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         self._run(self._wrapped.resume())
@@ -632,6 +637,15 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
         many."""
         return self._run(self._wrapped.prune_jobs(older_s, keep))
+
+    def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
+        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start,
+        fleet time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
+        `too-late`, and what has ended the wait.
+
+        at_fleet_ns: an instant to start at instead, which is agreed shortly before it, and returned at once; without
+        it, as soon as all controllers can."""
+        return self._run(self._wrapped.go_job(job_id, at_fleet_ns))
 
     def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
         """Read the points of all scans that are in files or specs, and send them; return the job that names what is

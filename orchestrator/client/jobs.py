@@ -418,6 +418,11 @@ class SubmittedJob(str):
         `other-axes`, `soft-limit`, `paused`, `permit`."""
         return await self._requests.retarget_job(self, to, by=by)
 
+    async def go(self, at_fleet_ns: int | None = None) -> int:
+        """Start the step of the job that waits armed, at that instant (fleet time, ns) or as soon as all controllers
+        can; return T0. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`, `too-late`."""
+        return await self._requests.go_job(self, at_fleet_ns)
+
     async def resume(self) -> None:
         """Resume the paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         await self._requests.resume_job(self)

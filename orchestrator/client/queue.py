@@ -1,12 +1,21 @@
-"""Requests about the queue as a whole, and about jobs that wait in it."""
+"""Requests about the queue as a whole, about jobs that wait in it, and about one that waits armed."""
 
 from orchestrator.client.points import PointRequests
 from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPreview, StartQueue
-from orchestrator.model.jobs.service import JobReference, JobReferences, JobsPruned, PruneJobs, ReorderJob
+from orchestrator.model.jobs.service import (
+    GoJob,
+    JobGone,
+    JobReference,
+    JobReferences,
+    JobsPruned,
+    PruneJobs,
+    ReorderJob,
+)
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.operation.approval import ApproveJob, JobPlan, JobPlanned
 
 PRUNE_S = 60.0
+GO_S = 20.0  # for the answer to `go`, which waits where the controllers are just being loaded anew
 
 
 class QueueRequests(PointRequests):
@@ -66,3 +75,15 @@ class QueueRequests(PointRequests):
         many."""
         request = PruneJobs(**self.request_fields(), older_s=older_s, keep=keep)
         return (await self.request_service("prune", request, JobsPruned, PRUNE_S)).jobs
+
+    async def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
+        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start,
+        fleet time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
+        `too-late`, and what has ended the wait.
+
+        at_fleet_ns: an instant to start at instead, which is agreed shortly before it, and returned at once; without
+        it, as soon as all controllers can."""
+        request = GoJob(**self.request_fields(), job_id=job_id, at_fleet_ns=at_fleet_ns)
+        reply = await self.request_service("go", request, JobGone, GO_S)
+        assert reply.t0_fleet_ns is not None
+        return reply.t0_fleet_ns

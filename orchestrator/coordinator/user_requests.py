@@ -103,6 +103,7 @@ class UserRequests:
             "pause": self._pause_job,
             "override": scheduler.run_requests.override_job,
             "retarget": scheduler.run_requests.retarget_job,
+            "go": scheduler.run_requests.go_job,
             "resume": self._resume_job,
             **intake.live.handlers,
             "prune": self._prune_jobs,

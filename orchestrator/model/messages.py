@@ -224,6 +224,8 @@ class StartOptions(Model):
     follows: the move begins where the member's present move ends, and is loaded while that one runs, as far as the make
     can.
     at_once: no other member depends on this start: T0 is the earliest instant of a start as soon as the member can.
+    waits_armed: the move is loaded long before its start is asked for, which is to follow soon then: what counts is
+    how late the start can be withdrawn, not how long unloading takes.
     chunk: the move is the first chunk of a path.
     triggers: outputs of the member that it switches on the way; it may also move no axis of the step.
     """
@@ -236,10 +238,16 @@ class StartOptions(Model):
     early_ns: Int53 = 0
     follows: bool = False
     at_once: bool = False
+    waits_armed: bool = False
     wait: TriggerWait | None = None
     drive: TriggerDrive | None = None
     chunk: ChunkOptions | None = None
     triggers: list[OutputTrigger] = Field(default=[])
+
+    @property
+    def starts_soon(self) -> bool:
+        """Whether the release comes close to the start, so that what counts is how late that can be withdrawn."""
+        return self.follows or self.waits_armed
 
 
 class ProposeRequest(StepRequest):

@@ -61,6 +61,7 @@ class JobProgress(Model):
     override_percent: float | None = Field(
         default=None, description="On a path whose speed can be changed: that speed, in percent of the planned one."
     )
+    armed: "ArmedState | None" = Field(default=None, description="While a motion is loaded, and waits.")
     reason: str
     utc: str
     ready: bool = Field(
@@ -373,6 +374,28 @@ class TriggerReport(Model):
     problem: str = ""
 
 
+class ArmedState(Model):
+    """A motion that is loaded in its controllers, and waits. input: that starts it, besides a request. lead_ns: from
+    that start to T0 if it comes now. most_lead_ns: the same at most, as the controllers declare it: it comes while they
+    are loaded anew."""
+
+    input: str | None = None
+    since_fleet_ns: Int53
+    until_fleet_ns: Int53
+    lead_ns: Int53
+    most_lead_ns: Int53
+
+
+class ArmedReport(Model):
+    """How a motion that waited armed was started. go_fleet_ns: when the request came, or the input was read with its
+    new value. lead_ns: from then to T0."""
+
+    since_fleet_ns: Int53
+    go_fleet_ns: Int53
+    by: Literal["input", "request"]
+    lead_ns: Int53
+
+
 class StepReport(Model):
     """The record of one step, or of a whole scan (`scan`), followed by that of its point that was not done.
     After feed holds and retargets it describes the last part, and lists those before; of retargets, the last ones.
@@ -393,6 +416,7 @@ class StepReport(Model):
     arming_fleet_ns: Int53 | None = None
     settled_fleet_ns: Int53 | None = None
     t0_fleet_ns: Int53 | None = None
+    waited_armed: ArmedReport | None = Field(default=None, description="Behind a `wait_armed`.")
     members: dict[str, MemberReport] = Field(default={})
     budget: SyncBudget | None = None
     start_skew: SkewInterval | None = None

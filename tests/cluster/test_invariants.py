@@ -31,6 +31,7 @@ from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
@@ -301,6 +302,11 @@ def goes_on_behind_a_failure(patch: Patch) -> None:
     patch.setattr(LiveSequence, "drop_waiting", nothing)
 
 
+def waits_on_without_a_permit(patch: Patch) -> None:
+    """A step that waits armed starts although its permit was lost meanwhile, and holds again."""
+    patch.setattr(PermitWatch, "describe_loss", nothing)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -339,6 +345,7 @@ MUTATIONS = (
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000"), 4),
     Mutation("16", pulses_after_a_stop, FaultCell("trigger", "stop", "smc4000"), 1),
     Mutation("16", claims_planned_pulses, FaultCell("trigger", "limit", "smc4000"), 1),
+    Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
 SEEDS = (1, 4, 9, 0, 2, 3, 5, 6, 7, 8, 10, 11)

@@ -14,11 +14,11 @@ from adapters.controller.slots.withdrawal import STOP_LEAD_NS
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.motion.negotiation import (
-    MAX_TICK_RESIDUAL,
     StartAgreement,
     StartNegotiation,
     _find_advance,
 )
+from orchestrator.coordinator.motion.planning import MAX_TICK_RESIDUAL
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.messages import GoRequest, Proposal, Reply
@@ -110,7 +110,7 @@ def test_different_ticks_are_advanced_as_far_as_they_stay_aligned() -> None:
         proposals = {
             name: Proposal(can_advance=sooner, tick_ns=each) for name, each in zip("ab", ticks_ns, strict=True)
         }
-        return _find_advance(StartAgreement(cast(Any, None), proposals=proposals), spare_ns)
+        return _find_advance(StartAgreement(cast(Any, None), proposals=proposals), spare_ns, MAX_TICK_RESIDUAL)
 
     assert sooner(0.0, 0.0) == (spare_ns, 0)
     assert sooner(0.0, 0.0, sooner=False) == (0, 0)

@@ -37,6 +37,7 @@ PAGES = (
     "how-to/use-python.md",
     "how-to/drive-move-by-move.md",
     "how-to/read-states.md",
+    "how-to/arm-and-go.md",
     "how-to/test-your-jobs.md",
     "how-to/manage-users-and-roles.md",
     "how-to/use-http.md",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from adapters.contract import PathChunk, require_start_class
+from adapters.toolkit.host_start import WITHDRAW_NS
 from adapters.yaskawa.common import arrays, lines
 from adapters.yaskawa.common.gate import AT_ONCE_LATEST_NS, AT_ONCE_TICKS, GateTiming
 from adapters.yaskawa.common.loads import (
@@ -40,7 +41,7 @@ from adapters.yaskawa.shapes.course_records import (
 )
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.shapes.trapezoid import RegisterTrapezoid, SampleAlignment, YaskawaBounds, fit_registers
-from orchestrator.clock.base import NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
@@ -59,6 +60,8 @@ SKEW_SAMPLES = 10.0  # allowed path deviation, at its peak speed,
 NEAR_COUNTS = 2.0  # or this number of counts
 SHORTEST_COURSE = 8  # records
 LATER_TICKS = 4.0  # largest delay of a common end of all participants after the plan's end
+OPENING_NS = 6 * NS_PER_MS  # less than the shortest time for the answer to a release
+WITHDRAW_EXCHANGES = 2  # the one under way, and the stop
 HOST_COMMANDS = 2  # of the host, that may interrupt one round of the contour's loop: one before each of its lines
 LOOP_SPREAD = 2.0  # factor of a command's duration: the manual does not state what expressions add (L1626)
 
@@ -380,7 +383,7 @@ def _make_lowered(
     waits = None if start.wait is None else lines.resolve_wait_input(config, start.wait)
     drives = None if start.drive is None else lines.resolve_driven_output(config, start.drive, tick_ns)
     beside_step = _find_behind(context, load, start, tick_ns)
-    disarm_ns = costs.disarm_ns if beside_step is None else beside_step.disarm_ns
+    disarm_ns = _find_disarm_ns(context, start, tick_ns) if beside_step is None else beside_step.disarm_ns
     if waits is None or start.wait is None:
         drives_line = drives is not None or bool(start.triggers)
         terms = lines.clock_terms(bound_ns, options, mapping, start, drives_line=drives_line)
@@ -444,6 +447,17 @@ def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, 
     # T0 of both steps is rounded to a sample.
     gap_ns = math.ceil((gate.gap_ticks(len(context.motors), context.axes, tick_ns) + 1) * tick_ns)
     return _Behind(gap_ns, disarm_ns, begins_at_once=False)
+
+
+def _find_disarm_ns(context: LoweringContext, start: StartOptions, tick_ns: float) -> int:
+    """How long before T0 a step at rest can last be withdrawn. Of one that waits armed: by a stop, which halts a
+    program that has passed the gate; verifying that all is unloaded takes longer, and does not matter. The gate
+    must be opened before, in the time that the coordinator allows for its answer."""
+    gate, options, disarm_ns = context.gate, context.options, context.costs.disarm_ns
+    if gate is None or not start.waits_armed or start.wait is not None or start.drive is not None:
+        return disarm_ns
+    stop_ns = WITHDRAW_EXCHANGES * options.exchange_ns + WITHDRAW_NS
+    return min(disarm_ns, max(math.ceil(gate.release_before * tick_ns) - OPENING_NS, stop_ns))
 
 
 def _find_release_ns(

@@ -12,7 +12,7 @@ from orchestrator.cli.jobs.approval import approve, plan
 from orchestrator.cli.jobs.check import check
 from orchestrator.cli.jobs.continuing import continue_job
 from orchestrator.cli.jobs.history import list_jobs, prune
-from orchestrator.cli.jobs.order import hold, override, pause, release, reorder, resume, retry
+from orchestrator.cli.jobs.order import go, hold, override, pause, release, reorder, resume, retry
 from orchestrator.cli.jobs.plot import plot
 from orchestrator.cli.jobs.points import points, show_points
 from orchestrator.cli.jobs.templates.options import read_settings, set_options
@@ -130,6 +130,7 @@ for command in (
     approve,
     reorder,
     pause,
+    go,
     override,
     resume,
     retry,

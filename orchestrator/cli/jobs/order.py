@@ -127,6 +127,26 @@ def override(job: str, percent: float, connect: str, fleet: str | None, *, as_js
     with_fleet(connect, fleet, override_job)
 
 
+@click.command(epilog="Example: tutti job go 3f2a91c0")
+@job_argument
+@click.option("--at", "at_fleet_ns", type=int, metavar="NS", help="Start at this instant, fleet time in ns.")
+@fleet_options
+@json_option
+def go(job: str, at_fleet_ns: int | None, connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Start the step of a running JOB that waits armed (`do: wait_armed`).
+
+    All its axes start together as soon as all controllers can, or at the instant that is named.
+    """
+
+    async def start_job(tutti: "Tutti") -> None:
+        entry = await tutti.find_job(job)
+        t0_ns = await tutti.go_job(entry.id, at_fleet_ns)
+        words = f"{name_jobs(entry)} starts at {t0_ns} ns of fleet time"
+        print_result({"job_id": entry.id, "t0_fleet_ns": t0_ns}, words, as_json=as_json)
+
+    with_fleet(connect, fleet, start_job)
+
+
 @click.command(epilog="Example: tutti job resume 3f2a91c0")
 @job_argument
 @fleet_options

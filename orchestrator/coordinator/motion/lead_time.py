@@ -118,6 +118,12 @@ class LeadTimeEstimator:
         """Record a release behind a step. go_ns: from the last promise to the last answer to `go`."""
         self._following_ns.add_duration(go_ns)
 
+    @property
+    def promise_ns(self) -> int:
+        """How long promises take at most, as far as it is known; 0 until then."""
+        is_known = self._releases_ns.is_known and self._goes_ns.is_known
+        return max(0, round(self._releases_ns.longest - self._goes_ns.longest)) if is_known else 0
+
     def record_late_promise(self, promise_ns: int, members: int) -> None:
         """Record that promises took so long that no time was left for `go`. A member that takes far longer than
         others was suspended, which says nothing about the next step."""

@@ -46,7 +46,6 @@ END_SKEW_NS = 20 * NS_PER_MS  # of lowered durations, where the job does not sta
 # A member that ends this much later, a twentieth of a servo tick, does not need another round. Quantised ramps of an
 # SMC-4000 make moves of a tenth of a second longer by half of it.
 SAME_DURATION_S = 50e-6
-MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
 SPARE_LEAD_FACTOR = 2  # on the known need
 LEAD_FACTOR = 1.25  # on the need of the same members in their last step, so that a slower step needs no extra round
 READING_NS = 500 * NS_PER_MS  # maximum age of the last clock reading when arming begins
@@ -61,7 +60,7 @@ class StartAgreement:
     line: the trigger line that starts members, if one does. lead_ns: time from arming to T0, for which the proposals
     hold. path: of a path, with its bound. advance_ns: how much earlier than armed the step starts; within
     tick_residual_ns a whole number of the ticks of every member. aligned: T0 is an instant at which ticks coincide, and
-    is not advanced. first: of a path that members execute in chunks.
+    is not advanced. not_before_ns: T0 is not before that, fleet time. first: of a path that members execute in chunks.
     """
 
     plan: StepPlan
@@ -73,6 +72,7 @@ class StartAgreement:
     advance_ns: int = 0
     tick_residual_ns: int = 0
     aligned: bool = False
+    not_before_ns: int = 0
     present: PresentMove | None = None
     first: FirstChunk | None = None
     triggers: StepTriggers = field(default_factory=StepTriggers)
@@ -128,7 +128,7 @@ class StartAgreement:
     def follows_ns(self) -> int:
         """The earliest T0 of a step that follows, for the members that hold it beside the present one, fleet time."""
         if self.present is None:
-            return 0
+            return self.not_before_ns
         gaps = [proposal.gap_ns for proposal in self.proposals.values() if proposal.gap_ns is not None]
         return max(
             self.present.ends_fleet_ns + self.present.between.pause_ns,
@@ -164,7 +164,7 @@ class StartAgreement:
             for member, proposal in self.proposals.items()
             if proposal.tick_at_fleet_ns is not None and self.profiles(member)
         ]
-        return find_closest_ticks(grids, from_ns, within_ns)[0]
+        return find_closest_ticks(grids, max(from_ns, self.not_before_ns), within_ns)[0]
 
     def start_window(self, member: str, terms: list[BudgetTerm]) -> StartWindow:
         """The window of the member's start around T0, from the terms that it states."""
@@ -200,10 +200,9 @@ class StartNegotiation:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
-        is_aligned = bool(self._request.move.align)
-        first = StartAgreement(plan, aligned=is_aligned, first=chunk, triggers=self._triggers)
-        # Instants on the way are counted from a T0 by the clock.
-        wires = [] if self._triggers.owners else self._view.fleet.wiring
+        first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
+        # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
+        wires = self._request.choose_wires([] if self._triggers.owners else self._view.fleet.wiring)
         lines = [line for wire in wires if (line := await self._find_line(wire, first)) is not None]
         if by_line and not lines:
             raise Refusal(
@@ -253,7 +252,7 @@ class StartNegotiation:
     def earliest_following_ns(self, agreement: StartAgreement) -> int:
         """The earliest T0 of a step that follows, fleet time, with the loading after the end of the present one."""
         present = agreement.present
-        earliest_ns = max(agreement.follows_ns, self._now_ns() + self._needed_ns(agreement, use_known=True))
+        earliest_ns = max(agreement.follows_ns, self._now_ns() + self.needed_ns(agreement, use_known=True))
         if present is None or not (agreement.loads_later or present.between.acts):
             return earliest_ns
         proposals_later = {name: proposal for name, proposal in agreement.proposals.items() if proposal.gap_ns is None}
@@ -267,13 +266,13 @@ class StartNegotiation:
             begun_ns = max(begun_ns, present.between.pause_ns + self._estimator.acting_ns)
         return max(earliest_ns, present.ends_fleet_ns + round(begun_ns) + releasing_ns)
 
-    async def renegotiate(self, agreement: StartAgreement, growth: int | None) -> None:
+    async def renegotiate(self, agreement: StartAgreement, growth: int | None, hold_ns: int = 0) -> None:
         """Get new proposals for another lead time, over which clock bounds must hold. Raises `Refusal`.
 
-        growth: factor on the declared lead time; None: the lead time as for the first arming.
+        growth: factor on the declared lead time; None: the lead time as for the first arming. hold_ns: added to it.
         """
-        lead_ns = self._lead_ns(agreement) if growth is None else growth * self._needed_ns(agreement, use_known=False)
-        agreement.lead_ns = lead_ns
+        lead_ns = self._lead_ns(agreement) if growth is None else growth * self.needed_ns(agreement, use_known=False)
+        agreement.lead_ns = lead_ns + hold_ns
         await self._propose(agreement)
 
     def judge(self, agreement: StartAgreement, stated: Mapping[str, Proposal] | Mapping[str, ArmedReply]) -> None:
@@ -314,7 +313,7 @@ class StartNegotiation:
     def advance(self, agreement: StartAgreement, armed: Mapping[str, ArmedReply], spare_ns: int) -> None:
         """Bring T0 forward by up to `spare_ns`, the lead time that arming and promises have not used, as far as the
         budget allows."""
-        agreement.advance_ns, agreement.tick_residual_ns = _find_advance(agreement, spare_ns)
+        agreement.advance_ns, agreement.tick_residual_ns = _find_advance(agreement, spare_ns, self._request.tick_share)
         if agreement.tick_residual_ns:
             budget = agreement.budget
             try:
@@ -331,6 +330,7 @@ class StartNegotiation:
             "brake_s": 0.0 if self._planned.path else _longest_braking_s(self._planned.resolved, agreement.plan),
             "early_ns": self._early_ns,
             "follows": agreement.present is not None,
+            "waits_armed": self._request.wait is not None,
         }
         start_class = "auto" if wish == "line" else wish
         first = agreement.first
@@ -454,14 +454,14 @@ class StartNegotiation:
     def _lead_ns(self, agreement: StartAgreement) -> int:
         """The lead time to use. Where T0 can be brought forward, an unused lead costs nothing, so a generous one saves
         a second arming of a member that is slow once."""
-        known_ns = self._needed_ns(agreement, use_known=True)
+        known_ns = self.needed_ns(agreement, use_known=True)
         if agreement.present is not None:
             return self.earliest_following_ns(agreement) - self._now_ns()
         if agreement.can_advance:
-            return min(SPARE_LEAD_FACTOR * known_ns, self._needed_ns(agreement, use_known=False))
+            return min(SPARE_LEAD_FACTOR * known_ns, self.needed_ns(agreement, use_known=False))
         return known_ns
 
-    def _needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
+    def needed_ns(self, agreement: StartAgreement, *, use_known: bool) -> int:
         """The lead time that the members need, as measured if `use_known`, else as declared."""
         margin_ns = self._estimator.margin_ns(len(agreement.proposals), use_known=use_known)
         at_once = {
@@ -487,7 +487,7 @@ def _line_arming_ns(line: list[tuple[StepCosts, float]]) -> float:
     return max(arming_ns) if all(costs.interleaved for costs, _ in line) else sum(arming_ns)
 
 
-def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
+def _find_advance(agreement: StartAgreement, spare_ns: int, tick_share: float) -> tuple[int, int]:
     """How much T0 can advance, and how far that is at most from a whole number of any member's ticks: an advance by
     whole ticks leaves what is armed unchanged. (0, 0) if a member cannot advance."""
     if not agreement.can_advance:
@@ -498,7 +498,7 @@ def _find_advance(agreement: StartAgreement, spare_ns: int) -> tuple[int, int]:
         return spare_ns, 0
     shortest_ns, longest_ns = min(ticks_ns), max(ticks_ns)
     tick_ns, off_ns = (shortest_ns + longest_ns) / 2, (longest_ns - shortest_ns) / 2
-    count = min(spare_ns // tick_ns, MAX_TICK_RESIDUAL * tick_ns / off_ns if off_ns else inf) // 1
+    count = min(spare_ns // tick_ns, tick_share * tick_ns / off_ns if off_ns else inf) // 1
     # Instants are whole nanoseconds.
     return round(count * tick_ns), ceil(count * off_ns) + 1 if count else 0
 

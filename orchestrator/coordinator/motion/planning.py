@@ -10,10 +10,12 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.errors import SETTING_CHANGED, Refusal
+from orchestrator.model.fleet import TriggerWire
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.names import controller_of
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
+from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
@@ -22,17 +24,31 @@ from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
+MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
+WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
 MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its path was braked: rounding
 
 
 @dataclass(frozen=True, slots=True)
 class StepRequest:
-    """A motion step of a job: step number `index`, the move or path, and the job with its defaults."""
+    """A motion step of a job: step number `index`, the move or path, and the job with its defaults. wait: the terms on
+    which it waits armed."""
 
     job_id: str
     job: Job
     index: int
     move: Motion
+    wait: ArmedTerms | None = None
+
+    def choose_wires(self, wiring: Sequence[TriggerWire]) -> Sequence[TriggerWire]:
+        """The trigger lines that may start it: none where it waits armed, because their T0 cannot be brought
+        forward."""
+        return wiring if self.wait is None else ()
+
+    @property
+    def tick_share(self) -> float:
+        """Of a tick, how far the members' ticks may drift apart over an advance of T0."""
+        return MAX_TICK_RESIDUAL if self.wait is None else WAIT_TICK_RESIDUAL
 
     @property
     def axes(self) -> list[str]:

@@ -157,6 +157,7 @@ def make_step_report(
         arming_fleet_ns=state.arming_fleet_ns,
         settled_fleet_ns=state.settled_fleet_ns,
         t0_fleet_ns=state.t0_fleet_ns,
+        waited_armed=state.waited,
         members=reports,
         budget=agreement.budget,
         path=agreement.path if failure is not None else prove_path(agreement, reports, state.t0_fleet_ns),

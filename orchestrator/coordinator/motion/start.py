@@ -29,7 +29,7 @@ from orchestrator.model.messages import (
     GoRequest,
     Reply,
 )
-from orchestrator.model.report import JobState
+from orchestrator.model.report import ArmedReport, JobState
 
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for the last round of proposals before the aligned start
 ALIGN_ASK_NS = NS_PER_S  # closer to the start than this, clock readings do not improve any more
@@ -53,6 +53,8 @@ class StartState:
     arming_fleet_ns: start of the last arming. promised_fleet_ns: when the promises were asked for that all have made.
     settled_fleet_ns: when T0 was settled. t0_fleet_ns: T0. unloaded: at the
     last disarming, no member had started. decided: the journal has the decision. paused_by: originator of a feed hold.
+    waited: how a step that waited armed was started.
+    usual_promise_ns: what promises take beyond that tells that the machine is slow.
     withdrawn: why a step that follows another one does not start behind it; "" while it may.
     """
 
@@ -64,6 +66,8 @@ class StartState:
     unloaded: bool = False
     decided: bool = False
     paused_by: str | None = None
+    waited: ArmedReport | None = None
+    usual_promise_ns: int = 0
     withdrawn: str = ""
 
     def require_not_paused(self) -> None:
@@ -266,7 +270,7 @@ class StartSequence:
                 estimator.record_late_promise(promised_ns - armed_ns, len(agreement.proposals))
             raise
         state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        go_ns = go_factor * self._go_ns(0 if has_waited else promised_ns - armed_ns)
+        go_ns = go_factor * self._go_ns(0 if has_waited else max(0, promised_ns - armed_ns - state.usual_promise_ns))
         slack_ns = RELEASE_SLACK_NS if agreement.present is not None and not has_waited else 0
         earliest_ns = max(state.settled_fleet_ns + go_ns + slack_ns + agreement.disarm_ns, agreement.follows_ns)
         spare_ns = state.t0_fleet_ns - earliest_ns

@@ -10,6 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.motion.armed_start import ArmedStart
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
@@ -74,8 +75,12 @@ class PlannedMotion:
         services.stop_times_ns.update(stop_times_ns)
         # Events and permits count from before arming: a stop, or the loss of a permit, may come at any moment.
         permit_watch = services.fleet.permits.watch_losses(agreement.plan.profiles)
-        make_start = ImmediateStart if can_start_at_once(planned, agreement) else StartSequence
-        start = make_start(services, planned.request, negotiation, agreement, permit_watch)
+        start: StartSequence
+        if planned.request.wait is not None:
+            start = ArmedStart(services, planned, negotiation, agreement, permit_watch)
+        else:
+            make_start = ImmediateStart if can_start_at_once(planned, agreement) else StartSequence
+            start = make_start(services, planned.request, negotiation, agreement, permit_watch)
         feed = PathFeed(services, planned.request, agreement, start.state) if agreement.first is not None else None
         watch = StepWatch(services, planned, agreement, start.state, permit_watch)
         watch.feed = feed
@@ -258,6 +263,12 @@ class MotionStep:
         """Brake the step if it is being started or moving; `run` then reports it as stopped."""
         if self._motion is not None:
             await self._motion.feed_hold(self._services.fleet, actor)
+
+    @property
+    def armed_start(self) -> ArmedStart | None:
+        """Its start, if it waits armed, or did."""
+        start = None if self._motion is None else self._motion.start
+        return start if isinstance(start, ArmedStart) else None
 
     @property
     def is_path(self) -> bool:

@@ -7,6 +7,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import OutputRequest
 from orchestrator.model.names import split_name
 from orchestrator.model.steps.io import SetOutput, WaitInput
+from orchestrator.model.steps.wait_armed import WaitArmed
 
 INPUT_POLL_NS = 20 * NS_PER_MS
 
@@ -41,3 +42,10 @@ async def run_wait(context: StepContext, step: WaitInput) -> ReportFields:
             text = f"input {step.input} did not become {level} within {format_ns(step.timeout)}"
             raise Refusal("wait-timeout", text, "", controller)
         await sleep_ns(clock, INPUT_POLL_NS)
+
+
+async def run_wait_armed(context: StepContext, step: WaitArmed) -> ReportFields:
+    """Nothing: the motion behind it waits once it is loaded (`motion/armed_start.py`), and has the wait in its
+    report."""
+    del context, step
+    return {}

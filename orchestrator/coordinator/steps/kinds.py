@@ -6,7 +6,7 @@ from typing import Any
 from orchestrator.coordinator.steps.context import ReportFields, StepContext
 from orchestrator.coordinator.steps.dwell import run_dwell
 from orchestrator.coordinator.steps.home import run_home
-from orchestrator.coordinator.steps.io import run_output, run_wait
+from orchestrator.coordinator.steps.io import run_output, run_wait, run_wait_armed
 from orchestrator.coordinator.steps.latch import run_latch
 from orchestrator.coordinator.steps.motors import run_motors
 from orchestrator.coordinator.steps.set_position import run_set_position
@@ -17,6 +17,7 @@ from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.latch import Latch
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.set_position import SetPosition
+from orchestrator.model.steps.wait_armed import WaitArmed
 
 RUNNERS: Mapping[type[Step], Callable[[StepContext, Any], Awaitable[ReportFields]]] = {
     Home: run_home,
@@ -26,6 +27,7 @@ RUNNERS: Mapping[type[Step], Callable[[StepContext, Any], Awaitable[ReportFields
     Dwell: run_dwell,
     SetOutput: run_output,
     WaitInput: run_wait,
+    WaitArmed: run_wait_armed,
     Latch: run_latch,
 }
 """By kind. Motions are run by the chain of their job (`jobs/motion_chain.py`); repeats and scans consist of others."""

@@ -7,6 +7,7 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from orchestrator.model.duration import Duration
 from orchestrator.model.script import ScriptModel
+from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.base import Step, require_in_files
 from orchestrator.model.steps.repeat import JobStep
 from orchestrator.model.steps.tree import iterate_steps
@@ -59,6 +60,7 @@ class Job(ScriptModel):
 
     @model_validator(mode="after")
     def _separate_outputs(self) -> "Job":
+        check_armed_waits(self.steps)
         steps = list(iterate_steps(self.steps))
         check_job_outputs(steps, (output for step in steps for output in step.switched_outputs))
         return self

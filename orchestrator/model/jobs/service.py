@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from orchestrator.model.base import Model
+from orchestrator.model.base import Int53, Model
 from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply, Request
@@ -158,6 +158,19 @@ class JobRetargeted(Reply):
     outcome: Literal["changed", "same", "replaced"] = "changed"
     way: RetargetWay = "brake"
     within_s: float = 0.0
+
+
+class GoJob(JobReference):
+    """Start the step of a running job that waits armed. at_fleet_ns: its T0; None: as soon as all controllers can."""
+
+    at_fleet_ns: Int53 | None = None
+
+
+class JobGone(Reply):
+    """t0_fleet_ns: the instant at which all axes start, which is agreed; where one was asked for, that one, which is
+    agreed shortly before it."""
+
+    t0_fleet_ns: Int53 | None = None
 
 
 class JobReferences(Request):

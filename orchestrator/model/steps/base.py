@@ -12,6 +12,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
+from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.text.text_fields import PLAIN_TEXT
@@ -210,6 +211,15 @@ class Step(ScriptModel):
         """One step that does both at once; None where they must stay two."""
         del other
         return None
+
+    @property
+    def armed_terms(self) -> ArmedTerms | None:
+        """The terms on which it has the motion directly behind it wait armed."""
+        return None
+
+    def find_armed_obstacle(self) -> str:
+        """Why this motion cannot wait armed, with a remedy; empty: it can."""
+        return ""
 
     @property
     def has_unread_points(self) -> bool:

@@ -10,9 +10,22 @@ from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
+from orchestrator.model.steps.wait_armed import WaitArmed
 
 SingleStep = (
-    Move | Home | Enable | Disable | SetPosition | Dwell | SetOutput | WaitInput | Latch | Scan | FollowPath | Live
+    Move
+    | Home
+    | Enable
+    | Disable
+    | SetPosition
+    | Dwell
+    | SetOutput
+    | WaitInput
+    | WaitArmed
+    | Latch
+    | Scan
+    | FollowPath
+    | Live
 )
 
 Motion = Move | FollowPath

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from orchestrator.model.errors import Refusal
 from orchestrator.model.names import ALL_AXES, MoveTarget, Target, is_position_name
 from orchestrator.model.state import StartWish
+from orchestrator.model.steps.armed_terms import describe_armed_obstacle
 from orchestrator.model.steps.base import MotionOptions, Step, StepSampling, TargetResolver
 from orchestrator.model.steps.speed import join_speeds
 from orchestrator.model.steps.words import describe_trigger
@@ -97,6 +98,11 @@ class Move(MotionOptions, MoveTargets):
     @property
     def trigger_outputs(self) -> list[str]:
         return [trigger.output for trigger in self.triggers]
+
+    def find_armed_obstacle(self) -> str:
+        if self.start in ("line", "at_once"):
+            return f"`start: {self.start}` has no instant that can be agreed on a request; use `start: auto`"
+        return describe_armed_obstacle(aligns=bool(self.align), records=self.record is not None)
 
     @property
     def start_wish(self) -> StartWish:

@@ -13,6 +13,7 @@ from orchestrator.model.paths.pieces import Piece
 from orchestrator.model.paths.source import PathSource
 from orchestrator.model.paths.spec import PathSpec
 from orchestrator.model.state import StartWish
+from orchestrator.model.steps.armed_terms import describe_armed_obstacle
 from orchestrator.model.steps.base import Align, OwnSkew, Step, StepSampling
 from orchestrator.model.steps.points import MAX_SCAN_AXES
 from orchestrator.model.steps.words import describe_trigger
@@ -169,6 +170,9 @@ class FollowPath(Step, PathSpec):
     @property
     def trigger_outputs(self) -> list[str]:
         return [trigger.output for trigger in self.triggers]
+
+    def find_armed_obstacle(self) -> str:
+        return describe_armed_obstacle(aligns=bool(self.align), records=self.record is not None)
 
     @property
     def start_wish(self) -> StartWish:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.base import InnerSteps, Step, TargetResolver
 from orchestrator.model.steps.kinds import SingleStep
 from orchestrator.model.steps.points import MAX_POINTS
@@ -28,6 +29,7 @@ class Repeat(Step):
     def _bounded(self) -> "Repeat":
         if self.depth > MAX_REPEAT_DEPTH:
             raise ValueError(f"repeats are nested more than {MAX_REPEAT_DEPTH} deep; write the innermost ones out")
+        check_armed_waits(self.steps)
         count = sum(1 for _ in self.iterate_written())
         if count > MAX_REPEATED:
             raise ValueError(f"has {count} steps inside; the maximum is {MAX_REPEATED}")

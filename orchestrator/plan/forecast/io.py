@@ -3,6 +3,7 @@
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.steps.io import SetOutput, WaitInput
+from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
@@ -31,4 +32,13 @@ def forecast_wait(state: ForecastState, at: ForecastContext, step: WaitInput) ->
     state.check_name(at, step.input, "input")
     level = "active" if step.value else "inactive"
     state.notes[f"input {step.input} becomes {level} within {format_ns(step.timeout)}"] = None
+    return Span(0.0, step.timeout / 1e9)
+
+
+def forecast_wait_armed(state: ForecastState, at: ForecastContext, step: WaitArmed) -> Span:
+    """The motion behind it starts on a request, or by an input, within its timeout."""
+    occasion = "a request to start comes"
+    if step.input is not None and state.check_name(at, step.input, "input"):
+        occasion = f"input {step.input} becomes {'active' if step.value else 'inactive'}, or {occasion}"
+    state.notes[f"{occasion} within {format_ns(step.timeout)}"] = None
     return Span(0.0, step.timeout / 1e9)

@@ -15,10 +15,11 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
+from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.dwell import forecast_dwell
 from orchestrator.plan.forecast.home import forecast_home
-from orchestrator.plan.forecast.io import forecast_output, forecast_wait
+from orchestrator.plan.forecast.io import forecast_output, forecast_wait, forecast_wait_armed
 from orchestrator.plan.forecast.latch import forecast_latch
 from orchestrator.plan.forecast.live import forecast_live
 from orchestrator.plan.forecast.motors import forecast_motors
@@ -47,6 +48,7 @@ FORECASTERS: Mapping[type[Step], Callable[[ForecastState, ForecastContext, Any],
     Dwell: forecast_dwell,
     SetOutput: forecast_output,
     WaitInput: forecast_wait,
+    WaitArmed: forecast_wait_armed,
     Latch: forecast_latch,
     Live: forecast_live,
     Repeat: _forecast_repeat,

@@ -3,7 +3,7 @@
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
-from orchestrator.model.jobs.service import JobRetargeted, OverrideJob, RetargetJob
+from orchestrator.model.jobs.service import GoJob, JobGone, JobRetargeted, OverrideJob, RetargetJob
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobProgress, StepReport
 
@@ -36,7 +36,8 @@ class RunRequests:
 
     async def override_job(self, request: OverrideJob) -> Reply:
         """Play the path of a running job at another speed, or plan its next moves for it. Raises `Refusal`."""
-        run, percent = self._register.running.get(request.job_id), request.percent
+        job_id, percent = request.job_id, request.percent
+        run = self._register.running.get(job_id)
         if run is None:
             raise await self._register.make_refusal(request.job_id, "not-running", "an override is for a job that runs")
         low, high = OVERRIDE_PERCENT
@@ -52,6 +53,13 @@ class RunRequests:
         if run is None:
             raise await self._register.make_refusal(request.job_id, "not-running", "a retarget is for a job that runs")
         return await run.retarget(request)
+
+    async def go_job(self, request: GoJob) -> JobGone:
+        """Start the step of a running job that waits armed."""
+        run = self._register.running.get(request.job_id)
+        if run is None:
+            raise await self._register.make_refusal(request.job_id, "not-running", "`go` is for a job that is armed")
+        return JobGone(t0_fleet_ns=await run.go(request.at_fleet_ns))
 
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""

@@ -117,6 +117,9 @@ class JobRun:
         """Pause the job after its current step. It keeps its axes."""
         self._state.pause.request_pause(actor)
         self._chain.prevent_release("the job was paused")
+        start = None if self._state.motion_step is None else self._state.motion_step.armed_start
+        if start is not None:
+            start.pause(actor)
         self._state.publish_progress()
 
     async def feed_hold(self, actor: str) -> None:
@@ -154,9 +157,18 @@ class JobRun:
         if self.row.proposed:
             text = f"the plan of job {self.row.id} was approved with the targets that it has"
             raise Refusal("approved", text, "stop it, and submit a job with other targets")
-        if self._steps.locate(self._state.step).point is not None:
+        if self._steps.locate(self._state.step).scan is not None:
             raise Refusal("not-a-move", "the present move is a point of a scan", "wait for its end, or stop it")
         return await self._step_run.retarget(request)
+
+    async def go(self, at_fleet_ns: int | None) -> int:
+        """Start the step that waits armed, at that instant or as soon as all members can; return T0, fleet time. Raises
+        `Refusal`."""
+        start = None if self._state.motion_step is None else self._state.motion_step.armed_start
+        if start is None:
+            text = f"job {self.row.id} has no step that waits armed; it is {self.state}"
+            raise Refusal("not-armed", text, "put `do: wait_armed` before a move of it")
+        return await start.go(at_fleet_ns)
 
     def resume(self, actor: str) -> None:
         """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""

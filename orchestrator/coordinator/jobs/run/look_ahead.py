@@ -5,6 +5,7 @@ from typing import Protocol
 
 from orchestrator.coordinator.motion.chain import BetweenSteps
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.numbers import name_step
@@ -59,6 +60,16 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
             acts = acts or step.acts
     is_farther = len(steps) > index + 2 + BETWEEN_MOST
     return ChainBreak(None, f"more than {BETWEEN_MOST} steps come before it" if is_farther else "")
+
+
+def find_armed_terms(steps: NumberedSteps, index: int) -> ArmedTerms | None:
+    """The terms on which the motion with number `index` waits armed: those of the step directly before it."""
+    if index == 0:
+        return None
+    try:
+        return steps[index - 1].armed_terms
+    except KeyError:  # a point of a scan that is not in memory any more
+        return None
 
 
 def _find_hindrance(fleet: Fleet, moving: Motion, step: Motion) -> str:

@@ -1,6 +1,6 @@
 """The motion steps of one job that follow each other: what is prepared behind the present one, and what breaks it."""
 
-from orchestrator.coordinator.jobs.run.look_ahead import ChainBreak, NumberedSteps, find_next_motion
+from orchestrator.coordinator.jobs.run.look_ahead import ChainBreak, NumberedSteps, find_armed_terms, find_next_motion
 from orchestrator.coordinator.motion.ahead import StepAhead
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.report import measure_gap_s
@@ -112,7 +112,7 @@ class MotionChain:
     def _make_request(self, index: int, move: Motion) -> StepRequest:
         if self.rate < 1.0:
             move = move.slow_down(self.rate, self._services.fleet.view.fleet)
-        return StepRequest(self._job_id, self._job, index, move)
+        return StepRequest(self._job_id, self._job, index, move, find_armed_terms(self._steps, index))
 
     def _note_rest(self, index: int) -> None:
         """The motion step `index` begins from rest, for the reason that is known already or was found without its

@@ -9,7 +9,7 @@ from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.coordinator.motion.step import MotionStep
-from orchestrator.model.report import JobProgress, JobState
+from orchestrator.model.report import ArmedState, JobProgress, JobState
 
 PROGRESS_NS = NS_PER_S // 5
 WAITS_FOR_MOVES = "waits for moves of its program"
@@ -154,9 +154,14 @@ class RunState:
             remaining_s=remaining_s,
             line=self._find_line(),
             override_percent=None if rate is None else round(100 * rate, 3),
+            armed=self._find_armed(),
             reason=self._describe_reason(rate),
             utc=self._services.clock.utc(),
         )
+
+    def _find_armed(self) -> ArmedState | None:
+        start = None if self.motion_step is None else self.motion_step.armed_start
+        return None if start is None else start.armed
 
     def _find_line(self) -> int | None:
         """The line that runs now of the file of its path; while the path rests, that at which it does."""

@@ -1,0 +1,36 @@
+"""Steps that wait armed: what has ended a wait must not be followed by the start of its step."""
+
+from collections.abc import Iterable, Sequence
+
+from orchestrator.campaign.jobs import JobOrder
+from orchestrator.campaign.recorder import RecordedRequest
+from orchestrator.campaign.records import CampaignPhase
+from orchestrator.clock.base import NS_PER_S
+
+_ENDS_WAITS = ("permit-lost", "stop", "estop")  # faults of the whole fleet that no step may outlast
+_SEEN_NS = NS_PER_S  # by then the fault has ended the wait: inputs are polled three times a second
+
+
+def find_outlasted(requests: Sequence[RecordedRequest], phase: CampaignPhase) -> list[str]:
+    """Steps that waited armed at the fault, and were released all the same, in words. requests: all of the phase."""
+    fault_ns = phase.fault_ns
+    if phase.fault.name not in _ENDS_WAITS or fault_ns is None:
+        return []
+    waiting_jobs = {job_id for job_id, order in phase.jobs.items() if _waits_armed(order)}
+    asked_requests = [request for request in requests if request.verb != "lease" and request.job_id in waiting_jobs]
+    asked_before = [request for request in asked_requests if request.sent_ns < fault_ns]
+    armed_steps = _list_steps(asked_before, "arm") - _list_steps(asked_before, "commit")
+    return [
+        f"{request.member} was released for {request.step_id}, whose wait {phase.fault.name} has ended"
+        for request in asked_requests
+        if request.verb == "go" and request.step_id in armed_steps and request.sent_ns > fault_ns + _SEEN_NS
+    ]
+
+
+def _list_steps(requests: Iterable[RecordedRequest], verb: str) -> set[tuple[str, int]]:
+    """The steps for which a member has accepted a request of this verb."""
+    return {request.step_id for request in requests if request.verb == verb and request.accepted}
+
+
+def _waits_armed(order: JobOrder) -> bool:
+    return any(step.armed_terms is not None for step in order.job.steps)
