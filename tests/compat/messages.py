@@ -158,6 +158,7 @@ MORE: dict[str, dict[str, Any]] = {
     "svc/commands": {"before": None},
     "svc/statistics": {"since": "2026-01-01"},
     "svc/override": {"percent": 50.0},
+    "svc/retarget": {"to": {"gantry.x": 20}, "by": {}},
 }
 """Fields whose value on the page is another one for this verb."""
 
