@@ -6,7 +6,7 @@ from orchestrator.campaign.armed_waits import find_outlasted
 from orchestrator.campaign.at_once import AtOnceChecker
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
-from orchestrator.campaign.live_jobs import check_live_job
+from orchestrator.campaign.job_ends import check_end, check_live_job
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
@@ -196,14 +196,7 @@ class InvariantChecker:
             if row.state not in FINISHED_STATES or report is None:
                 self.add_violation("6", f"job {order.job.name} has not ended: {row.state} ({row.reason})")
                 continue
-            ends = sum(change.state in FINISHED_STATES for change in report.transitions)
-            decisions = [step for step, _ in journal.list_decisions(job_id)]
-            # A step that was held on its way is decided again for what is left of it.
-            holds = sum(change.state == "paused" for change in report.transitions)
-            if ends != 1 or len(decisions) - len(set(decisions)) > holds:
-                self.add_violation(
-                    "6", f"job {order.job.name} ended {ends} times; decisions for its steps: {decisions}"
-                )
+            check_end(journal, row, report, self.add_violation)
             if order.asked_steps:
                 check_live_job(journal, row, self.add_violation)
             if row.state == "done":

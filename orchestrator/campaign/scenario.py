@@ -19,10 +19,9 @@ from orchestrator.bus.base import BusSample
 from orchestrator.campaign.computers import connect_computers, make_computers
 from orchestrator.campaign.faults import FAULTS, FaultInjector
 from orchestrator.campaign.fleets import PERMIT_MAKE, find_traits, make_campaign_fleet
+from orchestrator.campaign.hand_jogs import STAGE_RENEWALS, HandJogs
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import (
-    MAX_MOVE_S,
-    SPEED_FRACTION,
     WITNESS,
     JobOrder,
     MainKind,
@@ -35,7 +34,7 @@ from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
 from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
-from orchestrator.campaign.records import CampaignPhase, JogRecord
+from orchestrator.campaign.records import CampaignPhase
 from orchestrator.campaign.rest import find_at_rest
 from orchestrator.campaign.start_requests import StartRequests
 from orchestrator.client.api import Tutti
@@ -65,10 +64,6 @@ POLL_NS = 200 * NS_PER_MS
 _VERIFIED_HOMING_NS = 250 * NS_PER_MS
 HOMING_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
 JOG_CHANCE = 0.3  # chance of a jog during the phase
-RENEW_NS = 60 * NS_PER_MS
-JOG_RENEWALS = 8  # of a jog, and of one that a fault shall interrupt
-STAGE_RENEWALS = 32
-_MAX_JOG_NS = 600 * NS_PER_MS  # from the begin of a jog to its fault, at most
 
 SINGLE_MEMBER_STAGES: tuple[Stage, ...] = (
     "jog",
@@ -177,7 +172,6 @@ class _Scenario:
         self._epochs: dict[str, int] = {}
         self._phase: CampaignPhase | None = None
         self._attendance: Attendance | None = None
-        self._jogging = False
         self._witnesses = 0
         self._programs = TaskOwner()
         self.recorder = BusRecorder(clock, self._on_request)
@@ -188,6 +182,7 @@ class _Scenario:
         self.checker = InvariantChecker(self.virtual, self.recorder)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
+        self._jogs = HandJogs(self.virtual, clock, self._draw, self._axis_positions)
 
     async def run_phases(self) -> None:
         """Prepare the fleet, and run one phase after the other."""
@@ -246,8 +241,8 @@ class _Scenario:
         keys: dict[str, str] = {}
         by_hand: asyncio.Task[None] | None = None
         if cell.stage == "jog":
-            by_hand = asyncio.get_running_loop().create_task(self._jog_axis(act, member, STAGE_RENEWALS, arrival))
-            while not self._jogging and not by_hand.done():
+            by_hand = asyncio.get_running_loop().create_task(self._jogs.jog_axis(act, member, STAGE_RENEWALS, arrival))
+            while not self._jogs.is_jogging and not by_hand.done():
                 await sleep_ns(self._clock, NS_PER_MS)
         kind = _KINDS.get(cell.stage, "move")
         orders = draw_orders(fleet, member, self._axis_positions(), self._draw, kind)
@@ -264,7 +259,7 @@ class _Scenario:
             keys[order.job.name] = await self._submit_order(client, act, order)
         self._seed_run.jobs += len(act.jobs)
         if by_hand is None and self._draw.random() < JOG_CHANCE:
-            by_hand = asyncio.get_running_loop().create_task(self._jog_free_axis(act))
+            by_hand = asyncio.get_running_loop().create_task(self._jogs.jog_free_axis(act))
         step = await self._wait_for_stage(arrival, act)
         self._target = None
         if step is not None:
@@ -274,19 +269,19 @@ class _Scenario:
             await by_hand
         await self._check_repeated_submit(client, act, keys)
         act.at_rest = await find_at_rest(self.virtual, self._clock)
-        for job_id, order in act.jobs.items():
-            row = self.virtual.journal.load_record(job_id)
-            self._log_event(
-                f"{order.job.name} is {row.state}: {row.reason}"
-                if row
-                else f"{order.job.name} is missing from the journal"
-            )
+        self._log_ends(act)
         self._phase = None
         if self._attendance is not None:
             await self._attendance.__aexit__()
             self._attendance = None
         self.checker.check_phase(act)
         self.checker.check_positions(await client.status(1.0))
+
+    def _log_ends(self, phase: CampaignPhase) -> None:
+        for job_id, order in phase.jobs.items():
+            row = self.virtual.journal.load_record(job_id)
+            end = "missing from the journal" if row is None else f"{row.state}: {row.reason}"
+            self._log_event(f"{order.job.name} is {end}")
 
     async def _submit_order(self, client: Tutti, phase: CampaignPhase, order: JobOrder) -> str:
         """Submit a job, and return its key; the program of a live job begins."""
@@ -318,7 +313,9 @@ class _Scenario:
         return reached.result() if reached.done() else None
 
     async def _inject_fault(self, phase: CampaignPhase, cell: FaultCell, step: tuple[str, int]) -> None:
-        stage = self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogging else None
+        stage = (
+            self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogs.is_jogging else None
+        )
         if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once", "live", "armed-waiting"):
             stage = cell.stage
         if stage is None:
@@ -483,38 +480,6 @@ class _Scenario:
         if job_again != job_id:
             self.checker.add_violation("6", f"job {order.job.name} was accepted twice: {job_id} and {job_again}")
 
-    async def _jog_free_axis(self, phase: CampaignPhase) -> None:
-        """Jog an axis that no job uses for a while."""
-        busy = {name for order in phase.jobs.values() for name in order.controllers}
-        free = [name for name in self._seed_run.fleet.controllers if name not in busy] or [phase.member]
-        await self._jog_axis(phase, self._draw.choice(free), JOG_RENEWALS)
-
-    async def _jog_axis(
-        self, phase: CampaignPhase, name: str, renewals: int, reached: "asyncio.Future[tuple[str, int]] | None" = None
-    ) -> None:
-        """Jog an axis, and end without a stop command. reached: the future that triggers the fault."""
-        axis_name, axis = next(iter(self._seed_run.fleet.controllers[name].axes.items()))
-        label = f"{name}.{axis_name}"
-        way = -1 if self._axis_positions()[label] > axis.limits.velocity * SPEED_FRACTION * MAX_MOVE_S / 2 else 1
-        person = self.virtual.make_client("hand")
-        with suppress(Refusal):
-            async with person.manual_control([label]) as hand:
-                begun_ns = self._clock.now_ns()
-                phase.jogs.append(JogRecord(name, axis.motors[0], begun_ns, begun_ns))
-                await hand.jog({label: way * axis.limits.velocity * SPEED_FRACTION / 2})
-                if reached is not None:
-                    self._jogging = True
-                    at_ns = self._clock.now_ns() + self._draw.randrange(_MAX_JOG_NS)
-                    self._clock.call_at_ns(at_ns, lambda: reached.set_result(("", 0)), context=Context())
-                with suppress(Refusal):
-                    for _ in range(renewals):
-                        await sleep_ns(self._clock, RENEW_NS)
-                        phase.jogs[-1] = replace(phase.jogs[-1], renewed_ns=self._clock.now_ns())
-                        await hand.renew_jog()
-                    await sleep_ns(self._clock, NS_PER_S)
-                self._jogging = False
-        await person.close()
-
     # Stages
 
     def _on_request(self, request: RecordedRequest) -> None:
@@ -664,7 +629,7 @@ def _is_loaded(stage: Stage, request: RecordedRequest) -> bool:
     """Whether a member has loaded the step of a fault while it waits, armed or behind a moving one."""
     if request.verb != "arm" or not request.accepted:
         return False
-    return stage == "armed-waiting" or (stage == "chain" and request.fields["after_step"] is not None)
+    return stage == "armed-waiting" or (stage in ("chain", "live") and request.fields["after_step"] is not None)
 
 
 def _is_of_stage(request: RecordedRequest, stage: Stage) -> bool:

@@ -42,7 +42,7 @@ RIGHTS: dict[Role, set[str]] = {
             "stop-queue",
         ),
         *("acknowledge", "shelve", "save-position", "acquire-axes", "release-axes", "jog", "work", "reset"),
-        *("check-fleet", "check-wiring", "ask-live", "stop-live", "end-live", "retarget"),
+        *("check-fleet", "check-wiring", "ask-live", "stop-live", "end-live", "retarget", "go"),
     },
     "maintainer": {"remove-position", "prune", "reload", "repair-epoch", "forget", "raw"},
 }

@@ -22,17 +22,17 @@ class RunRequests:
         run = self._register.running.get(job_id)
         if run is None:
             raise await self._register.make_refusal(job_id, "not-running", "to hold a queued job: `tutti job hold`")
-        if now and run.is_on_path:
+        if now and run.control.is_on_path:
             raise Refusal(
                 "on-path",
                 f"job {job_id} is on a path, and a member that has all of it loaded would leave it",
                 "pause it at the end of the path (without --now), or stop it: `tutti stop`",
             )
-        if run.paused_by is None:
+        if run.control.paused_by is None:
             self._services.log.info(f"to be paused by {actor}", job=job_id)
-            run.pause(actor)
+            run.control.pause(actor)
         if now:
-            await run.feed_hold(actor)
+            await run.control.feed_hold(actor)
 
     async def override_job(self, request: OverrideJob) -> Reply:
         """Play the path of a running job at another speed, or plan its next moves for it. Raises `Refusal`."""
@@ -44,7 +44,7 @@ class RunRequests:
         if not low <= percent <= high:
             text = f"{percent:g} % is not between {low} and {high} %"
             raise Refusal("override", text, "to stop on the path: `tutti job pause --now`")
-        await run.override(percent / 100)
+        await run.control.override(percent / 100)
         return Reply()
 
     async def retarget_job(self, request: RetargetJob) -> JobRetargeted:
@@ -52,14 +52,14 @@ class RunRequests:
         run = self._register.running.get(request.job_id)
         if run is None:
             raise await self._register.make_refusal(request.job_id, "not-running", "a retarget is for a job that runs")
-        return await run.retarget(request)
+        return await run.control.retarget(request)
 
     async def go_job(self, request: GoJob) -> JobGone:
         """Start the step of a running job that waits armed."""
         run = self._register.running.get(request.job_id)
         if run is None:
             raise await self._register.make_refusal(request.job_id, "not-running", "`go` is for a job that is armed")
-        return JobGone(t0_fleet_ns=await run.go(request.at_fleet_ns))
+        return JobGone(t0_fleet_ns=await run.control.go(request.at_fleet_ns))
 
     async def resume_job(self, job_id: str, actor: str) -> None:
         """Resume a job that is paused, or about to be."""
@@ -67,9 +67,9 @@ class RunRequests:
         if run is None:
             remedy = "for a held job: `tutti job release`; for a finished one: `tutti job retry --step`"
             raise await self._register.make_refusal(job_id, "not-running", remedy)
-        if run.paused_by is None:
+        if run.control.paused_by is None:
             raise Refusal("not-paused", f"job {job_id} is not paused; it is {run.state}")
-        run.resume(actor)
+        run.control.resume(actor)
 
     def find_progress(self, job_id: str) -> JobProgress | None:
         """The progress of a job while it runs."""

@@ -15,6 +15,7 @@ from orchestrator.coordinator.jobs.run.point_readings import PointReadings
 from orchestrator.coordinator.jobs.run.preparation import JobPreparation, PlanDeviates, SettingsDiffer
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.rest import RestMonitor
+from orchestrator.coordinator.jobs.run.run_control import RunControl
 from orchestrator.coordinator.jobs.run.run_state import RunState
 from orchestrator.coordinator.jobs.run.step_run import StepRun
 from orchestrator.coordinator.jobs.run.step_turns import StepTurns
@@ -23,7 +24,6 @@ from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.steps.context import StepContext
 from orchestrator.model.errors import Refusal, shorten_text
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.messages import StopMode
 from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
 
@@ -48,6 +48,7 @@ class JobRun:
         self._chain = MotionChain(services.motion, row.id, job, self._steps)
         self._context = StepContext(services.fleet, services.motion.targets, row.id, row.actor, self._state.note_part)
         self._step_run = StepRun(services, self._context, self._state, self._chain, axes)
+        self.control = RunControl(row, self._steps, self._state, self._chain, self._step_run)
         self._interrupt: JobInterrupted | None = None
         self._over = False
         self._report = report
@@ -105,75 +106,6 @@ class JobRun:
         await self._chain.drop(reason, actor)
         if self._state.motion_step is not None:
             await self._services.fleet.stop_members(self._rest.members, "decelerate", actor, reason)
-
-    # Pause
-
-    @property
-    def paused_by(self) -> str | None:
-        """The originator of the pause, or of a requested pause."""
-        return self._state.pause.paused_by
-
-    def pause(self, actor: str) -> None:
-        """Pause the job after its current step. It keeps its axes."""
-        self._state.pause.request_pause(actor)
-        self._chain.prevent_release("the job was paused")
-        start = None if self._state.motion_step is None else self._state.motion_step.armed_start
-        if start is not None:
-            start.pause(actor)
-        self._state.publish_progress()
-
-    async def feed_hold(self, actor: str) -> None:
-        """Pause inside a motion step by a feed hold: its axes brake together, and the step continues from where they
-        stand. Any other step is paused at its end."""
-        self._state.pause.braked = True
-        if self._state.motion_step is not None:
-            await self._state.motion_step.feed_hold(actor)
-        await self._chain.feed_hold(actor)
-
-    @property
-    def is_on_path(self) -> bool:
-        """Whether its present step is a path that a feed hold would leave: a member brakes by itself."""
-        step = self._state.motion_step
-        motion = step.motion if step is not None else None
-        return motion is not None and motion.leaves_path
-
-    async def override(self, rate: float) -> None:
-        """Play the path that it moves on at another rate; elsewhere, plan the moves that follow for it. Raises
-        `Refusal`."""
-        step = self._state.motion_step
-        if step is not None and step.is_path:
-            await step.override(rate)
-        elif rate > 1.0:
-            text = "a move is planned at the limits that its speed states, and cannot be faster"
-            raise Refusal("override", text, "moves can be slowed down, to 10 to 100 %")
-        else:
-            self._chain.rate = self._state.rate = rate
-            if self._chain.is_prepared and not self._chain.is_decided:
-                await self._chain.drop("its speed was changed", self.row.actor)
-        self._state.publish_progress()
-
-    async def retarget(self, request: RetargetJob) -> JobRetargeted:
-        """Send the axes of the move that it executes to other targets. Raises `Refusal`: nothing has changed."""
-        if self.row.proposed:
-            text = f"the plan of job {self.row.id} was approved with the targets that it has"
-            raise Refusal("approved", text, "stop it, and submit a job with other targets")
-        if self._steps.locate(self._state.step).scan is not None:
-            raise Refusal("not-a-move", "the present move is a point of a scan", "wait for its end, or stop it")
-        return await self._step_run.retarget(request)
-
-    async def go(self, at_fleet_ns: int | None) -> int:
-        """Start the step that waits armed, at that instant or as soon as all members can; return T0, fleet time. Raises
-        `Refusal`."""
-        start = None if self._state.motion_step is None else self._state.motion_step.armed_start
-        if start is None:
-            text = f"job {self.row.id} has no step that waits armed; it is {self.state}"
-            raise Refusal("not-armed", text, "put `do: wait_armed` before a move of it")
-        return await start.go(at_fleet_ns)
-
-    def resume(self, actor: str) -> None:
-        """Continue with the step that is interrupted by a feed hold, or the next one, or cancel a requested pause."""
-        self._state.pause.resume(actor)
-        self._state.publish_progress()
 
     def abandon(self, interrupt: JobInterrupted) -> None:
         """Begin no further step. Motion is left to the originator of the stop."""
