@@ -404,15 +404,6 @@ class BlockingTutti(BlockingObject[Tutti]):
         `not-running`, `not-on-path`, `override`, `path-ramp`, `late`."""
         self._run(self._wrapped.override_job(job_id, percent))
 
-    def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
-        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start,
-        fleet time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
-        `too-late`, and what has ended the wait.
-
-        at_fleet_ns: an instant to start at instead, which is agreed shortly before it, and returned at once; without
-        it, as soon as all controllers can."""
-        return self._run(self._wrapped.go_job(job_id, at_fleet_ns))
-
     def resume_job(self, job_id: str) -> None:
         """Resume a paused job. Raises `Refusal`: codes `not-running`, `not-paused`."""
         self._run(self._wrapped.resume_job(job_id))
@@ -495,6 +486,15 @@ class BlockingTutti(BlockingObject[Tutti]):
         """Delete finished jobs that were submitted more than `older_s` ago, except the newest `keep`; return how
         many."""
         return self._run(self._wrapped.prune_jobs(older_s, keep))
+
+    def go_job(self, job_id: str, at_fleet_ns: int | None = None) -> int:
+        """Start the step of a job that waits armed (`do: wait_armed`); return the instant at which all axes start,
+        fleet time in ns, once it is agreed. Raises `Refusal`: codes `not-running`, `not-armed`, `begun`, `too-near`,
+        `too-late`, and what has ended the wait.
+
+        at_fleet_ns: an instant to start at instead, which is agreed shortly before it, and returned at once; without
+        it, as soon as all controllers can."""
+        return self._run(self._wrapped.go_job(job_id, at_fleet_ns))
 
     def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
         """Read the points of all scans that are in files or specs, and send them; return the job that names what is
