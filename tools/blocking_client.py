@@ -74,6 +74,7 @@ CONTEXT = """
 CLASSES = {
     "SubmittedJob": ("BlockingJob", False, ("id", "waits_for")),
     "ManualControl": ("BlockingManualControl", True, ("axes", "lost", "holder")),
+    "ArmedMove": ("BlockingArmedMove", False, ("number", "lead_s", "most_lead_s", "until_fleet_ns")),
     "LiveJob": ("BlockingLiveJob", True, ("id", "axes", "result")),
     "Attendance": ("BlockingAttendance", True, ("session",)),
     "Tutti": ("BlockingTutti", False, ("actor",)),
@@ -87,6 +88,10 @@ ATTRIBUTES = {
     "id": ("str", "The id as plain text."),
     "waits_for": ("str", "What the job waited for when it was submitted; empty: nothing."),
     "axes": ("list[str]", "The axes that it has, as they were named or as `controller.axis`."),
+    "number": ("int", "The number of the step in its live job."),
+    "lead_s": ("float", "From `go` to the start of the axes, s, as things were when it was armed."),
+    "most_lead_s": ("float", "The same at most: `go` comes while the controllers are being loaded anew."),
+    "until_fleet_ns": ("int", "The end of the wait, fleet time, ns."),
     "result": ("JobResult | None", "The record of the job; None while it runs."),
     "lost": ("Refusal | None", "Why the lease ended before it was released; None while it lasts."),
     "holder": ("str", "The holder of the lease, as others are shown it."),
@@ -187,6 +192,7 @@ def _write_method(node: ast.FunctionDef | ast.AsyncFunctionDef, module: str, imp
 def write_classes() -> str:
     """The text of the module."""
     from orchestrator.client.api import Tutti
+    from orchestrator.client.armed import ArmedMove
     from orchestrator.client.attendance import Attendance
     from orchestrator.client.jobs import SubmittedJob
     from orchestrator.client.live import LiveJob
@@ -194,7 +200,7 @@ def write_classes() -> str:
 
     imports = Imports()
     parts: list[str] = []
-    for wrapped in (SubmittedJob, ManualControl, LiveJob, Attendance, Tutti):
+    for wrapped in (SubmittedJob, ManualControl, ArmedMove, LiveJob, Attendance, Tutti):
         name, is_context, attributes = CLASSES[wrapped.__name__]
         imports.found[wrapped.__name__] = wrapped.__module__
         doc = inspect.getdoc(wrapped) or ""

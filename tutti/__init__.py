@@ -13,7 +13,14 @@ a job that is not done raises `JobFailed`, with its `report`. Both are a `TuttiE
 from importlib.metadata import version as _version
 
 from orchestrator.client.api import Tutti
-from orchestrator.client.blocking import BlockingJob, BlockingLiveJob, BlockingManualControl, BlockingTutti
+from orchestrator.client.armed import ArmedMove
+from orchestrator.client.blocking import (
+    BlockingArmedMove,
+    BlockingJob,
+    BlockingLiveJob,
+    BlockingManualControl,
+    BlockingTutti,
+)
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.live import LiveJob, StepFailed
 from orchestrator.client.manual import ManualControl
@@ -70,8 +77,10 @@ __version__ = _version("tutti")
 
 __all__ = [
     "AlarmRecord",
+    "ArmedMove",
     "AxisInfo",
     "AxisState",
+    "BlockingArmedMove",
     "BlockingJob",
     "BlockingLiveJob",
     "BlockingManualControl",

@@ -16,6 +16,7 @@ from typing import Any, Literal, Self
 from orchestrator.bus.base import Bus
 from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.client.api import Tutti
+from orchestrator.client.armed import ArmedMove
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
@@ -194,6 +195,45 @@ class BlockingManualControl(BlockingObject[ManualControl]):
         self._run(self._wrapped.stop())
 
 
+class BlockingArmedMove(BlockingObject[ArmedMove]):
+    """Step `number` of live job `job_id`, which waits armed: planned, agreed on, and loaded in all its controllers."""
+
+    @property
+    def number(self) -> int:
+        """The number of the step in its live job."""
+        return self._wrapped.number
+
+    @property
+    def lead_s(self) -> float:
+        """From `go` to the start of the axes, s, as things were when it was armed."""
+        return self._wrapped.lead_s
+
+    @property
+    def most_lead_s(self) -> float:
+        """The same at most: `go` comes while the controllers are being loaded anew."""
+        return self._wrapped.most_lead_s
+
+    @property
+    def until_fleet_ns(self) -> int:
+        """The end of the wait, fleet time, ns."""
+        return self._wrapped.until_fleet_ns
+
+    def go(self) -> int:
+        """Start it as soon as all controllers can; return T0, fleet time in ns, once it is agreed. Raises `Refusal`:
+        codes `not-armed` after the end of its wait, with what has ended it as the reason of its report, and `begun`."""
+        return self._run(self._wrapped.go())
+
+    def go_at(self, fleet_ns: int) -> int:
+        """Start it at an instant of fleet time, ns, which is agreed shortly before it. Raises `Refusal`: codes
+        `too-near`, with the nearest that is possible, `too-late`, `not-armed`, `begun`."""
+        return self._run(self._wrapped.go_at(fleet_ns))
+
+    def wait(self) -> StepReport:
+        """Wait until it is done, however it was started; `waited_armed` of its report says how. Raises as
+        `LiveJob.wait_for` does."""
+        return self._run(self._wrapped.wait())
+
+
 class BlockingLiveJob(BlockingObject[LiveJob]):
     """A live job; use it as a context, which begins and ends it. It has its axes for itself from beginning to end, and
     is one job in the journal, with a row for each move. It ends with this program: also when that is interrupted,
@@ -242,10 +282,14 @@ class BlockingLiveJob(BlockingObject[LiveJob]):
         *,
         speed: float | str | Mapping[str, float | str] | None = None,
         sync: Literal["time", "phase", "none"] = "time",
+        replace: bool = False,
     ) -> StepReport:
         """Move axes together, as `Tutti.move` does; the report has where each was read behind it, `positions`. Raises
-        `Refusal`, `StepFailed`, `JobFailed`."""
-        return self._run(self._wrapped.move(to, by, speed=speed, sync=sync))
+        `Refusal`, `StepFailed`, `JobFailed`.
+
+        replace: if these axes are on a move, send them to the new targets instead: it is one step, with an entry for
+        each target in `retargets`, and both calls return its report. The speed stays that of the move."""
+        return self._run(self._wrapped.move(to, by, speed=speed, sync=sync, replace=replace))
 
     def path(self, path: FollowPath) -> StepReport:
         """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
@@ -295,6 +339,18 @@ class BlockingLiveJob(BlockingObject[LiveJob]):
         loaded while the one before it moves. None is accepted if one is refused. Raises `Refusal`: codes `ended`,
         `too-many`, `not-of-job`, and those of a check; and `FileError`."""
         return self._run(self._wrapped.submit(*steps))
+
+    def arm(
+        self, step: Move | FollowPath, *, input: str | None = None, level: bool = False, timeout_s: float = 60.0
+    ) -> BlockingArmedMove:
+        """Plan and load a move or a path in all its controllers, and return when it waits for `go`. It is refused if
+        its budget does not hold.
+
+        input: `controller.input`, which starts it too when it becomes active; level: also if it is active already,
+        which is refused otherwise. timeout_s: the end of the wait. Raises as `move` does."""
+        return BlockingArmedMove(
+            self._run(self._wrapped.arm(step, input=input, level=level, timeout_s=timeout_s)), self._worker
+        )
 
     def wait_for(self, number: int) -> StepReport:
         """Wait until a submitted step is done, and return its report; those of the last 200 are kept. Raises as `move`

@@ -11,6 +11,7 @@ from contextlib import suppress
 from itertools import accumulate
 from typing import Any, Literal, Self
 
+from orchestrator.client.armed import ArmedMove
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.continuing import RestRequests
 from orchestrator.client.live_follow import LiveFollower
@@ -32,6 +33,7 @@ from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.wait_armed import WaitArmed
 
 ANSWER_S = 10.0  # a path is checked before it is accepted
 
@@ -153,10 +155,23 @@ class LiveJob:
         *,
         speed: float | str | Mapping[str, float | str] | None = None,
         sync: Literal["time", "phase", "none"] = "time",
+        replace: bool = False,
     ) -> StepReport:
         """Move axes together, as `Tutti.move` does; the report has where each was read behind it, `positions`. Raises
-        `Refusal`, `StepFailed`, `JobFailed`."""
-        return await self.run(self.make_move(to, by, speed=speed, sync=sync))
+        `Refusal`, `StepFailed`, `JobFailed`.
+
+        replace: if these axes are on a move, send them to the new targets instead: it is one step, with an entry for
+        each target in `retargets`, and both calls return its report. The speed stays that of the move."""
+        move = self.make_move(to, by, speed=speed, sync=sync)
+        if replace:
+            try:
+                reply = await self._requests.retarget_job(self.id, move.to, by=move.by)
+            except Refusal as error:
+                if error.code != "not-moving":
+                    raise
+            else:
+                return await self.wait_for(reply.step or 0)
+        return await self.run(move)
 
     async def path(self, path: FollowPath) -> StepReport:
         """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
@@ -230,6 +245,27 @@ class LiveJob:
             await follower.load_result()
             raise self._make_end() from None
         return [reply.numbers[end - 1] for end in accumulate(map(len, parts))]
+
+    async def arm(
+        self,
+        step: Move | FollowPath,
+        *,
+        input: str | None = None,
+        level: bool = False,
+        timeout_s: float = 60.0,
+    ) -> ArmedMove:
+        """Plan and load a move or a path in all its controllers, and return when it waits for `go`. It is refused if
+        its budget does not hold.
+
+        input: `controller.input`, which starts it too when it becomes active; level: also if it is active already,
+        which is refused otherwise. timeout_s: the end of the wait. Raises as `move` does."""
+        wait = WaitArmed(input=input, level=level, timeout=f"{timeout_s:.9f} s")
+        number = (await self.submit(wait, step))[-1]
+        follower = self._require_begun()
+        armed_state = await follower.wait_until_armed(number)
+        if armed_state is None and follower.has_ended(number):
+            await self.wait_for(number)  # raises why it does not wait, unless its input has started it at once
+        return ArmedMove(self._requests, self, self.id, number, armed_state)
 
     async def wait_for(self, number: int) -> StepReport:
         """Wait until a submitted step is done, and return its report; those of the last 200 are kept. Raises as `move`

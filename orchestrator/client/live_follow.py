@@ -9,7 +9,7 @@ from orchestrator.client.results import JobResult
 from orchestrator.client.steps import StepRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.live import LiveRead, LiveResult, ReadLive
-from orchestrator.model.report import FINISHED_STATES, JobProgress, StepReport
+from orchestrator.model.report import FINISHED_STATES, ArmedState, JobProgress, StepReport
 from orchestrator.model.steps.live import MAX_AHEAD
 
 KEPT_RESULTS = 2 * MAX_AHEAD
@@ -61,6 +61,23 @@ class LiveFollower:
         if number not in self._results:
             await self.load_result()
         return self._results.get(number)
+
+    async def wait_until_armed(self, number: int) -> ArmedState | None:
+        """Wait until step `number` waits armed, and return on which terms; None: it has ended, or moves. Raises
+        `Refusal`."""
+        while number not in self._results and not self._is_over:
+            progress = self._progress
+            is_present = progress is not None and progress.step == number
+            if progress is not None and is_present and (progress.armed is not None or progress.state == "committed"):
+                return progress.armed
+            if not await self._wait_for_change():
+                await self._read_state()
+                await self._read_result(number)
+        return None
+
+    def has_ended(self, number: int) -> bool:
+        """Whether step `number` has ended, or its job."""
+        return number in self._results or self._is_over
 
     async def load_result(self) -> JobResult:
         """Wait for the end of the job, and load its record. Raises `Refusal`."""

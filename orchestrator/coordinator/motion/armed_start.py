@@ -111,7 +111,7 @@ class ArmedStart(StartSequence):
             self._is_waiting = True
             await on_state("armed", wait.words)
             while True:
-                order = await wait.wait_for_order(self._due_ns)
+                order = await wait.wait_for_order(self._find_due_ns)
                 self.state.require_not_paused()
                 if order is not None and self._is_near(order.at_fleet_ns):
                     return order
@@ -200,8 +200,7 @@ class ArmedStart(StartSequence):
         """When the members must be armed anew: until then they can still be released."""
         return self.state.t0_fleet_ns - self._lead_ns
 
-    @property
-    def _due_ns(self) -> int:
+    def _find_due_ns(self) -> int:
         """Until when to wait: for the instant that is asked for, or until the members must be armed anew."""
         order = self._wait.order
         if order is None or order.at_fleet_ns is None:

@@ -113,13 +113,14 @@ class ArmedWait:
         """The members are about to be unloaded, and armed again."""
         self._armed_ns = None
 
-    async def wait_for_order(self, until_ns: int) -> GoOrder | None:
-        """The order to start; None at `until_ns`, fleet time. Raises `Refusal` as soon as anything is not as it was
+    async def wait_for_order(self, find_due_ns: Callable[[], int]) -> GoOrder | None:
+        """The order to start; None when it is due that the members are armed anew. find_due_ns: returns until when to
+        wait, fleet time; an order with an instant changes that. Raises `Refusal` as soon as anything is not as it was
         armed, and at the end of the wait."""
         while True:
             self._changed.clear()
             self._require_unchanged()
-            now_ns = self._leadership.fleet_now_ns()
+            now_ns, until_ns = self._leadership.fleet_now_ns(), find_due_ns()
             if self.order is not None and (self.order.at_fleet_ns is None or now_ns >= until_ns):
                 return self.order
             if self.order is None and now_ns >= self.ends_ns:

@@ -1,6 +1,6 @@
 """Requests of the program of a live job, and what became of the steps that it asked for."""
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.errors import Refusal
@@ -8,6 +8,7 @@ from orchestrator.model.jobs.service import JobReference
 from orchestrator.model.messages import Reply
 from orchestrator.model.queue import MAX_FLAT_STEPS
 from orchestrator.model.report import StepReport
+from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.live import MAX_AHEAD, AskedStep
 
 
@@ -16,6 +17,12 @@ class AskLive(JobReference):
     gathered, together."""
 
     steps: list[AskedStep] = Field(min_length=1, max_length=MAX_AHEAD)
+
+    @field_validator("steps")
+    @classmethod
+    def _waits_before_motions(cls, steps: list[AskedStep]) -> list[AskedStep]:
+        check_armed_waits(steps)
+        return steps
 
 
 class LiveAsked(Reply):

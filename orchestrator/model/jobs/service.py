@@ -152,9 +152,11 @@ class RetargetJob(JobReference):
 
 
 class JobRetargeted(Reply):
-    """outcome: `changed`; `same`: the axes had these targets already; `replaced`: a newer request has taken its place.
-    way, within_s: how the targets change, and the most time from the request until set-points do."""
+    """step: the number of the move. outcome: `changed`; `same`: the axes had these targets already; `replaced`: a newer
+    request has taken its place. way, within_s: how the targets change, and the most time from the request until
+    set-points do."""
 
+    step: Int53 | None = None
     outcome: Literal["changed", "same", "replaced"] = "changed"
     way: RetargetWay = "brake"
     within_s: float = 0.0

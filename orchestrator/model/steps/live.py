@@ -14,13 +14,14 @@ from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.wait_armed import WaitArmed
 
 MAX_AHEAD = 100
 """Steps that a program may ask for before they begin."""
 MAX_GATHER_NS = 1_000_000_000
 
 AskedStep = Annotated[
-    Move | FollowPath | Home | Enable | Disable | SetOutput | WaitInput | Dwell, Field(discriminator="do")
+    Move | FollowPath | Home | Enable | Disable | SetOutput | WaitInput | WaitArmed | Dwell, Field(discriminator="do")
 ]
 """A step that a program asks a live job for."""
 

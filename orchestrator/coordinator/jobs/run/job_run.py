@@ -218,7 +218,10 @@ class JobRun:
         report = await self._step_run.run_step(index, step)
         self._rest.seen_ns = None
         report = self._chain.complete_report(report, self._reports.last_motion)
-        await self._reports.add_report(location, report, self._steps.find_target(location))
+        target = self._steps.find_target(location)
+        if report.retargets:
+            target = report.retargets[-1].to
+        await self._reports.add_report(location, report, target)
         return report
 
     async def _store_points(self, points: Sequence[PointRecord]) -> None:

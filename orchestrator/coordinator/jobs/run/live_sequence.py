@@ -117,13 +117,15 @@ class LiveSequence(StepSequence):
         return any(number >= index for number in self._asked)
 
     async def find_next(self, index: int) -> int | None:
-        self._asked = {number: step for number, step in self._asked.items() if number >= index}
+        # The one before says whether a motion waits armed.
+        self._asked = {number: step for number, step in self._asked.items() if number >= index - 1}
         self._is_stopped = False
-        while not self._asked and not self._is_ended:
+        while not self.has_step(index) and not self._is_ended:
             self._changed.clear()
             await self._changed.wait()
-        self._present = min(self._asked, default=self._present)
-        return self._present if self._asked else None
+        following_number = min((number for number in self._asked if number >= index), default=None)
+        self._present = self._present if following_number is None else following_number
+        return following_number
 
     def find_target(self, place: StepPlace) -> Mapping[str, float]:
         if place.asked is None:

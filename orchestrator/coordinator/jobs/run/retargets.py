@@ -73,6 +73,7 @@ class StepRetargets:
         goal = {axis: exact for axis, (exact, _) in resolved_move.exact.items()}
         stream = find_stream(infos)
         reply = JobRetargeted(
+            step=step.request.index,
             way="stream" if stream is not None else "brake",
             within_s=max((info.retarget_ability.within_s for info in infos.values()), default=0.0),
         )
