@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from cluster.worlds import demo_fleet, demo_job, job, run_fleet
 
+import orchestrator.model.jobs.live
 import orchestrator.model.jobs.service
 import orchestrator.model.messages
 import orchestrator.model.operation.alarms
@@ -36,10 +37,12 @@ MODELS = {
         orchestrator.model.jobs.service,
         orchestrator.model.state,
     )
-}
+} | {"live": orchestrator.model.jobs.live}
 
 # Values for the fields that the page names.
 EXAMPLES: dict[str, Any] = {
+    "at_fleet_ns": None,
+    "steps": [{"do": "move", "to": {"gantry.x": 1}}],
     "shown": "0123456789abcdef",
     "epoch": 1,
     "coordinator": "c1",
@@ -79,6 +82,7 @@ EXAMPLES: dict[str, Any] = {
     "limit": 5,
     "mode": "decelerate",
     "name": "",
+    "number": 0,
     "now": False,
     "older_s": 1e6,
     "plan": f"sha256:{'0' * 64}",
@@ -174,6 +178,8 @@ def test_every_request_of_the_page_is_understood_and_answered_as_it_says() -> No
                 request["before"] = None
             if key == "svc/statistics":
                 request["since"] = "2026-01-01"
+            if key == "svc/retarget":
+                request |= {"to": {"gantry.x": 20}, "by": {}}
             if key == "svc/override":
                 request["percent"] = 50.0
             if "configuration" in fields:
@@ -206,6 +212,8 @@ def test_every_key_of_the_page_is_published_while_a_job_runs_and_contains_what_i
         sampled = job(f"[{{do: move, by: {{gantry.x: 5}}, record: {{axes: [gantry.x], period: 5 ms}}, {triggers}}}]")
         assert (await client.wait_for_job(await client.submit(run))).state == "done"
         assert (await client.wait_for_job(await client.submit(sampled))).state == "done"
+        async with client.live("gantry.x") as live:
+            await live.move(by={"gantry.x": -1})
         # One that ends badly is warned of.
         assert (
             await client.wait_for_job(await client.submit(job("[{do: wait, input: gantry.door, timeout: 100 ms}]")))

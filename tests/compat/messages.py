@@ -134,6 +134,8 @@ async def _work(fleet: VirtualFleet) -> None:
     triggers = "triggers: [{output: gantry.lamp, every: 50 ms}]"
     sampled = job(f"[{{do: move, by: {{gantry.x: 5}}, record: {{axes: [gantry.x], period: 5 ms}}, {triggers}}}]")
     assert (await client.wait_for_job(await client.submit(sampled))).state == "done"
+    async with client.live("gantry.x") as live:
+        await live.move(by={"gantry.x": -1})
     for number, (key, fields, _) in enumerate(requests()):
         request = {name: EXAMPLES[name] for name in fields if name in EXAMPLES}
         request |= {"request_id": f"r{number}"} if "request_id" in fields else {}

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from orchestrator.bus.keys import ROOT
 from orchestrator.model.base import Model
+from orchestrator.model.jobs.live import LiveResult
 from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbeat
 from orchestrator.model.operation.alarms import AlarmRecord, AlarmRequest
 from orchestrator.model.operation.recording import (
@@ -42,6 +43,7 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("job", "plan"): StepRecording,
         ("job", "samples"): StepSamples,
         ("job", "triggers"): RecordedTriggers,
+        ("job", "live"): LiveResult,
         ("queue", "queue"): QueueState,
         ("leader", "leader"): LeaderHeartbeat,
         ("estop", "estop"): EstopMessage,
