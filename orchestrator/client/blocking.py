@@ -291,34 +291,6 @@ class BlockingLiveJob(BlockingObject[LiveJob]):
         each target in `retargets`, and both calls return its report. The speed stays that of the move."""
         return self._run(self._wrapped.move(to, by, speed=speed, sync=sync, replace=replace))
 
-    def path(self, path: FollowPath) -> StepReport:
-        """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
-        return self._run(self._wrapped.path(path))
-
-    def home(self, *axes: str) -> StepReport:
-        """Find the reference of axes; without any, of all of this live job. Raises as `move` does."""
-        return self._run(self._wrapped.home(*axes))
-
-    def enable(self, *axes: str) -> StepReport:
-        """Switch motors on; without axes, of all of this live job. Raises as `move` does."""
-        return self._run(self._wrapped.enable(*axes))
-
-    def disable(self, *axes: str) -> StepReport:
-        """Switch motors off; without axes, of all of this live job. Raises as `move` does."""
-        return self._run(self._wrapped.disable(*axes))
-
-    def output(self, output: str, *, on: bool = True, pulse_s: float | None = None) -> StepReport:
-        """Switch the output `controller.output`; back after `pulse_s`. Raises as `move` does."""
-        return self._run(self._wrapped.output(output, on=on, pulse_s=pulse_s))
-
-    def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> StepReport:
-        """Wait until the input `controller.input` is active (`on=False`: passive). Raises as `move` does."""
-        return self._run(self._wrapped.wait_input(name, on=on, timeout_s=timeout_s))
-
-    def dwell(self, seconds: float) -> StepReport:
-        """Wait, as a step of the fleet's own. Raises as `move` does."""
-        return self._run(self._wrapped.dwell(seconds))
-
     def run(self, step: Step) -> StepReport:
         """Run one step, and return its report when it is done; a cancelled task stops it. Raises as `move` does."""
         return self._run(self._wrapped.run(step))
@@ -361,6 +333,34 @@ class BlockingLiveJob(BlockingObject[LiveJob]):
         """Stop its axes by their ramps and forget the steps that wait; the live job goes on. Raises nothing: a program
         without a connection ends its live job."""
         self._run(self._wrapped.stop())
+
+    def path(self, path: FollowPath) -> StepReport:
+        """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
+        return self._run(self._wrapped.path(path))
+
+    def home(self, *axes: str) -> StepReport:
+        """Find the reference of axes; without any, of all of this live job. Raises as `move` does."""
+        return self._run(self._wrapped.home(*axes))
+
+    def enable(self, *axes: str) -> StepReport:
+        """Switch motors on; without axes, of all of this live job. Raises as `move` does."""
+        return self._run(self._wrapped.enable(*axes))
+
+    def disable(self, *axes: str) -> StepReport:
+        """Switch motors off; without axes, of all of this live job. Raises as `move` does."""
+        return self._run(self._wrapped.disable(*axes))
+
+    def output(self, output: str, *, on: bool = True, pulse_s: float | None = None) -> StepReport:
+        """Switch the output `controller.output`; back after `pulse_s`. Raises as `move` does."""
+        return self._run(self._wrapped.output(output, on=on, pulse_s=pulse_s))
+
+    def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> StepReport:
+        """Wait until the input `controller.input` is active (`on=False`: passive). Raises as `move` does."""
+        return self._run(self._wrapped.wait_input(name, on=on, timeout_s=timeout_s))
+
+    def dwell(self, seconds: float) -> StepReport:
+        """Wait, as a step of the fleet's own. Raises as `move` does."""
+        return self._run(self._wrapped.dwell(seconds))
 
 
 class BlockingAttendance(BlockingObject[Attendance]):

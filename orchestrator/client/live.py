@@ -15,6 +15,7 @@ from orchestrator.client.armed import ArmedMove
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.continuing import RestRequests
 from orchestrator.client.live_follow import LiveFollower
+from orchestrator.client.live_verbs import LiveVerbs
 from orchestrator.client.results import JobResult
 from orchestrator.client.steps import JobFailed
 from orchestrator.model.errors import Refusal, TuttiError
@@ -26,11 +27,7 @@ from orchestrator.model.paths.files.steps import read_path_steps
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import StepReport
 from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.dwell import Dwell
-from orchestrator.model.steps.home import Home
-from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.live import Live
-from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.wait_armed import WaitArmed
@@ -46,7 +43,7 @@ class StepFailed(TuttiError):
         self.report = report
 
 
-class LiveJob:
+class LiveJob(LiveVerbs):
     """A live job; use it as a context, which begins and ends it. It has its axes for itself from beginning to end, and
     is one job in the journal, with a row for each move. It ends with this program: also when that is interrupted,
     suspended or killed, or loses its connection, its axes stop within a second.
@@ -172,35 +169,6 @@ class LiveJob:
             else:
                 return await self.wait_for(reply.step or 0)
         return await self.run(move)
-
-    async def path(self, path: FollowPath) -> StepReport:
-        """Move axes along a path, from its start. Raises as `move` does, and `FileError` for a file of a path."""
-        return await self.run(path)
-
-    async def home(self, *axes: str) -> StepReport:
-        """Find the reference of axes; without any, of all of this live job. Raises as `move` does."""
-        return await self.run(Home(axes=list(axes) or self.axes))
-
-    async def enable(self, *axes: str) -> StepReport:
-        """Switch motors on; without axes, of all of this live job. Raises as `move` does."""
-        return await self.run(Enable(axes=list(axes) or self.axes))
-
-    async def disable(self, *axes: str) -> StepReport:
-        """Switch motors off; without axes, of all of this live job. Raises as `move` does."""
-        return await self.run(Disable(axes=list(axes) or self.axes))
-
-    async def output(self, output: str, *, on: bool = True, pulse_s: float | None = None) -> StepReport:
-        """Switch the output `controller.output`; back after `pulse_s`. Raises as `move` does."""
-        pulse = None if pulse_s is None else f"{pulse_s:.9f} s"
-        return await self.run(SetOutput(output=output, value=on, pulse=pulse))
-
-    async def wait_input(self, name: str, *, on: bool = True, timeout_s: float = 10.0) -> StepReport:
-        """Wait until the input `controller.input` is active (`on=False`: passive). Raises as `move` does."""
-        return await self.run(WaitInput(input=name, value=on, timeout=f"{timeout_s:.9f} s"))
-
-    async def dwell(self, seconds: float) -> StepReport:
-        """Wait, as a step of the fleet's own. Raises as `move` does."""
-        return await self.run(Dwell(duration=f"{seconds:.9f} s"))
 
     async def run(self, step: Step) -> StepReport:
         """Run one step, and return its report when it is done; a cancelled task stops it. Raises as `move` does."""
