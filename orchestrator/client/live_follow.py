@@ -129,5 +129,7 @@ class LiveFollower:
 
     def _receive_progress(self, sample: BusSample) -> None:
         with suppress(ValueError):
-            self._progress = JobProgress.read_message(sample.payload)
-            self._changed.set()
+            progress = JobProgress.read_message(sample.payload)
+            if progress.follows(self._progress):
+                self._progress = progress
+                self._changed.set()

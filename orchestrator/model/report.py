@@ -68,6 +68,11 @@ class JobProgress(Model):
         default=False, description="What the job had to wait for is gone; it begins when its start is asked for."
     )
 
+    def follows(self, before: "JobProgress | None") -> bool:
+        """Whether it is newer than `before`, of the same job: an end comes before all else on the bus, and overtakes
+        what was published just before it."""
+        return before is None or before.state not in FINISHED_STATES or self.state in FINISHED_STATES
+
 
 class QueuedJob(Protocol):
     """What a record of a job in the queue, or its entry in a list, has."""

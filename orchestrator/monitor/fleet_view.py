@@ -127,6 +127,8 @@ class LiveView:
     def store_progress(self, progress: JobProgress) -> bool:
         """Store a job's progress; return whether its state or step has changed. Of finished jobs only the newest is
         kept."""
+        if not progress.follows(self.jobs.get(progress.job_id)):
+            return False
         job_before = self.jobs.pop(progress.job_id, None)
         ends = progress.state in FINISHED_STATES
         kept_jobs = {job_id: job for job_id, job in self.jobs.items() if not (ends and job.state in FINISHED_STATES)}

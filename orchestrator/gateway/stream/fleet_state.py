@@ -208,6 +208,8 @@ class FleetState:
             self._targets.take_job(JobBegun.read_message(sample.payload))
             return
         progress = JobProgress.read_message(sample.payload)
+        if not progress.follows(self._jobs.get(progress.job_id)):
+            return
         now_ns = self._clock.now_ns()
         if progress.state in FINISHED_STATES:
             self._ended_ns[progress.job_id] = now_ns

@@ -435,6 +435,7 @@ export const job = {
   stages: "Stage of each member",
   pause: "Pause after this step",
   pauseNow: "Pause now",
+  go: "Go",
   override: "Speed on the path",
   overrideNow: (now: string) => `now ${now} of the planned speed`,
   overrideSet: "Set",

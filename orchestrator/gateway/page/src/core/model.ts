@@ -170,6 +170,8 @@ export interface JobProgress {
   /** The line that runs of the file of its path. */
   line?: number | null;
   override_percent?: number | null;
+  /** Its motion is loaded, and waits. */
+  armed?: object | null;
   reason: string;
   utc: string;
   ready?: boolean;

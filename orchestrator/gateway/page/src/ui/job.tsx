@@ -61,6 +61,7 @@ function RunningJob({ job }: { job: JobProgress }): JSX.Element {
         <Override name={job.name} now={job.override_percent} onSet={(wanted) => send("override", { percent: wanted })} />
       ) : null}
       <div class="row">
+        {job.armed ? <Act label={T.job.go} name={T.job.verb("go", job.name)} motion why={whyNot("go")} onAct={() => send("go")} /> : null}
         {paused ? (
           <Act label={T.job.resume} name={T.job.verb("resume", job.name)} motion why={whyNot("resume")} onAct={() => send("resume")} />
         ) : (
