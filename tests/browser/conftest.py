@@ -186,7 +186,7 @@ class MockedStream:
 MAY = [
     *("acknowledge", "acquire-axes", "alarms", "approve", "cancel", "check-job", "dry-run", "estop", "hold", "jog"),
     *("list", "names", "pause", "positions", "release", "reorder", "reset", "resume", "retry", "shelve", "show"),
-    *("start-queue", "statistics", "stop", "stop-queue", "submit", "work", "check-wiring", "save-position"),
+    *("start-queue", "statistics", "stop", "stop-queue", "submit", "work", "check-wiring", "save-position", "go"),
 ]
 
 
