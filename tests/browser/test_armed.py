@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-from browser.conftest import MockedStream, wait_for
+from browser.conftest import MockedStream
+from browser.test_rules import wait_for
 from playwright.sync_api import Page, expect
 
 Mock = Callable[..., MockedStream]
