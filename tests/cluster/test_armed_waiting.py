@@ -47,7 +47,6 @@ KNOWN = job(
     "{do: home, axes: [stage.focus]}, {do: move, to: {gantry.x: 0, stage.u: 1}, start: agreed}, "
     "{do: home, axes: [stage.focus]}]}]"
 )
-WAITS = 20
 
 
 def is_moving(fleet: VirtualFleet) -> bool:
@@ -109,12 +108,13 @@ def test_go_starts_all_members_within_the_promise() -> None:
     run_fleet(main)
 
 
-def test_go_to_t0_takes_one_start_lead() -> None:
+@pytest.mark.parametrize("waits", [8, pytest.param(1000, marks=pytest.mark.nightly)])
+def test_go_to_t0_takes_one_start_lead(waits: int) -> None:
     async def main(fleet: VirtualFleet) -> None:
         draw, leads_ms = Random(5), list[float]()
         await outcome(fleet, PREPARE)
         await outcome(fleet, KNOWN)  # what this fleet needs is known then
-        for number in range(WAITS):
+        for number in range(waits):
             submitted = await submit_armed(fleet, BACK if number % 2 else THERE)
             await sleep_ns(fleet.clock, draw.randrange(59 * NS_PER_S))
             await submitted.go()
