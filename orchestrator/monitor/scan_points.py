@@ -3,7 +3,7 @@
 # Matplotlib types its keyword arguments only in part.
 # pyright: reportUnknownMemberType=false
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -12,8 +12,10 @@ from matplotlib.figure import Figure
 from rich.console import RenderableType
 
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.errors import Refusal
 from orchestrator.model.report import PointRecord
 from orchestrator.model.steps.numbers import number_step
+from orchestrator.model.steps.points import MAX_SCAN_AXES
 from orchestrator.monitor.job_plot import COLOUR_PLAN, COLOUR_SEEN, COLOURS_TIMING, DPI
 from orchestrator.monitor.tables import make_plain_table
 
@@ -43,18 +45,19 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
     """Plot planned and measured points: of the first two axes of a scan against each other, of a single axis over the
     points; and on the right the differences of all axes, and the start skew of each point as an interval.
 
-    records: of one scan, at least one. path: also write the plot there.
+    records: of one scan or live job, at least one. path: also write the plot there. Raises `Refusal`, code
+    `no-recording`, for points without positions.
     """
     mpl.rcParams["font.size"] = 9
-    axes = list(records[0].target)
+    records, axes = _find_placed(records)
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=11)
     skews = [(float(record.point), record.start_skew) for record in records if record.start_skew is not None]
     parts = [*axes, "start skew"] if skews else axes
     axes_left, *differences = figure.subplot_mosaic([["map", part] for part in parts], width_ratios=(3, 2)).values()
-    planned_targets = {axis: [record.target[axis] for record in records] for axis in axes}
-    positions = {axis: [_or_nan(record.measured.get(axis)) for record in records] for axis in axes}
+    planned_targets = _make_columns([record.target for record in records], axes)
+    positions = _make_columns([record.measured for record in records], axes)
     numbers = [float(record.point) for record in records]
     across, up = (axes[0], axes[1]) if len(axes) > 1 else (None, axes[0])
     x_planned = numbers if across is None else planned_targets[across]
@@ -98,6 +101,21 @@ def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = 
     if path is not None:
         figure.savefig(path)
     return figure
+
+
+def _find_placed(records: Sequence[PointRecord]) -> tuple[list[PointRecord], list[str]]:
+    """The points with positions, and their axes: a live job moves other ones from point to point, or none. Raises
+    `Refusal`."""
+    placed_records = [record for record in records if record.target]
+    axes = list(dict.fromkeys(axis for record in placed_records for axis in record.target))[:MAX_SCAN_AXES]
+    if not axes:
+        raise Refusal("no-recording", "no axis was sent to a position", "plot a job that moves axes to positions")
+    return placed_records, axes
+
+
+def _make_columns(rows: Sequence[Mapping[str, float | None]], axes: Sequence[str]) -> dict[str, list[float]]:
+    """The values of each axis, NaN where a row has none."""
+    return {axis: [_or_nan(row.get(axis)) for row in rows] for axis in axes}
 
 
 def _or_nan(value: float | None) -> float:

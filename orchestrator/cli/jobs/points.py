@@ -18,6 +18,7 @@ from orchestrator.model.steps.numbers import name_step
 from orchestrator.monitor.export.csv_table import CsvStyle, CsvTable
 
 if TYPE_CHECKING:
+    from orchestrator.client import Tutti
     from orchestrator.client.points import OnPoints, PointProgress
     from orchestrator.model.report import PointRecord, QueueEntry
 
@@ -46,13 +47,12 @@ def points(
     While it runs, the points so far; they are written once a second. --json and --csv give all points, and count steps
     from 0.
     """
-    from orchestrator.client import Tutti
 
-    async def show_points_of_job(tutti: Tutti) -> None:
+    async def show_points_of_job(tutti: "Tutti") -> None:
         entry = await tutti.find_job(job)
         records = tutti.iterate_points(entry.id, step)
         if out is not None:
-            number = await _write_csv(records, out, csv_style)
+            number = await _write_csv(records, out, csv_style, await _find_live_axes(tutti, entry.id))
             print_result({"points": number, "file": str(out)}, f"{number} points: {out}", as_json=as_json)
         elif as_json:
             await _print_json(records)
@@ -60,6 +60,18 @@ def points(
             await _print_table(records, entry, limit)
 
     with_fleet(connect, fleet, show_points_of_job)
+
+
+async def _find_live_axes(tutti: "Tutti", job_id: str) -> list[str]:
+    """The axes of a live job, which may move others from point to point; none of any other job."""
+    from orchestrator.model.steps.tree import as_live
+
+    shown_job = (await tutti.show_job(job_id)).job
+    live = None if shown_job is None else as_live(shown_job.steps[0])
+    if live is None:
+        return []
+    names = await tutti.list_names()
+    return list(dict.fromkeys(axis for name in live.axes for axis in names.expand_name(name)))
 
 
 async def _print_json(records: "AsyncIterator[PointRecord]") -> None:
@@ -89,19 +101,20 @@ async def _print_table(records: "AsyncIterator[PointRecord]", entry: "QueueEntry
         console.print("more with --limit; all with --csv FILE or --json", highlight=False)
 
 
-async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: CsvStyle) -> int:
-    """Write a row a point; return how many."""
-    number, axes = 0, list[str]()
+async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: CsvStyle, live_axes: list[str]) -> int:
+    """Write a row a point; return how many. live_axes: of a live job; none: those of the first point are those of
+    all."""
+    number, axes = 0, live_axes
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             table = CsvTable(file, style)
             async for record in records:
                 if not number:
-                    axes = list(record.target)
+                    axes = live_axes or list(record.target)
                     names = [*(f"{axis} target" for axis in axes), *(f"{axis} measured" for axis in axes)]
                     skews = ["start_skew_least_ns", "start_skew_most_ns"]
                     table.write_row(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
-                if list(record.target) != axes:
+                if not live_axes and list(record.target) != axes:
                     text = f"the scan at {name_step(record.step)} has other axes than the one before"
                     exit_with_error(text, BAD_INPUT, "choose one scan: --step")
                 skew = record.start_skew
@@ -109,7 +122,7 @@ async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: C
                     [
                         record.step,
                         record.point,
-                        *record.target.values(),
+                        *(record.target.get(axis) for axis in axes),
                         *(record.measured.get(axis) for axis in axes),
                         record.state,
                         record.verdict,

@@ -210,9 +210,8 @@ class FleetState:
         progress = JobProgress.read_message(sample.payload)
         if not progress.follows(self._jobs.get(progress.job_id)):
             return
-        now_ns = self._clock.now_ns()
         if progress.state in FINISHED_STATES:
-            self._ended_ns[progress.job_id] = now_ns
+            self._ended_ns[progress.job_id] = self._clock.now_ns()
         self._jobs[progress.job_id] = progress
         if len(self._jobs) > MAX_JOBS:
             oldest = next(iter(self._jobs))

@@ -36,7 +36,7 @@ def test_members_are_asked_in_the_order_of_the_axes() -> None:
         estimator=LeadTimeEstimator(),
     )
     request = SimpleNamespace(
-        max_end_skew_ns=None, start_class="auto", job=SimpleNamespace(actor="anna"), job_id="j", index=0
+        max_end_skew_ns=None, start_class="auto", wait=None, job=SimpleNamespace(actor="anna"), job_id="j", index=0
     )
     planned = SimpleNamespace(
         request=request, triggers=(), path=None, resolved=SimpleNamespace(moves=[]), rehearsal=False
