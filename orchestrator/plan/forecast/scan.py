@@ -9,6 +9,7 @@ from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import UnitError
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.line import forecast_line, take_lines
 from orchestrator.plan.forecast.motion import plan_ways
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
@@ -32,6 +33,16 @@ def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span
             state.add_problem(at, ("points",), problem)
             return Span()
     unknown = state.note_unknown_positions(step)
+    lines = None
+    if step.fly is not None:
+        if unknown:
+            names = ", ".join(unknown)
+            state.notes[f"lines are checked when the positions of {names} are known"] = None
+        else:
+            lines = take_lines(state, at, step)
+            if lines is None:
+                return Span()
+            step = lines.make_ends_scan()
     if unknown:
         step = step.replace_targets(lambda _, target: 0 if is_position_name(target) else target)
     try:
@@ -45,6 +56,9 @@ def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span
         state.require_ready(at, name, field.place)
         _take_corners(state, at, first, field, _describe_corners(corners[name], step.point_count))
     span = plan_ways(state, at, step, first)
+    if lines is not None:
+        line_kind = kinds.pop()  # the innermost axis moves
+        span = span.followed_by(forecast_line(state, at, lines), line_kind.often)
     for kind in kinds:
         span = span.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
     state.lose_positions(at, unknown)

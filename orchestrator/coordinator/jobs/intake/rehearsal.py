@@ -52,7 +52,8 @@ class JobRehearsal:
                 forecaster, forecast = await self._services.check(forecast_at_once, forecaster, index, step)
             else:
                 forecast = await forecast_step(forecaster, index, step, self._services.motion.plan)
-            motion, asked_step = forecaster.motion, as_motion(step)
+            motion = forecaster.motion
+            asked_step = as_motion(step) if motion is None or motion.line is None else motion.line
             steps.append(forecast)
             if asked_step is not None and motion is not None and motion.plan.profiles:
                 asked_request = StepRequest("dry-run", request.job, index, asked_step)

@@ -218,7 +218,11 @@ class JobRun:
         report = await self._step_run.run_step(index, step)
         self._rest.seen_ns = None
         report = self._chain.complete_report(report, self._reports.last_motion)
-        await self._reports.add_report(location, report, self._steps.find_target(location))
+        lines = self._steps.find_lines(location)
+        if lines is None:
+            await self._reports.add_report(location, report, self._steps.find_target(location))
+        else:
+            await self._reports.add_line_report(location, report, lines)
         return report
 
     async def _store_points(self, points: Sequence[PointRecord]) -> None:
