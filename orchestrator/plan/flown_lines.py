@@ -107,7 +107,7 @@ class FlownLines:
                     output=trigger.output,
                     at=[float(position) for position in self.list_positions(point, trigger.at)],
                     of=self.axis,
-                    pulse=trigger.pulse,
+                    pulse=None if trigger.pulse is None else f"{trigger.pulse} ns",
                 )
             ]
         )

@@ -54,9 +54,14 @@ def place_flown_spec(scan: Scan) -> Scan:
         raise Refusal("bad-scanspec", f"the spec cannot be flown: {error}", _STEPPED) from None
 
 
-def _take_spec(node: Any, lines: _Lines, *, snake: bool, flies: bool, duration_s: float | None) -> None:
+def _take_spec(
+    node: Mapping[str, Any] | int | None, lines: _Lines, *, snake: bool, flies: bool, duration_s: float | None
+) -> None:
     """Add the axes of a spec. snake, flies, duration_s: what is around it. Raises `Refusal`."""
-    kind = str(node["type"]) if isinstance(node, Mapping) else f"a repetition ({node})"
+    if node is None or isinstance(node, int):
+        text = "the spec has `Fly` with a duration alone" if node is None else f"the spec has `Fly`, {node} times"
+        raise Refusal("bad-scanspec", f"{text}, which cannot be flown; {_FLOWN}", _STEPPED)
+    kind = str(node["type"])
     if kind == "Fly":
         _take_spec(node["spec"], lines, snake=snake, flies=True, duration_s=duration_s)
     elif kind == "ConstantDuration":

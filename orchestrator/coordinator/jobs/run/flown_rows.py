@@ -20,14 +20,14 @@ _ERRORS = ("profile-fit", "execution", "clock")
 
 
 def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines) -> list[PointRecord]:
-    """A row for each point of a line, in the order in which they were flown. report: of its path, or of the move to
-    its beginning, if that was not done."""
+    """A row for each point of a line, in the order in which they were flown; for the first one alone if the line was
+    not begun. report: of its path, or of the move to its beginning, if that was not done."""
     first = place.point
     assert first is not None
     windows = _find_windows(report, lines)
     is_good = report.state == "done" and report.verdict != "red" and bool(windows)
     rows: list[PointRecord] = []
-    for number in range(lines.count):
+    for number in range(lines.count if place.part and report.t0_fleet_ns is not None else 1):
         target = lines.find_target(first + number)
         rows.append(
             PointRecord(
