@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import ceil, sqrt
 from typing import NamedTuple
 
 from orchestrator.clock.base import NS_PER_S
@@ -21,6 +22,9 @@ from orchestrator.plan.path_step import LEAST_RAMP_S
 
 MARGIN_COUNTS = 2  # of each run-up: its ends are rounded to counts
 LEAST_WINDOW_COUNTS = 2
+# A make that switches outputs in a stream of positions makes a path slower until it is whole periods long: so a line
+# with triggers is a little shorter than so many of these. A whole number of the usual periods.
+PERIOD_S, PERIOD_MARGIN_S = 0.02, 0.0002
 TOLERANCE = Fraction(1, 4)  # of a window
 EVEN = 1e-9  # of a distance: rounding of values that are written as decimals
 _FRACTIONS: dict[WindowPlace, Fraction] = {"start": Fraction(-1, 2), "middle": Fraction(0), "end": Fraction(1, 2)}
@@ -169,6 +173,10 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
         raise Refusal("fly-speed", text, remedy, owner)
     ramp_s = axis.limits.acceleration / axis.limits.jerk if axis.limits.jerk else LEAST_RAMP_S
     run_up_s = speed / axis.limits.acceleration + ramp_s
+    run_up = speed * run_up_s / 2 + MARGIN_COUNTS / float(counts_per_unit)
+    if scan.fly.trigger is not None:
+        line_s = 2 * run_up / speed + run_up_s + count * window / speed
+        run_up += speed * (ceil(line_s / PERIOD_S) * PERIOD_S - PERIOD_MARGIN_S - line_s) / 2
     return FlownLines(
         scan=scan,
         units=[Unit(fleet.axis(other).unit) for other in scan.axes],
@@ -178,7 +186,7 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
         speed=min(speed, axis.limits.velocity),
         run_up_s=run_up_s,
         ramp_s=ramp_s,
-        run_up=speed * run_up_s / 2 + MARGIN_COUNTS / float(counts_per_unit),
+        run_up=run_up,
         tolerance=tolerance,
         counts_per_unit=counts_per_unit,
     )
@@ -200,8 +208,20 @@ def check_room(lines: FlownLines, axis: Axis, offset: Fraction) -> None:
             f"{lines.speed:g} {axis.unit}/s; its lines reach {reached:.6g} {axis.unit}, {missing:.4g} {axis.unit} "
             f"beyond its soft limit {limit:g} {axis.unit}"
         )
-        remedy = "fly slower, scan a shorter line, or change the soft limits in the fleet file"
+        fitting = _describe_fitting(lines, axis, lines.run_up - missing)
+        remedy = f"{fitting}scan a shorter line, or change the soft limits in the fleet file"
         raise Refusal("fly-room", text, remedy, controller_of(lines.axis))
+
+
+def _describe_fitting(lines: FlownLines, axis: Axis, room: float) -> str:
+    """Which time in a window fits a shorter run-up, in words; empty if none does. room: for the run-up."""
+    has_trigger = lines.scan.fly is not None and lines.scan.fly.trigger is not None
+    room -= MARGIN_COUNTS / float(lines.counts_per_unit) + lines.speed * PERIOD_S / 2 * has_trigger
+    if room <= 0.0:
+        return ""
+    acceleration, ramp_s = axis.limits.acceleration, lines.ramp_s
+    speed = acceleration * (sqrt(ramp_s**2 + 8 * room / acceleration) - ramp_s) / 2
+    return f"`duration: {abs(float(lines.spacing)) / speed * 1.0005e3:.4g} ms` or longer fits; or "
 
 
 def _find_spacing(scan: Scan, unit: Unit | str) -> tuple[Fraction, Fraction, int]:

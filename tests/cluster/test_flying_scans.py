@@ -20,7 +20,7 @@ from orchestrator.model.report import JobReport, PointRecord
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SAMPLE_NS = 700_000  # beside the periods of records, polls and SYNCs
-SPACING, WINDOW_S = 0.5, 0.02
+SPACING = 0.5  # mm
 COUNT = 0.001  # mm, of all axes here
 LINE_POINTS = 21
 
@@ -79,7 +79,7 @@ async def fly(fleet: VirtualFleet, steps: str, axis: str) -> tuple[JobReport, li
     return report, rows, Truth((instants - origin_host_ns(fleet)) / NS_PER_S, places * COUNT)
 
 
-def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str) -> None:
+def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, window_s: float) -> None:
     """Each window was flown at its speed, and all three instants of its row contain the truth."""
     for first in range(0, len(rows), LINE_POINTS):
         line = rows[first : first + LINE_POINTS]
@@ -88,24 +88,30 @@ def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str) -> None:
         assert ends[0] is not None and ends[1] is not None
         begin_s, end_s = ends[0].lower.earliest_ns / NS_PER_S - 0.02, ends[1].upper.latest_ns / NS_PER_S + 0.02
         for row in line:
-            assert row.good and row.window is not None and row.took_s == pytest.approx(WINDOW_S)
+            assert row.good and row.window is not None and row.took_s == pytest.approx(window_s)
             crossings_s: list[float] = []
             for part, interval in ((-0.5, row.window.lower), (0.0, row.window.middle), (0.5, row.window.upper)):
                 at_s = truth.find_crossing(row.target[axis] + ahead * part * SPACING, begin_s, end_s)
                 assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, (row.point, part)
                 assert interval.latest_ns - interval.earliest_ns <= 15 * NS_PER_MS
                 crossings_s.append(at_s)
-            slower = abs((crossings_s[2] - crossings_s[0]) / WINDOW_S - 1)
+            slower = abs((crossings_s[2] - crossings_s[0]) / window_s - 1)
             assert slower <= max(0.005, COUNT / SPACING), (row.point, slower)
 
 
 MAKES = pytest.mark.parametrize(("make", "axis"), [(two_gantries, "gantry.y"), (path_fleet, "slide.y")])
 
 
-@MAKES
-def test_a_raster_is_flown_at_its_speed_and_its_rows_contain_the_truth(make: Callable[[], Fleet], axis: str) -> None:
+@pytest.mark.parametrize(
+    ("make", "axis", "window_ms"),
+    # A drive follows the SYNCs of its host, whose jitter of some 0.1 ms is 0.6 % of a window of 20 ms.
+    [(two_gantries, "gantry.y", 20), (path_fleet, "slide.y", 40)],
+)
+def test_a_raster_is_flown_at_its_speed_and_its_rows_contain_the_truth(
+    make: Callable[[], Fleet], axis: str, window_ms: int
+) -> None:
     async def main(fleet: VirtualFleet) -> None:
-        report, rows, truth = await fly(fleet, f"[{raster(axis)}]", axis)
+        report, rows, truth = await fly(fleet, f"[{raster(axis, f'{{duration: {window_ms} ms}}')}]", axis)
         assert report.state == "done" and report.verdict == "green", report.reason
         (scan,) = report.steps
         assert scan.scan is not None and (scan.scan.points, scan.scan.done, scan.scan.steps_done) == (63, 63, 6)
@@ -115,7 +121,7 @@ def test_a_raster_is_flown_at_its_speed_and_its_rows_contain_the_truth(make: Cal
             (x, y) for k, x in enumerate((50, 50.5, 51)) for y in [20 + n / 2 for n in range(21)][:: 1 - 2 * (k % 2)]
         ]
         assert [tuple(row.target.values()) for row in rows] == wanted
-        check_windows(rows, truth, axis)
+        check_windows(rows, truth, axis, window_ms / 1000)
 
     run_fleet(main, make())
 
@@ -152,7 +158,7 @@ def test_a_trigger_that_is_faster_than_the_make_plays_is_refused_before_anything
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet))
         forecast = (await fleet.make_client().dry_run(job(f"[{steps}]"))).problems
-        assert forecast and "gantry.camera" in forecast[0].text or "camera" in forecast[0].text, forecast
+        assert [problem.code for problem in forecast] == ["trigger-rate"] and "camera" in forecast[0].text, forecast
 
     run_fleet(main, Fleet.model_validate(plain))
 
@@ -189,9 +195,6 @@ def test_a_line_that_is_stopped_ends_the_scan_and_the_rows_before_it_are_kept(wh
         client = fleet.make_client()
         await outcome(fleet, prepare(fleet))
         job_id = await client.submit(job(f"[{raster('gantry.y')}]"))
-        async with asyncio.timeout(60):
-            while (progress := (await client.show_job(job_id)).entry) is None or progress.state != "running":
-                await asyncio.sleep(0.02)
         await wait_for_point(fleet, job_id, 22)
         while not 22_000 < fleet.controllers["gantry"].position("Y") < 28_000:
             await sleep_ns(fleet.clock, NS_PER_MS)
@@ -223,7 +226,6 @@ def test_a_raster_of_five_lines_takes_a_fraction_of_the_time_from_point_to_point
             )
             assert report.state == "done", report.reason
             took_s.append(report.steps[1].actual_s or 0.0)
-        print(took_s)
         assert took_s[0] < took_s[1] / 5
 
     run_fleet(main, two_gantries())

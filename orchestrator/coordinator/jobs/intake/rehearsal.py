@@ -107,10 +107,11 @@ class JobRehearsal:
             )
             return forecast
         duration_s = round(agreement.plan.duration_s, 6)
+        is_line = forecast.do == "scan"  # of which that is the first line
         return forecast.model_copy(
             update={
-                "least_s": duration_s,
-                "most_s": duration_s,
+                "least_s": forecast.least_s if is_line else duration_s,
+                "most_s": forecast.most_s if is_line else duration_s,
                 "path": agreement.path,
                 "budget": agreement.budget.to_plain() if agreement.budget else None,
                 "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},

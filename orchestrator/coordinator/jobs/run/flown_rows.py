@@ -53,13 +53,13 @@ def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
     if is_broken or path is None or path.stops or evidence is None or evidence.end is None:
         return []
     planned_s = min((lines.line_s, lines.line_s - lines.ramp_s), key=lambda line_s: abs(line_s - path.duration_s))
-    if abs(path.duration_s / planned_s - 1) > OTHER_TIME or not _fits(evidence, path.duration_s):
+    # A controller may stay at rest until its period is over, and calls that the end.
+    executed_s = report.members[controller_of(lines.axis)].lowered_s.get(lines.axis.partition(".")[2], path.duration_s)
+    if abs(path.duration_s / planned_s - 1) > OTHER_TIME or not _fits(evidence, executed_s):
         return []
     window_s = lines.window_s * path.duration_s / planned_s
-    speed = abs(float(lines.spacing)) / window_s
-    find_instant = _InstantFinder(
-        evidence.start_for_verdict, evidence.end, path.duration_s, _find_error(path, lines) / speed
-    )
+    error_s = _find_error(path, lines) * window_s / abs(float(lines.spacing))
+    find_instant = _InstantFinder(evidence.start_for_verdict, evidence.end, executed_s, error_s)
     first_s = path.duration_s / 2 - lines.count * window_s / 2
     return [
         PointWindow(
