@@ -102,19 +102,7 @@ class FlownLines:
 
     def make_path(self, point: int) -> FollowPath:
         """The path of the line of a point."""
-        ends, trigger = self.find_ends(point), self.scan.fly and self.scan.fly.trigger
-        triggers = (
-            []
-            if trigger is None
-            else [
-                Trigger(
-                    output=trigger.output,
-                    at=[float(position) for position in self.list_positions(point, trigger.at)],
-                    of=self.axis,
-                    pulse=None if trigger.pulse is None else f"{trigger.pulse} ns",
-                )
-            ]
-        )
+        ends = self.find_ends(point)
         return FollowPath(
             name=self.scan.name,
             axes=[self.axis],
@@ -122,8 +110,16 @@ class FlownLines:
             pieces=[LinePiece(piece="line", to=[ends.end])],
             speed=self.speed,
             tolerance=self.tolerance,
-            triggers=triggers,
+            triggers=self._make_triggers(point),
         )
+
+    def _make_triggers(self, point: int) -> list[Trigger]:
+        trigger = None if self.scan.fly is None else self.scan.fly.trigger
+        if trigger is None:
+            return []
+        positions = [float(position) for position in self.list_positions(point, trigger.at)]
+        pulse = {} if trigger.pulse is None else {"pulse": f"{trigger.pulse} ns"}
+        return [Trigger.model_validate({"output": trigger.output, "at": positions, "of": self.axis, **pulse})]
 
     def make_move(self, point: int) -> Move:
         """The move to the beginning of the line of a point."""

@@ -45,6 +45,7 @@ class JobForecaster(ForecastState):
             most_s=None if span.most is None else round(span.most, 6),
             conditions=list(self.notes),
             path=path,
+            lines="" if self.motion is None else self.motion.line_words,
         )
 
     def add_refusal(self, index: int, error: Refusal) -> None:

@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.forecast import StepProblem
 from orchestrator.model.names import controller_of
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flown_lines import FlownLines, check_room, plan_lines
@@ -39,16 +40,25 @@ def forecast_line(state: ForecastState, at: ForecastContext, lines: FlownLines) 
     path = lines.make_path(0)
     span = forecast_path(state, at, path)
     state.axes[name] = axis_after
+    state.problems[problems:] = map(_name_trigger, state.problems[problems:])
     if state.motion is None or state.motion.path is None or len(state.problems) > problems:
         return span
     _check_speed(state, at, lines)
-    state.motion = replace(state.motion, line=path)
     unit = lines.units[-1]
-    state.notes[
-        f"{name} flies through {lines.count} points at {lines.speed:g} {unit}/s, {lines.window_s * 1e3:g} ms each, "
-        f"with a run-up and a run-down of {lines.run_up:.4g} {unit}: a line takes {span.least:.3f} s"
-    ] = None
+    words = (
+        f"{name} flies through {lines.count} points at {lines.speed:g} {unit}/s, {lines.window_s * 1e3:g} ms each, with a "
+        f"run-up and a run-down of {lines.run_up:.4g} {unit}; a line takes {span.least:.3f} s"
+    )
+    state.motion = replace(state.motion, line=path, line_words=words)
     return span
+
+
+def _name_trigger(problem: StepProblem) -> StepProblem:
+    """A problem of the trigger of a path, where the scan has it."""
+    if problem.place[-1] != "triggers":
+        return problem
+    place = [*problem.place[:-1], "fly", "trigger"]
+    return problem.model_copy(update={"place": place, "text": problem.text.replace("triggers.0", "fly.trigger")})
 
 
 def _check_speed(state: ForecastState, at: ForecastContext, lines: FlownLines) -> None:

@@ -12,8 +12,8 @@ from orchestrator.plan.triggers import ResolvedTrigger
 
 @dataclass(frozen=True, slots=True)
 class ForecastMotion:
-    """A motion step in counts, planned from where the steps before it leave its axes. line: the path that it is, if it
-    is the first line of a scan that flies."""
+    """A motion step in counts, planned from where the steps before it leave its axes. line, line_words: the path
+    that it is, if it is the first line of a scan that flies, and how all of them are flown."""
 
     moves: list[AxisMove]
     exact: Mapping[str, tuple[Fraction, int]]
@@ -21,6 +21,7 @@ class ForecastMotion:
     path: PlannedPath | None = None
     triggers: Sequence[ResolvedTrigger] = ()
     line: FollowPath | None = None
+    line_words: str = ""
 
 
 @dataclass(slots=True)

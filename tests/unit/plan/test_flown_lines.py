@@ -69,8 +69,10 @@ def test_the_forecast_says_how_a_line_is_flown_and_how_long_all_take() -> None:
     fields = "axes: {slide.y: {from: 0, to: 2, points: 5}, gantry.x: {from: 0, to: 10, points: 21, snake: true}}"
     found = forecast(f"{fields}, fly: {{duration: 10 ms}}")
     assert not found.problems, found.problems
-    note = "gantry.x flies through 21 points at 50 mm/s, 10 ms each, with a run-up and a run-down of 2.502 mm"
-    assert any(note in condition for condition in found.steps[1].conditions), found.steps[1].conditions
+    assert found.steps[1].lines == (
+        "gantry.x flies through 21 points at 50 mm/s, 10 ms each, with a run-up and a run-down of 2.502 mm; a line takes "
+        "0.410 s"
+    )
     # Five lines of 0.41 s, four moves between them, and the one to the beginning.
     assert 2.05 <= found.steps[1].least_s <= 3.5
 
