@@ -95,10 +95,10 @@ class FlownLines:
 
     def list_positions(self, point: int, place: WindowPlace = "middle") -> list[Fraction]:
         """A place in each window of the line of a point, in the order in which they are flown."""
-        ahead = 1 if self.find_ends(point).forward else -1
-        shift = self.spacing * _FRACTIONS[place] * ahead
+        direction = 1 if self.find_ends(point).forward else -1
+        shift = self.spacing * _FRACTIONS[place] * direction
         positions = [self.first + self.spacing * number + shift for number in range(self.count)]
-        return positions[::ahead]
+        return positions[::direction]
 
     def make_path(self, point: int) -> FollowPath:
         """The path of the line of a point."""
@@ -175,7 +175,7 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
         run_up += speed * (ceil(line_s / PERIOD_S) * PERIOD_S - PERIOD_MARGIN_S - line_s) / 2
     return FlownLines(
         scan=scan,
-        units=[Unit(fleet.axis(other).unit) for other in scan.axes],
+        units=[Unit(fleet.axis(named_axis).unit) for named_axis in scan.axes],
         first=first,
         spacing=spacing,
         count=count,
@@ -196,15 +196,15 @@ def check_room(lines: FlownLines, axis: Axis, offset: Fraction) -> None:
         return
     low, high = sorted(axis.to_unit(limit) + float(offset) for limit in limits)
     least, most = sorted(lines.ends[:2])
-    missing = max(low - least, most - high)
-    if missing * float(lines.counts_per_unit) > 0.5:
-        limit, reached = (low, least) if low - least == missing else (high, most)
+    excess = max(low - least, most - high)
+    if excess * float(lines.counts_per_unit) > 0.5:
+        limit, reached = (low, least) if low - least == excess else (high, most)
         text = (
             f"{lines.axis} needs {lines.run_up:.4g} {axis.unit} before and behind its windows for "
-            f"{lines.speed:g} {axis.unit}/s; its lines reach {reached:.6g} {axis.unit}, {missing:.4g} {axis.unit} "
+            f"{lines.speed:g} {axis.unit}/s; its lines reach {reached:.6g} {axis.unit}, {excess:.4g} {axis.unit} "
             f"beyond its soft limit {limit:g} {axis.unit}"
         )
-        fitting = _describe_fitting(lines, axis, lines.run_up - missing)
+        fitting = _describe_fitting(lines, axis, lines.run_up - excess)
         remedy = f"{fitting}scan a shorter line, or change the soft limits in the fleet file"
         raise Refusal("fly-room", text, remedy, controller_of(lines.axis))
 

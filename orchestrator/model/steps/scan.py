@@ -219,8 +219,8 @@ class Scan(MotionOptions, ScanPoints):
 
     def complete_words(self, fields: list[str]) -> list[str]:
         at_each = ["at each " + "; ".join(step.describe() for step in self.at_each)] if self.at_each else []
-        flown = [] if self.fly is None else [self.fly.describe()]
-        return [self._describe_points(), *flown, *fields, *at_each]
+        flown_words = [] if self.fly is None else [self.fly.describe()]
+        return [self._describe_points(), *flown_words, *fields, *at_each]
 
     def _describe_points(self) -> str:
         if self.points is not None and self.points.file is not None:

@@ -46,8 +46,8 @@ def forecast_line(state: ForecastState, at: ForecastContext, lines: FlownLines) 
     _check_speed(state, at, lines)
     unit = lines.units[-1]
     words = (
-        f"{name} flies through {lines.count} points at {lines.speed:g} {unit}/s, {lines.window_s * 1e3:g} ms each, with a "
-        f"run-up and a run-down of {lines.run_up:.4g} {unit}; a line takes {span.least:.3f} s"
+        f"{name} flies through {lines.count} points at {lines.speed:g} {unit}/s, {lines.window_s * 1e3:g} ms each, "
+        f"with a run-up and a run-down of {lines.run_up:.4g} {unit}; a line takes {span.least:.3f} s"
     )
     state.motion = replace(state.motion, line=path, line_words=words)
     return span
@@ -66,8 +66,8 @@ def _check_speed(state: ForecastState, at: ForecastContext, lines: FlownLines) -
     assert state.motion is not None and state.motion.path is not None
     times_s, speeds = state.motion.path.times_s, state.motion.path.speeds[lines.axis]
     middle_s = state.motion.plan.duration_s / 2
-    inside = np.abs(times_s - middle_s) < lines.count * lines.window_s / 2
-    least = float(speeds[inside].min(initial=lines.speed))
+    in_windows = np.abs(times_s - middle_s) < lines.count * lines.window_s / 2
+    least = float(speeds[in_windows].min(initial=lines.speed))
     if least < lines.speed * (1 - SLOWER):
         unit = lines.units[-1]
         text = f"{lines.axis} would fly at {least:g} {unit}/s in a window, instead of {lines.speed:g} {unit}/s"

@@ -57,9 +57,9 @@ class PointRows:
                 took_s=took_s,
                 target=json.loads(target),
                 measured=json.loads(positions),
-                **_decode_flown(flown),
+                **_decode_flown(flown_text),
             )
-            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, positions, flown in rows
+            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, positions, flown_text in rows
         ]
 
 
