@@ -125,8 +125,8 @@ def check_job_outputs(steps: Iterable[Any], outputs: Iterable[str]) -> None:
     for number, step in enumerate(steps):
         for row, output in enumerate(step.trigger_outputs):
             if output in switched_outputs:
-                place = f"triggers.{row}" if hasattr(step, "triggers") else "fly.trigger"
+                name = f"triggers.{row}" if hasattr(step, "triggers") else "fly.trigger"
                 raise ValueError(
-                    f"steps.{number}.{place}: output {output} is switched by a step `do: output` of the job, too; use "
+                    f"steps.{number}.{name}: output {output} is switched by a step `do: output` of the job, too; use "
                     "another output, or remove that step"
                 )

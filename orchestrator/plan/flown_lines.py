@@ -198,10 +198,10 @@ def check_room(lines: FlownLines, axis: Axis, offset: Fraction) -> None:
     least, most = sorted(lines.ends[:2])
     excess = max(low - least, most - high)
     if excess * float(lines.counts_per_unit) > 0.5:
-        limit, reached = (low, least) if low - least == excess else (high, most)
+        limit, line_end = (low, least) if low - least == excess else (high, most)
         text = (
             f"{lines.axis} needs {lines.run_up:.4g} {axis.unit} before and behind its windows for "
-            f"{lines.speed:g} {axis.unit}/s; its lines reach {reached:.6g} {axis.unit}, {excess:.4g} {axis.unit} "
+            f"{lines.speed:g} {axis.unit}/s; its lines reach {line_end:.6g} {axis.unit}, {excess:.4g} {axis.unit} "
             f"beyond its soft limit {limit:g} {axis.unit}"
         )
         fitting = _describe_fitting(lines, axis, lines.run_up - excess)

@@ -57,8 +57,8 @@ def _name_trigger(problem: StepProblem) -> StepProblem:
     """A problem of the trigger of a path, where the scan has it."""
     if problem.place[-1] != "triggers":
         return problem
-    place = [*problem.place[:-1], "fly", "trigger"]
-    return problem.model_copy(update={"place": place, "text": problem.text.replace("triggers.0", "fly.trigger")})
+    keys = [*problem.place[:-1], "fly", "trigger"]
+    return problem.model_copy(update={"place": keys, "text": problem.text.replace("triggers.0", "fly.trigger")})
 
 
 def _check_speed(state: ForecastState, at: ForecastContext, lines: FlownLines) -> None:
