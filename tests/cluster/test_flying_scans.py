@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cluster.test_contour import two_gantries
 from cluster.test_triggers import TrueEdges
-from cluster.worlds import EXAMPLES, job, line_fleet, origin_host_ns, outcome, run_fleet, wait_for_point
+from cluster.worlds import EXAMPLES, job, line_fleet, origin_host_ns, outcome, refusal, run_fleet, wait_for_point
 from numpy.typing import NDArray
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -274,3 +274,19 @@ def test_a_raster_of_five_lines_takes_a_fraction_of_the_time_from_point_to_point
         assert took_s[0] < took_s[1] / 5
 
     run_fleet(main, two_gantries())
+
+
+def test_positions_that_have_changed_until_it_begins_are_refused_and_not_stepped() -> None:
+    """A line is checked with its positions when they are known: one that cannot be flown then does not begin."""
+    steps = "{do: scan, axes: {gantry.y: {from: edge, to: 30, points: 21}}, fly: {duration: 20 ms}}"
+    plain = two_gantries().to_plain()
+    plain["positions"] = {"edge": {"gantry.y": -10}}
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet))
+        before = len(fleet.controllers["gantry"].commanded_motions)
+        refused = await refusal(fleet, job(f"[{{do: move, to: {{gantry.x: 0}}}}, {steps}]"))
+        assert "soft limit" in refused.text, refused.text
+        assert len(fleet.controllers["gantry"].commanded_motions) == before
+
+    run_fleet(main, Fleet.model_validate(plain))
