@@ -58,7 +58,7 @@ class PointRequests(FleetConnection):
         Files of paths are read as well. on_points: called with the progress. Raises `FileError` with every wrong line,
         and `Refusal`: codes `point-store-full`, `no-scanspec`, `bad-scanspec`.
         """
-        job = read_path_steps(job)
+        job = place_flown_specs(read_path_steps(job))
         unread = [scan for scan in find_scans(job.steps) if _is_unread(scan)]
         if not unread:
             return job
@@ -125,6 +125,7 @@ class PointSummaries:
     def place_summaries(self, job: Job) -> Job:
         """The job with the extremes of the points of its files and specs, as the coordinator would find them. Raises
         `FileError`, `Refusal`."""
+        job = place_flown_specs(job)
         points = {
             id(scan): place_points(scan, self._find_table(scan)) for scan in find_scans(job.steps) if _is_unread(scan)
         }
@@ -159,6 +160,17 @@ def make_point_source(scan: Scan, units: Mapping[str, Unit]) -> PointSource:
         return SpecPoints(scan.scanspec, units)
     assert scan.points is not None and scan.points.file is not None
     return PointFile(Path(scan.points.file), units)
+
+
+def place_flown_specs(job: Job) -> Job:
+    """The job with axes in its scans whose spec flies. Raises `Refusal`, code `bad-scanspec` for one that cannot."""
+    from orchestrator.model.scans.spec_lines import place_flown_spec
+
+    specs = [scan for scan in find_scans(job.steps) if scan.scanspec is not None]
+    if not specs:
+        return job
+    scans = {id(scan): place_flown_spec(scan) for scan in specs}
+    return job.model_copy(update={"steps": [step.replace_steps(scans) for step in job.steps]})
 
 
 def place_points(scan: Scan, table: PointTable) -> Scan:

@@ -14,11 +14,11 @@ from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.profile import Profile
 from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
+from orchestrator.plan.flown_lines import plan_lines
 from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.forecast.ways import ForecastMotion
 
@@ -49,7 +49,7 @@ def draw_job(
     for index in range(min(len(order), MAX_STEPS)):
         location = order.locate(index)
         try:
-            drawing.take(index, location.choose_step(partial(_find_move, fleet, location)))
+            drawing.take(index, location.choose_step(partial(_find_motion, fleet, location)))
         except Refusal as error:
             drawing.note_gap(index, error.text)
     if len(order) > MAX_STEPS:
@@ -71,12 +71,15 @@ def draw_path(
     return drawing.finish()
 
 
-def _find_move(fleet: Fleet, place: StepPlace, scan: Scan) -> Move:
-    """The move to a point of a scan. Raises `Refusal`."""
+def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
+    """The move to a point of a scan, or of a line that is flown its move or path. Raises `Refusal`."""
     assert place.point is not None
     if scan.points is not None:
         raise Refusal("not-drawn", "points that were sent as a table are not drawn")
     units = [fleet.axis(name).unit for name in scan.axis_names]
+    if scan.fly is not None:
+        lines = plan_lines(scan, fleet)
+        return lines.make_path(place.point) if place.part else lines.make_move(place.point)
     position = GridPoints(scan.axes).find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
 

@@ -30,6 +30,7 @@ class AxisForecast(Model):
 
 class StepForecast(Model):
     """One step. least_s, most_s: its duration; most_s None: no bound is known. conditions: what only the world decides.
+    lines: of a scan that flies, how fast, and how long a line takes; path: of its first line.
 
     commands: by controller, what it would be sent; only in a dry run. refused: why a controller would refuse it.
     """
@@ -42,6 +43,7 @@ class StepForecast(Model):
     conditions: list[str] = Field(default=[])
     budget: dict[str, Any] | None = None
     path: PathReport | None = None
+    lines: str = ""
     commands: dict[str, list[str]] = Field(default={})
 
 

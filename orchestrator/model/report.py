@@ -294,11 +294,21 @@ class ScanSummary(Model):
     most_s: float | None = None
 
 
+class PointWindow(Model):
+    """When an axis that flies passed the window of a point: its beginning, the point itself, and its end; fleet time,
+    by the plan and the evidence of the start and the end of its line."""
+
+    lower: TimeInterval
+    middle: TimeInterval
+    upper: TimeInterval
+
+
 class PointRecord(Model):
     """The record of one point of a scan. step: the number of the first step of its scan; point: from 1.
 
     target: by axis, in its unit; measured: the last reading while the axis stood there, None: it left before the next
-    one. took_s: since the point before, or the beginning.
+    one, or flew through. took_s: since the point before, or the beginning; of a scan that flies the time in the window.
+    window: of a scan that flies. good: whether its line was done as planned; None of a point at which the axes stop.
     """
 
     step: Int53
@@ -310,6 +320,8 @@ class PointRecord(Model):
     took_s: float | None = None
     target: dict[str, float]
     measured: dict[str, float | None]
+    window: PointWindow | None = None
+    good: bool | None = None
 
 
 class StepChain(Model):

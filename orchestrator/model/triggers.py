@@ -123,9 +123,10 @@ def check_job_outputs(steps: Iterable[Any], outputs: Iterable[str]) -> None:
     switches."""
     switched_outputs = set(outputs)
     for number, step in enumerate(steps):
-        for row, trigger in enumerate(getattr(step, "triggers", ())):
-            if trigger.output in switched_outputs:
+        for row, output in enumerate(step.trigger_outputs):
+            if output in switched_outputs:
+                name = f"triggers.{row}" if hasattr(step, "triggers") else "fly.trigger"
                 raise ValueError(
-                    f"steps.{number}.triggers.{row}: output {trigger.output} is switched by a step `do: output` of "
-                    "the job, too; use another output, or remove that step"
+                    f"steps.{number}.{name}: output {output} is switched by a step `do: output` of the job, too; use "
+                    "another output, or remove that step"
                 )

@@ -25,6 +25,7 @@ PAGES = (
     "how-to/write-a-fleet.md",
     "how-to/write-a-job.md",
     "how-to/scan-points.md",
+    "how-to/scan-without-stopping.md",
     "how-to/move-along-a-path.md",
     "how-to/run-a-program-from-cam.md",
     "how-to/use-templates.md",

@@ -119,7 +119,7 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
         line(f"  {number_step(step.index)} {step.text}: {_describe_span(step.least_s, step.most_s)}")
         for condition in step.conditions:
             line(f"      if {condition}")
-        for text in [] if step.path is None else describe_path(step.path):
+        for text in [step.lines] * bool(step.lines) + ([] if step.path is None else describe_path(step.path)):
             line(f"      {text}")
         if commands:
             _print_commands(step, line)

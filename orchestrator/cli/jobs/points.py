@@ -1,7 +1,7 @@
 """`tutti job points`: what was recorded at the points of scans; the progress of sending points; their plot."""
 
 import json
-from collections.abc import AsyncIterator, Generator
+from collections.abc import AsyncIterator, Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +21,12 @@ if TYPE_CHECKING:
     from orchestrator.client import Tutti
     from orchestrator.client.points import OnPoints, PointProgress
     from orchestrator.model.report import PointRecord, QueueEntry
+
+
+_WINDOW_COLUMNS = [
+    "good",
+    *(f"window_{part}_{bound}_ns" for part in ("lower", "middle", "upper") for bound in ("earliest", "latest")),
+]
 
 
 @click.command(epilog="Example: tutti job points raster --csv raster.csv")
@@ -101,6 +107,15 @@ async def _print_table(records: "AsyncIterator[PointRecord]", entry: "QueueEntry
         console.print("more with --limit; all with --csv FILE or --json", highlight=False)
 
 
+def _list_window(record: "PointRecord") -> "Sequence[int | None]":
+    """The values of a point for the columns of windows; empty of a point at which the axes stop."""
+    window = record.window
+    if window is None:
+        return [record.good] + [None] * 6
+    ends = (window.lower, window.middle, window.upper)
+    return [record.good, *(value for end in ends for value in (end.earliest_ns, end.latest_ns))]
+
+
 async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: CsvStyle, live_axes: list[str]) -> int:
     """Write a row a point; return how many. live_axes: of a live job; none: those of the first point are those of
     all."""
@@ -113,7 +128,8 @@ async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: C
                     axes = live_axes or list(record.target)
                     names = [*(f"{axis} target" for axis in axes), *(f"{axis} measured" for axis in axes)]
                     skews = ["start_skew_least_ns", "start_skew_most_ns"]
-                    table.write_row(["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"])
+                    head = ["step", "point", *names, "state", "verdict", *skews, "t0_fleet_ns", "took_s"]
+                    table.write_row([*head, *_WINDOW_COLUMNS])
                 if not live_axes and list(record.target) != axes:
                     text = f"the scan at {name_step(record.step)} has other axes than the one before"
                     exit_with_error(text, BAD_INPUT, "choose one scan: --step")
@@ -129,6 +145,7 @@ async def _write_csv(records: "AsyncIterator[PointRecord]", path: Path, style: C
                         *((None, None) if skew is None else (skew.at_least_ns, skew.at_most_ns)),
                         record.t0_fleet_ns,
                         record.took_s,
+                        *_list_window(record),
                     ]
                 )
                 number += 1

@@ -1,7 +1,7 @@
 """Points of a scan that is written as a spec of scanspec 1.x (the optional extra `tutti[scanspec]`)."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,21 +16,23 @@ class SpecPoints:
 
     def __init__(self, spec: Mapping[str, Any], units: Mapping[str, Unit]) -> None:
         """Raises `Refusal`: codes `no-scanspec` without the extra, `bad-scanspec`."""
-        path_type, spec_type = _import_scanspec()
+        path_type, spec_type = import_scanspec()
+        if contains_fly(spec):
+            raise Refusal("bad-scanspec", "the spec has `Fly`, and points alone are stepped", "leave out `Fly`")
         try:
             scan_spec = spec_type.deserialize(dict(spec))
             self._path: Any = path_type(scan_spec.calculate(bounds=False))
             has_duration = scan_spec.duration() is not None
         except Exception as error:  # whatever another project raises for a spec that it cannot read
             raise Refusal("bad-scanspec", f"scanspec cannot read the spec: {error}", "correct the spec") from None
+        if has_duration:
+            text = "the spec has durations without `Fly`, which a scan of steps does not follow"
+            raise Refusal("bad-scanspec", text, "add `Fly`, or remove them and put a dwell into `at_each`")
         names = [str(axis) for axis in scan_spec.axes()]
         unknown = [name for name in names if name not in units]
         if unknown:
             text = f"the fleet has no axis {', '.join(unknown)}; its axes are: {', '.join(units)}"
             raise Refusal("unknown-name", text, "name the axes of the spec as in the fleet file")
-        if has_duration:
-            text = "the spec has durations, which a scan of steps does not follow"
-            raise Refusal("bad-scanspec", text, "remove them, and put a dwell into `at_each`")
         if len(self._path) > MAX_POINTS:
             text = f"the spec has {len(self._path)} points; the maximum is {MAX_POINTS}"
             raise Refusal("bad-scanspec", text, "use several scans")
@@ -43,7 +45,15 @@ class SpecPoints:
             yield np.column_stack([chunk.midpoints[axis.axis] for axis in self.axes]).astype(np.float64)
 
 
-def _import_scanspec() -> tuple[Any, Any]:
+def contains_fly(node: object) -> bool:
+    """Whether a spec in its JSON form flies, or a part of it does."""
+    if isinstance(node, Mapping):
+        parts = cast(Mapping[str, object], node)
+        return parts.get("type") == "Fly" or any(map(contains_fly, parts.values()))
+    return isinstance(node, list) and any(map(contains_fly, cast(list[object], node)))
+
+
+def import_scanspec() -> tuple[Any, Any]:
     """The classes `Path` and `Spec`. Raises `Refusal`, code `no-scanspec`."""
     try:
         from scanspec.core import Path  # pyright: ignore[reportMissingImports, reportUnknownVariableType]

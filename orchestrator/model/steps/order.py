@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.live import Live
-from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
@@ -33,7 +32,8 @@ class StepPlace:
 
     index: its number. step: as it is written; for a point, the whole scan; for what a live job was asked for, its live
     step. first: the number of the first step of the scan, or of the step itself. point: of a scan or a live step, from
-    0. part: 0 is the move to the point, k the k-th step at it. passes: pass and number of passes of each repeat around
+    0; of a line that is flown its first one. part: 0 is the move to the point, k the k-th step at it; of a line that
+    is flown 1 is its path. passes: pass and number of passes of each repeat around
     it, from 1, the outermost first. asked, asked_count: of a live job, the step that was asked for, None while it waits
     for one; and for how many it was asked so far.
     """
@@ -67,6 +67,8 @@ class StepPlace:
         """What the numbered step does: that of its own, of a point its move or the step at it."""
         if self.scan is None:
             return self.step.kind if self.asked is None else self.asked.kind
+        if self.scan.fly is not None:
+            return "path" if self.part else "move"
         return self.scan.at_each[self.part - 1].kind if self.part else "move"
 
     @property
@@ -85,16 +87,26 @@ class StepPlace:
         """The place in words: `step 3 (scan), point 17 of 66 (move)`. kinds: with what is done there."""
         words = name_step(self.first) + f" ({self.step.kind})" * kinds
         if self.scan is not None and self.point is not None:
-            words += f", point {self.point + 1} of {self.scan.point_count}" + f" ({self.kind})" * kinds
+            words += f", {self._describe_points(self.scan)}" + f" ({self.kind})" * kinds
         elif self.asked is not None and self.point is not None:
             words += f", move {self.point + 1}" + f" ({self.kind})" * kinds
         return words + "".join(f", pass {number} of {times}" for number, times in self.passes)
 
-    def choose_step(self, find_move: Callable[[Scan], Move]) -> Step:
-        """The step that runs: of a scan, the move to its point, or the step there. find_move: returns the move."""
+    def _describe_points(self, scan: Scan) -> str:
+        assert self.point is not None
+        if scan.fly is None:
+            return f"point {self.point + 1} of {scan.point_count}"
+        last = self.point + scan.line_points
+        return f"points {self.point + 1} to {last} of {scan.point_count}"
+
+    def choose_step(self, find_motion: Callable[[Scan], Step]) -> Step:
+        """The step that runs: of a scan, the move to its point, or the step there. find_motion: returns that move, and
+        of a scan that flies the path as well."""
         if self.scan is None:
             return self.asked or self.step
-        return self.scan.at_each[self.part - 1] if self.part else find_move(self.scan)
+        if self.scan.fly is not None or not self.part:
+            return find_motion(self.scan)
+        return self.scan.at_each[self.part - 1]
 
 
 def count_reports(steps: Iterable[Step]) -> int:
@@ -125,7 +137,8 @@ class StepOrder:
                 pass_count, offset = divmod(offset, block.size)
                 passes = (*passes, (pass_count + 1, step.times))
             elif isinstance(step, Scan):
-                point, part = divmod(offset, step.points_steps)
+                number, part = divmod(offset, step.points_steps)
+                point = number * step.points_together
                 return StepPlace(index=index, step=step, first=index - offset, point=point, part=part, passes=passes)
             else:
                 return StepPlace(index, step, index, passes=passes)

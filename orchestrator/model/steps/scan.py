@@ -9,9 +9,11 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.names import Target
 from orchestrator.model.steps.base import InnerSteps, MotionOptions, Step, TargetResolver
 from orchestrator.model.steps.dwell import Dwell
+from orchestrator.model.steps.fly import FlyOptions
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.move import NAME_AXES, Move
 from orchestrator.model.steps.points import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
+from orchestrator.model.triggers import MAX_PLACES
 from orchestrator.model.units import Quantity
 
 MAX_AT_EACH = 50  # steps at each point of a scan
@@ -33,7 +35,7 @@ _NOT_AT_EACH = {
 class ScanPoints(Step):
     """Where a scan goes, and what it does there."""
 
-    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "points", "scanspec", "at_each"})
+    UNSAID: ClassVar[frozenset[str]] = frozenset({"axes", "points", "scanspec", "at_each", "fly"})
 
     do: Literal["scan"] = "scan"
     axes: dict[str, ScanAxis] = Field(
@@ -50,10 +52,13 @@ class ScanPoints(Step):
         max_length=MAX_AT_EACH,
         description="Steps at each point: moves of other axes, dwells, outputs, waits for an input.",
     )
+    fly: FlyOptions | None = Field(
+        default=None, description="The last of `axes` passes its points at constant speed, instead of a stop at each."
+    )
 
 
 class Scan(MotionOptions, ScanPoints):
-    """Move axes from point to point, and stop at each. Positions are absolute."""
+    """Move axes from point to point, and stop at each, or fly through them line by line. Positions are absolute."""
 
     if TYPE_CHECKING:
 
@@ -64,7 +69,7 @@ class Scan(MotionOptions, ScanPoints):
             points: Mapping[str, Any] | PointTable | None = None,
             scanspec: Mapping[str, Any] | None = None,
             at_each: Sequence["Move | Dwell | SetOutput | WaitInput"] = (),
-            speed: float | str | Mapping[str, float | str] = 1.0,
+            fly: Mapping[str, Any] | FlyOptions | None = None,
             **more: Any,
         ) -> None: ...
 
@@ -88,7 +93,40 @@ class Scan(MotionOptions, ScanPoints):
             )
         if self.point_count > MAX_POINTS:
             raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
+        if self.fly is not None:
+            self._check_flown(self.fly)
         return self
+
+    def _check_flown(self, fly: FlyOptions) -> None:
+        """Raise `ValueError` for a scan that cannot be flown, whatever its axes are."""
+        if not self.axes:
+            raise ValueError(
+                "`fly` needs the lines of `axes`; a table has none, and a scanspec says itself whether it flies (`Fly`)"
+            )
+        if self.at_each:
+            raise ValueError("a scan that flies does not stop, so nothing runs in `at_each`; remove one of them")
+        name, count = self.flown_axis, self.line_points
+        if count < 2:
+            raise ValueError(f"`fly`: {name} has one point, and a line needs two at least; leave out `fly`")
+        if fly.trigger is not None and count > MAX_PLACES:
+            raise ValueError(
+                f"`fly`: a line has {count} points, and a trigger at most {MAX_PLACES} places; use shorter lines"
+            )
+
+    @property
+    def flown_axis(self) -> str:
+        """The axis that flies: the innermost one. Only of a scan with `axes`."""
+        return list(self.axes)[-1]
+
+    @property
+    def line_points(self) -> int:
+        """The points of one line: the positions of the innermost axis. Only of a scan with `axes`."""
+        return self.axes[self.flown_axis].count
+
+    @property
+    def points_together(self) -> int:
+        """How many points the steps of `points_steps` are for: a line that is flown has all its points."""
+        return 1 if self.fly is None else self.line_points
 
     @property
     def axis_names(self) -> list[str]:
@@ -110,8 +148,8 @@ class Scan(MotionOptions, ScanPoints):
 
     @property
     def points_steps(self) -> int:
-        """The number of steps at one point, its move included."""
-        return 1 + len(self.at_each)
+        """The number of steps at one point, its move included; of a line that is flown its move and its path."""
+        return 1 + len(self.at_each) if self.fly is None else 2
 
     @property
     def inner(self) -> InnerSteps:
@@ -119,7 +157,11 @@ class Scan(MotionOptions, ScanPoints):
 
     @property
     def step_count(self) -> int:
-        return self.point_count * self.points_steps
+        return self.point_count // self.points_together * self.points_steps
+
+    @property
+    def trigger_outputs(self) -> list[str]:
+        return [] if self.fly is None or self.fly.trigger is None else [self.fly.trigger.output]
 
     def iterate_written(self) -> Iterator[Step]:
         yield self
@@ -177,7 +219,8 @@ class Scan(MotionOptions, ScanPoints):
 
     def complete_words(self, fields: list[str]) -> list[str]:
         at_each = ["at each " + "; ".join(step.describe() for step in self.at_each)] if self.at_each else []
-        return [self._describe_points(), *fields, *at_each]
+        flown_words = [] if self.fly is None else [self.fly.describe()]
+        return [self._describe_points(), *flown_words, *fields, *at_each]
 
     def _describe_points(self) -> str:
         if self.points is not None and self.points.file is not None:

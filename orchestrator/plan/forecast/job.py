@@ -33,7 +33,8 @@ class JobForecaster(ForecastState):
         """`take`, with a break before each step inside a repeat or a scan, for the other work of a process."""
         self.notes, self.motion = {}, None
         span = yield from forecast_in_parts(self, ForecastContext(index, ("steps", index)), step)
-        if not step.is_motion:
+        is_line = step.is_single and self.motion is not None and self.motion.line is not None
+        if not step.is_motion and not is_line:
             self.motion = None
         path = None if self.motion is None or self.motion.path is None else self.motion.path.report
         return StepForecast(
@@ -44,6 +45,7 @@ class JobForecaster(ForecastState):
             most_s=None if span.most is None else round(span.most, 6),
             conditions=list(self.notes),
             path=path,
+            lines="" if self.motion is None else self.motion.line_words,
         )
 
     def add_refusal(self, index: int, error: Refusal) -> None:

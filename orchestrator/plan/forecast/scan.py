@@ -9,6 +9,7 @@ from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import UnitError
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.line import forecast_line, take_lines
 from orchestrator.plan.forecast.motion import plan_ways
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
@@ -19,21 +20,19 @@ from orchestrator.plan.targets import make_axis_move
 
 
 def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span:
-    """Run the ways between the points of a scan forward, by their kinds."""
-    named_axes = {name: state.find_axis(at, name, ("axes", name)) for name in step.axis_names}
-    axes = {name: axis for name, axis in named_axes.items() if axis is not None}
-    if len(axes) < len(named_axes):
+    """Run the ways between the points of a scan forward, by their kinds; of one that flies between the ends of its
+    lines, and its first line."""
+    axes = _find_axes(state, at, step)
+    if axes is None:
         return Span()
-    units = [axis.unit for axis in axes.values()]
-    for column in step.points.columns if step.points is not None else ():
-        if column.unit != axes[column.axis].unit:
-            text = f"the points of {column.axis} are in {column.unit}, and the axis is in {axes[column.axis].unit}"
-            problem = Refusal("bad-unit", text, "submit the job again", controller_of(column.axis))
-            state.add_problem(at, ("points",), problem)
-            return Span()
-    unknown = state.note_unknown_positions(step)
+    units, unknown, lines = [axis.unit for axis in axes.values()], state.note_unknown_positions(step), None
     if unknown:
         step = step.replace_targets(lambda _, target: 0 if is_position_name(target) else target)
+    elif step.fly is not None:
+        lines = take_lines(state, at, step)
+        if lines is None:
+            return Span()
+        step = lines.make_ends_scan()
     try:
         corners, kinds = find_corners(step, units, unknown), list(iterate_ways(step, units))
     except UnitError as error:
@@ -45,10 +44,28 @@ def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span
         state.require_ready(at, name, field.place)
         _take_corners(state, at, first, field, _describe_corners(corners[name], step.point_count))
     span = plan_ways(state, at, step, first)
+    if lines is not None:
+        line_kind = kinds.pop()  # the innermost axis moves
+        span = span.followed_by(forecast_line(state, at, lines), line_kind.often)
     for kind in kinds:
         span = span.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
     state.lose_positions(at, unknown)
     return Span(span.least, None) if unknown else span
+
+
+def _find_axes(state: ForecastState, at: ForecastContext, step: Scan) -> dict[str, Axis] | None:
+    """The axes of a scan; None, and problems, if one does not exist, or its points are in another unit."""
+    named_axes = {name: state.find_axis(at, name, ("axes", name)) for name in step.axis_names}
+    axes = {name: axis for name, axis in named_axes.items() if axis is not None}
+    if len(axes) < len(named_axes):
+        return None
+    for column in step.points.columns if step.points is not None else ():
+        if column.unit != axes[column.axis].unit:
+            text = f"the points of {column.axis} are in {column.unit}, and the axis is in {axes[column.axis].unit}"
+            problem = Refusal("bad-unit", text, "submit the job again", controller_of(column.axis))
+            state.add_problem(at, ("points",), problem)
+            return None
+    return axes
 
 
 def _describe_corners(corners: Sequence[ScanCorner], points: int) -> list[tuple[Fraction, str]]:

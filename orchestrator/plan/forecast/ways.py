@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.path_step import PlannedPath
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.triggers import ResolvedTrigger
@@ -11,13 +12,16 @@ from orchestrator.plan.triggers import ResolvedTrigger
 
 @dataclass(frozen=True, slots=True)
 class ForecastMotion:
-    """A motion step in counts, planned from where the steps before it leave its axes."""
+    """A motion step in counts, planned from where the steps before it leave its axes. line, line_words: the path
+    that it is, if it is the first line of a scan that flies, and how all of them are flown."""
 
     moves: list[AxisMove]
     exact: Mapping[str, tuple[Fraction, int]]
     plan: StepPlan
     path: PlannedPath | None = None
     triggers: Sequence[ResolvedTrigger] = ()
+    line: FollowPath | None = None
+    line_words: str = ""
 
 
 @dataclass(slots=True)

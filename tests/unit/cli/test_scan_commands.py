@@ -87,3 +87,22 @@ def test_a_check_offline_reads_the_points(world: CommandWorld, tmp_path: Path) -
     said = world.run("job", "check", job, "--fleet", FLEET)
     assert said.exit_code == 2
     assert "axis gantry.x: target 402 mm is beyond its soft limits -10 to 400 mm, at point 2 of 2" in said.stderr
+
+
+def test_a_scan_that_flies_is_submitted_written_plotted_and_run_again(world: CommandWorld, tmp_path: Path) -> None:
+    shown = world.done("submit", str(EXAMPLES / "flying.job.yaml"), "--wait")
+    assert "205 of 205 points" in shown and "verdict green" in shown
+    world.done("job", "points", "last", "--csv", str(tmp_path / "p.csv"))
+    rows = list(csv.DictReader((tmp_path / "p.csv").read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 205
+    for row in rows:
+        ends = [int(row[f"window_{part}_latest_ns"]) for part in ("lower", "middle", "upper")]
+        assert row["good"] and ends == sorted(ends) and int(row["window_lower_earliest_ns"]) < ends[0]
+        assert 38e6 / 2 < ends[2] - ends[0] < 42e6 / 2
+    picture = tmp_path / "flying.png"
+    world.done("job", "plot", "last", "--step", "3", "--out", str(picture))
+    assert picture.stat().st_size > 1000
+    world.done("job", "retry", "last", "--step", "3", "--from-point", "60", "--yes")
+    world.let_pass(20)
+    points = json.loads(world.done("job", "points", "last", "--json"))
+    assert points[0]["point"] == 42 and points[0]["good"] is True

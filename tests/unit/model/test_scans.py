@@ -302,3 +302,7 @@ def test_a_scanspec_gives_its_midpoints() -> None:
         SpecPoints(line | {"axis": "gantry.q"}, UNITS)
     with pytest.raises(Refusal, match="scanspec cannot read the spec"):
         SpecPoints({"type": "Nothing"}, UNITS)
+    with pytest.raises(Refusal, match="durations without `Fly`"):
+        SpecPoints({"type": "ConstantDuration", "constant_duration": 0.1, "spec": line}, UNITS)
+    with pytest.raises(Refusal, match="`Fly`, and points alone are stepped"):
+        SpecPoints({"type": "Fly", "spec": line}, UNITS)

@@ -309,7 +309,7 @@ def test_the_check_finds_every_damage(tmp_path: Path) -> None:
         "UPDATE transitions SET state = 'odd' WHERE state = 'done'",
         "UPDATE meta_copies SET value = '77' WHERE key = 'epoch'",
         "INSERT INTO reports VALUES ('job0', '{}')",
-        "INSERT INTO point_rows VALUES ('job0', 1, 2, 'done', '', 0, 0, 0, 0, '[', '{}')",
+        "INSERT INTO point_rows VALUES ('job0', 1, 2, 'done', '', 0, 0, 0, 0, '[', '{}', NULL)",
     ):
         journal.database.execute(statement)
     journal.close()

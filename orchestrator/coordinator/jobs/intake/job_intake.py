@@ -252,7 +252,7 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
     if request.from_point > scan.point_count:
         text = f"the scan of {name_step(location.first)} of job {job_id} has the points 1 to {scan.point_count}"
         raise Refusal("no-step", text, "choose one of them with --from-point")
-    return location.first + (request.from_point - 1) * scan.points_steps
+    return location.first + (request.from_point - 1) // scan.points_together * scan.points_steps
 
 
 def _find_warnings(remaining: list[RemainingStep]) -> list[str]:

@@ -52,7 +52,8 @@ class JobRehearsal:
                 forecaster, forecast = await self._services.check(forecast_at_once, forecaster, index, step)
             else:
                 forecast = await forecast_step(forecaster, index, step, self._services.motion.plan)
-            motion, asked_step = forecaster.motion, as_motion(step)
+            motion = forecaster.motion
+            asked_step = as_motion(step) if motion is None or motion.line is None else motion.line
             steps.append(forecast)
             if asked_step is not None and motion is not None and motion.plan.profiles:
                 asked_request = StepRequest("dry-run", request.job, index, asked_step)
@@ -106,10 +107,11 @@ class JobRehearsal:
             )
             return forecast
         duration_s = round(agreement.plan.duration_s, 6)
+        is_line = forecast.do == "scan"  # of which that is the first line
         return forecast.model_copy(
             update={
-                "least_s": duration_s,
-                "most_s": duration_s,
+                "least_s": forecast.least_s if is_line else duration_s,
+                "most_s": forecast.most_s if is_line else duration_s,
                 "path": agreement.path,
                 "budget": agreement.budget.to_plain() if agreement.budget else None,
                 "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},

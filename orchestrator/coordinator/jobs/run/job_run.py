@@ -218,9 +218,11 @@ class JobRun:
         report = await self._step_run.run_step(index, step)
         self._rest.seen_ns = None
         report = self._chain.complete_report(report, self._reports.last_motion)
-        target = self._steps.find_target(location)
-        if report.retargets:
-            target = report.retargets[-1].to
+        lines = self._steps.find_lines(location)
+        if lines is not None:
+            await self._reports.add_line_report(location, report, lines)
+            return report
+        target = report.retargets[-1].to if report.retargets else self._steps.find_target(location)
         await self._reports.add_report(location, report, target)
         return report
 

@@ -134,6 +134,10 @@ class LiveSequence(StepSequence):
         targets = place.asked.iterate_targets()
         return {axis: float(parse_quantity(target, fleet.axis(axis).unit)) for axis, target in targets}
 
+    def find_lines(self, place: StepPlace) -> None:
+        """A live job has no scan that flies."""
+        del place
+
     # Results
 
     def note_report(self, index: int, report: StepReport) -> bool:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from orchestrator.coordinator.motion.chain import BetweenSteps
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.base import Step
@@ -48,6 +49,8 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
             step = steps[number]
         except KeyError:
             return ChainBreak(number, "its point is not read yet")
+        except Refusal as error:
+            return ChainBreak(number, error.text)
         if (motion := as_motion(step)) is not None:
             hindrance = obstacle or _find_hindrance(fleet, first_motion, motion)
             return (

@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.coordinator.jobs.run.flown_rows import make_line_rows
 from orchestrator.coordinator.motion.budget import worse_verdict
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
 from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
+from orchestrator.plan.flown_lines import FlownLines
 
 MAX_FINDINGS = 10  # points that are not green and stand in the report
 ROWS_AT_ONCE = 100  # in a transaction
@@ -105,9 +107,21 @@ class ReportCollector:
             scan.ended = place, report
         if report.state != "done" or place.part == scan.scan.points_steps - 1:
             self._end_point(scan, place, report, target)
-            waited_ns = self._clock.now_ns() - self._written_ns
-            if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
-                await self._write_rows()
+            await self._write_rows_in_turn()
+
+    async def add_line_report(self, place: StepPlace, report: StepReport, lines: FlownLines) -> None:
+        """Take the report of a step of a line that is flown. lines: of its scan. Raises `JournalError`."""
+        scan = self._scan
+        assert scan is not None
+        if report.t0_fleet_ns is not None:
+            self._last_motion = report
+        scan.steps_done += report.state == "done"
+        if report.state != "done":
+            scan.ended = place, report
+        elif place.part == 0:
+            return
+        self._end_line(scan, place, report, lines)
+        await self._write_rows_in_turn()
 
     async def finish(self) -> None:
         """Write what was recorded until now. Raises `JournalError`."""
@@ -118,6 +132,12 @@ class ReportCollector:
         if self._last_row is not None:
             self._rows.append(self._last_row.model_copy(update={"measured": self._readings.read_positions()}))
             self._last_row = None
+
+    async def _write_rows_in_turn(self) -> None:
+        """Write the rows so far, if they are many, or have waited."""
+        waited_ns = self._clock.now_ns() - self._written_ns
+        if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
+            await self._write_rows()
 
     async def _write_rows(self) -> None:
         rows, self._rows, self._written_ns = self._rows, [], self._clock.now_ns()
@@ -155,6 +175,25 @@ class ReportCollector:
             measured={},
         )
         now.moved = None
+
+    def _end_line(self, now: _ScanProgress, place: StepPlace, report: StepReport, lines: FlownLines) -> None:
+        """Take the rows of a line that is over; of one that was not done, as far as it was flown, none is good."""
+        took_ns = self._clock.now_ns() - now.point_ns
+        now.point_ns += took_ns
+        rows = make_line_rows(place, report, lines)
+        self._rows += rows
+        now.worst = worse_verdict(now.worst, report.verdict if report.state == "done" else "none")
+        verdict = rows[0].verdict
+        now.verdicts[verdict] = now.verdicts.get(verdict, 0) + len(rows)
+        self._note_skew(now, report)
+        if verdict in ("amber", "red") and len(now.findings) < MAX_FINDINGS:
+            text = "; ".join(report.deviations) or report.reason
+            now.findings.append(PointFinding(point=rows[0].point, verdict=verdict, text=text))
+        if report.state == "done":
+            now.points += len(rows)
+            point_ns = took_ns // len(rows)
+            now.least_ns = point_ns if now.least_ns is None else min(now.least_ns, point_ns)
+            now.most_ns = max(now.most_ns, point_ns)
 
     def _note_skew(self, now: _ScanProgress, moved: StepReport) -> None:
         skew = moved.narrowest_skew

@@ -13,6 +13,7 @@ from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
+from orchestrator.plan.flown_lines import FlownLines, plan_lines
 
 ROWS_AT_ONCE = 4096  # that are read of stored points; 32 kB an axis
 READERS_KEPT = 2  # of the present scan, and the one before or behind it
@@ -39,11 +40,13 @@ class StepSequence:
         self._store = store
         self._execute = execute
         self._readers: dict[int, tuple[Scan, PointReader]] = {}
+        self._lines: tuple[Scan, FlownLines] | None = None
 
     def replace_order(self, order: StepOrder) -> None:
         """Other steps, with the named positions of this moment."""
         self.order = order
         self._readers = {}
+        self._lines = None
 
     def list_steps(self, first: int) -> list[Step]:
         """The written steps from number `first` on."""
@@ -54,9 +57,10 @@ class StepSequence:
 
     def __getitem__(self, index: int) -> Step:
         """Step number `index`, without reading anything: those of the present point, of the next one, and all that are
-        in the job itself. Raises `IndexError`, and `KeyError` for a stored point that is not in memory."""
+        in the job itself. Raises `IndexError`, `KeyError` for a stored point that is not in memory, and `Refusal` for
+        a scan that cannot be flown."""
         location = self.locate(index)
-        return location.choose_step(lambda scan: scan.make_move(self.find_target(location)))
+        return location.choose_step(lambda scan: self._make_motion(scan, location))
 
     def locate(self, index: int) -> StepPlace:
         """Where step number `index` stands. Raises `IndexError`."""
@@ -100,6 +104,22 @@ class StepSequence:
             return {}
         positions = self._find_reader(place.scan).find_positions(place.point)
         return dict(zip(place.scan.axis_names, positions, strict=True))
+
+    def find_lines(self, place: StepPlace) -> FlownLines | None:
+        """The lines of the scan that a step belongs to, if it flies. Raises `Refusal` if it cannot be flown."""
+        scan = place.scan
+        if scan is None or scan.fly is None:
+            return None
+        if self._lines is None or self._lines[0] is not scan:
+            self._lines = scan, plan_lines(scan, self._fleet)
+        return self._lines[1]
+
+    def _make_motion(self, scan: Scan, place: StepPlace) -> Step:
+        """The motion of a scan that a place is: to a point, or of a line that is flown its move or path."""
+        lines = self.find_lines(place)
+        if lines is None or place.point is None:
+            return scan.make_move(self.find_target(place))
+        return lines.make_path(place.point) if place.part else lines.make_move(place.point)
 
     def _find_reader(self, scan: Scan) -> PointReader:
         if id(scan) not in self._readers:

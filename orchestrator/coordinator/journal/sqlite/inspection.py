@@ -148,9 +148,11 @@ def _check_transitions(db: sqlite3.Connection) -> Iterator[JournalDamage]:
 
 
 def _check_point_rows(db: sqlite3.Connection) -> Iterator[JournalDamage]:
-    for job_id, step, point, *texts in db.execute("SELECT job_id, step, point, target, measured FROM point_rows"):
+    for job_id, step, point, *texts in db.execute(
+        "SELECT job_id, step, point, target, measured, flown FROM point_rows"
+    ):
         try:
-            for text in texts:
+            for text in filter(None, texts):
                 json.loads(text)
         except (ValueError, RecursionError):
             yield JournalDamage(f"point_rows {job_id} step {step} point {point}", "its values are no JSON", _LOST)

@@ -3,11 +3,12 @@
 import json
 import sqlite3
 from collections.abc import Sequence
+from typing import Any
 
 from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
-from orchestrator.model.report import PointRecord, SkewInterval
+from orchestrator.model.report import PointRecord, PointWindow, SkewInterval
 
-_COLUMNS = "step, point, state, verdict, t0_fleet_ns, skew_least_ns, skew_most_ns, took_s, target, measured"
+_COLUMNS = "step, point, state, verdict, t0_fleet_ns, skew_least_ns, skew_most_ns, took_s, target, measured, flown"
 
 
 class PointRows:
@@ -31,11 +32,12 @@ class PointRows:
                 point.took_s,
                 json.dumps(point.target),
                 json.dumps(point.measured),
+                _encode_flown(point),
             )
             for point in points
         ]
         with Transaction(self._db, self._path):
-            self._db.executemany(f"INSERT OR REPLACE INTO point_rows VALUES ({', '.join('?' * 11)})", rows)
+            self._db.executemany(f"INSERT OR REPLACE INTO point_rows VALUES ({', '.join('?' * 12)})", rows)
 
     def load_points(self, job_id: str, after: tuple[int, int], limit: int) -> list[PointRecord]:
         condition = "job_id = ? AND (step, point) > (?, ?) ORDER BY step, point LIMIT ?"
@@ -55,6 +57,21 @@ class PointRows:
                 took_s=took_s,
                 target=json.loads(target),
                 measured=json.loads(positions),
+                **_decode_flown(flown_text),
             )
-            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, positions in rows
+            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, positions, flown_text in rows
         ]
+
+
+def _encode_flown(point: PointRecord) -> str | None:
+    """What only a scan that flies has, as JSON."""
+    if point.good is None:
+        return None
+    return json.dumps([point.good, None if point.window is None else point.window.to_plain()])
+
+
+def _decode_flown(text: str | None) -> dict[str, Any]:
+    if text is None:
+        return {}
+    good, window = json.loads(text)
+    return {"good": good, "window": None if window is None else PointWindow.model_validate(window)}

@@ -4,7 +4,7 @@ import sqlite3
 
 from orchestrator.coordinator.journal.records import JournalError
 
-VERSION = 12
+VERSION = 13
 SCHEMA_WITH_COPIES = 6  # the first one that keeps single values twice
 
 SCHEMA = """
@@ -116,6 +116,9 @@ ALTER TABLE jobs ADD COLUMN request_digest TEXT NOT NULL DEFAULT '';
 """,
     11: """
 ALTER TABLE jobs ADD COLUMN continues TEXT;
+""",
+    12: """
+ALTER TABLE point_rows ADD COLUMN flown TEXT;
 """,
 }
 

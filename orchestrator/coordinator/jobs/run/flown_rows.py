@@ -1,0 +1,107 @@
+"""The rows of a line that was flown: when the axis was in the window of each point, by plan and evidence.
+
+In its windows the axis has one speed, and its run-up and run-down are alike: so its plan is at the middle of the line
+in the middle of its time. Its controller's clock runs evenly between start and end, both of which are known as
+intervals: so an instant of the plan is between the intervals in the proportion of its time. A profile that is off
+its path by a distance is off in time by that divided by the speed.
+"""
+
+from math import ceil, floor
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.names import controller_of
+from orchestrator.model.report import PathReport, PointRecord, PointWindow, StepReport
+from orchestrator.model.state import AxisEvidence, TimeInterval
+from orchestrator.model.steps.order import StepPlace
+from orchestrator.plan.flown_lines import FlownLines
+
+OTHER_TIME = 0.005  # of a line: it was held, went at another rate, or its plan was made slower
+_ERRORS = ("profile-fit", "execution", "clock")
+
+
+def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines) -> list[PointRecord]:
+    """A row for each point of a line, in the order in which they were flown; for the first one alone if the line was
+    not begun. report: of its path, or of the move to its beginning, if that was not done."""
+    first = place.point
+    assert first is not None
+    windows = _find_windows(report, lines)
+    is_good = report.state == "done" and report.verdict != "red" and bool(windows)
+    rows: list[PointRecord] = []
+    for number in range(lines.count if place.part and report.t0_fleet_ns is not None else 1):
+        target = lines.find_target(first + number)
+        rows.append(
+            PointRecord(
+                step=place.first,
+                point=first + number + 1,
+                state=report.state,
+                verdict=report.verdict if report.state == "done" else "none",
+                t0_fleet_ns=report.t0_fleet_ns,
+                took_s=lines.window_s if windows else None,
+                target=target,
+                measured=dict.fromkeys(target),
+                window=windows[number] if windows else None,
+                good=is_good,
+            )
+        )
+    return rows
+
+
+def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
+    """The window of each point; none of a line that was not flown as planned, or whose evidence is not complete."""
+    path, evidence = report.path, _find_evidence(report, lines.axis)
+    is_broken = report.state != "done" or bool(report.feed_holds)
+    if is_broken or path is None or path.stops or evidence is None or evidence.end is None:
+        return []
+    planned_s = min((lines.line_s, lines.line_s - lines.ramp_s), key=lambda line_s: abs(line_s - path.duration_s))
+    # A controller may stay at rest until its period is over, and calls that the end.
+    executed_s = report.members[controller_of(lines.axis)].lowered_s.get(lines.axis.partition(".")[2], path.duration_s)
+    if abs(path.duration_s / planned_s - 1) > OTHER_TIME or not _fits(evidence, executed_s):
+        return []
+    window_s = lines.window_s * path.duration_s / planned_s
+    error_s = _find_error(path, lines) * window_s / abs(float(lines.spacing))
+    find_instant = _InstantFinder(evidence.start_for_verdict, evidence.end, executed_s, error_s)
+    first_s = path.duration_s / 2 - lines.count * window_s / 2
+    return [
+        PointWindow(
+            lower=find_instant(first_s + number * window_s),
+            middle=find_instant(first_s + (number + 0.5) * window_s),
+            upper=find_instant(first_s + (number + 1) * window_s),
+        )
+        for number in range(lines.count)
+    ]
+
+
+def _find_evidence(report: StepReport, axis: str) -> AxisEvidence | None:
+    member = report.members.get(controller_of(axis))
+    return None if member is None else member.evidence.get(axis.partition(".")[2])
+
+
+def _fits(evidence: AxisEvidence, duration_s: float) -> bool:
+    """Whether a line took its time, as far as its start and end are known."""
+    start, end = evidence.start_for_verdict, evidence.end
+    assert end is not None
+    least_s = (end.earliest_ns - start.latest_ns) / NS_PER_S
+    most_s = (end.latest_ns - start.earliest_ns) / NS_PER_S
+    return least_s <= duration_s * (1 + OTHER_TIME) and most_s >= duration_s * (1 - OTHER_TIME)
+
+
+def _find_error(path: PathReport, lines: FlownLines) -> float:
+    """How far the axis may be off its plan, besides its start, in its unit; with a count of rounding."""
+    terms = [] if path.bound is None else path.bound.terms
+    return sum(term.size for term in terms if term.name in _ERRORS) + 1.0 / float(lines.counts_per_unit)
+
+
+class _InstantFinder:
+    """Finds instants of the plan, s from its start, between intervals of its start and its end."""
+
+    def __init__(self, start: TimeInterval, end: TimeInterval, duration_s: float, error_s: float) -> None:
+        self._start = start
+        self._end = end
+        self._duration_s = duration_s
+        self._error_ns = error_s * NS_PER_S
+
+    def __call__(self, at_s: float) -> TimeInterval:
+        part, start, end = at_s / self._duration_s, self._start, self._end
+        earliest_ns = start.earliest_ns + (end.earliest_ns - start.earliest_ns) * part - self._error_ns
+        latest_ns = start.latest_ns + (end.latest_ns - start.latest_ns) * part + self._error_ns
+        return TimeInterval(earliest_ns=floor(earliest_ns), latest_ns=ceil(latest_ns))

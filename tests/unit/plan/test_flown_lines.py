@@ -1,0 +1,160 @@
+"""Lines of scans that fly: their ends, their windows, and what cannot be flown."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.forecast import JobForecast
+from orchestrator.model.jobs.files import FileError, load_fleet, parse_document
+from orchestrator.model.jobs.job import Job
+from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.scan import Scan
+from orchestrator.plan.flown_lines import FlownLines, plan_lines
+from orchestrator.plan.forecast.job import forecast_job
+
+FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "path.fleet.yaml")
+HOME = "{do: home}"
+LINE = "gantry.x: {from: 0, to: 10, points: 21}"
+
+
+def forecast(fields: str, before: str = HOME, fleet: Fleet = FLEET) -> JobForecast:
+    text = f"schema: tutti.job/1\nname: test\nsteps: [{before}, {{do: scan, {fields}}}]\n"
+    return forecast_job(fleet, parse_document(text, Job, "test").steps)
+
+
+def lines(fly: dict[str, Any], **axes: dict[str, Any]) -> FlownLines:
+    named_axes = {name.replace("_", "."): axis for name, axis in axes.items()}
+    return plan_lines(Scan(axes=named_axes, fly=fly), FLEET)
+
+
+def test_a_line_has_a_run_up_before_its_first_window_and_a_run_down_behind_its_last() -> None:
+    found = lines(
+        {"duration": "10 ms"}, slide_y={"from": 0, "to": 1, "points": 2}, gantry_x={"from": 0, "to": 10, "step": 0.5}
+    )
+    assert (found.count, found.speed, found.window_s) == (21, pytest.approx(50), pytest.approx(0.01))
+    # 50 ms at 1000 mm/s2, and 50 ms for the rise of the acceleration at 20000 mm/s3: 2.5 mm, and two counts.
+    assert found.run_up_s == pytest.approx(0.1) and found.run_up == pytest.approx(2.502)
+    assert found.find_ends(0)[:2] == (pytest.approx(-2.752), pytest.approx(12.752))
+    assert found.find_ends(25) == found.find_ends(0)
+    assert [float(place) for place in found.list_positions(0, "start")[:2]] == [-0.25, 0.25]
+    assert found.make_path(0).start == [-2.752]
+    assert found.make_move(30).to == {"slide.y": 1.0, "gantry.x": -2.752}
+
+
+def test_a_line_that_snakes_goes_back_and_begins_where_the_one_before_has_ended() -> None:
+    outer, inner = {"values": [5, 7]}, {"from": 10, "to": 0, "points": 21, "snake": True}
+    found = lines({"speed": "50 mm/s"}, slide_y=outer, gantry_x=inner)
+    assert found.find_ends(0)[:2] == found.find_ends(21)[:2][::-1]
+    assert [float(place) for place in found.list_positions(21, "start")[:2]] == [-0.25, 0.25]
+    assert [float(place) for place in found.list_positions(0, "end")[:2]] == [9.75, 9.25]
+
+
+def test_the_steps_of_a_flown_scan_are_a_move_and_a_path_a_line() -> None:
+    axes = {"slide.y": {"values": [5, 7]}, "gantry.x": {"from": 0, "to": 10, "points": 21}}
+    order = StepOrder([Scan(axes=axes, fly={"duration": "10 ms"})])
+    places = [order.locate(number) for number in range(len(order))]
+    assert [(place.point, place.part, place.kind) for place in places] == [
+        (0, 0, "move"),
+        (0, 1, "path"),
+        (21, 0, "move"),
+        (21, 1, "path"),
+    ]
+    assert places[3].describe() == "step 1 (scan), points 22 to 42 of 42 (path)"
+
+
+def test_the_forecast_says_how_a_line_is_flown_and_how_long_all_take() -> None:
+    fields = "axes: {slide.y: {from: 0, to: 2, points: 5}, gantry.x: {from: 0, to: 10, points: 21, snake: true}}"
+    found = forecast(f"{fields}, fly: {{duration: 10 ms}}")
+    assert not found.problems, found.problems
+    assert found.steps[1].lines == (
+        "gantry.x flies through 21 points at 50 mm/s, 10 ms each, with a run-up and a run-down of 2.502 mm; a line takes "
+        "0.410 s"
+    )
+    # Five lines of 0.41 s, four moves between them, and the one to the beginning.
+    assert 2.05 <= found.steps[1].least_s <= 3.5
+
+
+BEYOND = "its lines reach -20.752 mm, 10.75 mm beyond its soft limit -10 mm"
+BAD = [
+    ("axes: {gantry.x: {from: 0, to: 10, points: 21}}, fly: {duration: 2 ms}", "fly-speed", "its limit is 200 mm/s"),
+    ("axes: {gantry.x: {from: -18, to: 10, points: 57}}, fly: {duration: 10 ms}", "fly-room", BEYOND),
+    ("axes: {gantry.x: {values: [0, 1, 3]}}, fly: {duration: 10 ms}", "fly-spacing", "not evenly spaced"),
+    ("axes: {gantry.x: {from: 1, to: 1, points: 3}}, fly: {duration: 10 ms}", "fly-spacing", "would not move"),
+    ("axes: {gantry.x: {from: 0, to: 0.01, points: 11}}, fly: {duration: 10 ms}", "fly-window", "1 counts long"),
+    (f"axes: {{{LINE}}}, fly: {{speed: 5 deg/s}}", "bad-unit", "deg"),
+    (f"axes: {{{LINE}}}, fly: {{speed: 0}}", "fly-speed", "must be above 0"),
+    (f"axes: {{{LINE}}}, fly: {{speed: 50 %}}", "bad-unit", "says no time for a point"),
+    (f"axes: {{{LINE}}}, fly: {{duration: 10 ms, tolerance: 0}}", "path-error", "must be above 0"),
+    (f"axes: {{{LINE}}}, fly: {{duration: 10 ms, trigger: {{output: gantry.none}}}}", "unknown-name", "gantry.none"),
+    ("axes: {gantry.q: {from: 0, to: 1, points: 3}}, fly: {duration: 10 ms}", "unknown-name", "gantry.q"),
+]
+
+
+@pytest.mark.parametrize(("fields", "code", "words"), BAD)
+def test_what_cannot_be_flown_is_refused_ahead(fields: str, code: str, words: str) -> None:
+    problems = forecast(fields).problems
+    assert [problem.code for problem in problems] == [code] and words in problems[0].text, problems
+    assert problems[0].remedy
+
+
+def test_a_speed_that_is_too_high_is_refused_with_what_would_fit() -> None:
+    (problem,) = forecast(f"axes: {{{LINE}}}, fly: {{duration: 2 ms}}").problems
+    assert problem.text.startswith("gantry.x flies at 250 mm/s through windows of 0.5 mm")
+    assert "`duration: 2.501 ms` or longer" in problem.remedy
+    # That needs more room than the soft limits leave, and the room says what fits.
+    (problem,) = forecast(f"axes: {{{LINE}}}, fly: {{duration: 2.501 ms}}").problems
+    assert problem.code == "fly-room" and "15.23 mm beyond its soft limit -10 mm" in problem.text
+    duration = problem.remedy.split("`")[1]
+    assert duration == "duration: 4.281 ms"
+    assert not forecast(f"axes: {{{LINE}}}, fly: {{{duration}}}").problems
+
+
+def test_soft_limits_are_those_of_shifted_positions() -> None:
+    shift = f"{HOME}, {{do: move, to: {{gantry.x: 300}}}}, {{do: set-position, axes: {{gantry.x: 0}}}}"
+    (problem,) = forecast("axes: {gantry.x: {from: 50, to: 99, points: 99}}, fly: {duration: 10 ms}", shift).problems
+    assert problem.code == "fly-room" and "beyond its soft limit 100 mm" in problem.text
+
+
+WRONG = [
+    (f"axes: {{{LINE}}}, fly: {{}}", "needs either `duration`"),
+    (f"axes: {{{LINE}}}, fly: {{duration: 1 ms, speed: 1}}", "needs either `duration`"),
+    (f"axes: {{{LINE}}}, fly: {{duration: 0 ms}}", "the least is 1 ms"),
+    (
+        f"axes: {{{LINE}}}, fly: {{duration: 10 ms}}, at_each: [{{do: dwell, duration: 1 ms}}]",
+        "nothing runs in `at_each`",
+    ),
+    ("axes: {gantry.x: {values: [0]}}, fly: {duration: 10 ms}", "gantry.x has one point"),
+    ("points: {axes: [gantry.x], rows: [[0], [1]]}, fly: {duration: 10 ms}", "needs the lines of `axes`"),
+    (f"axes: {{{LINE}}}, fly: {{duration: 10 ms, trigger: {{output: camera}}}}", "is not an output"),
+    (
+        "axes: {gantry.x: {from: 0, to: 300, points: 10001}}, fly: {duration: 10 ms, trigger: {output: gantry.camera}}",
+        "at most 10000 places",
+    ),
+]
+
+
+@pytest.mark.parametrize(("fields", "words"), WRONG)
+def test_a_file_says_what_is_wrong_with_fly(fields: str, words: str) -> None:
+    with pytest.raises(FileError) as refused:
+        forecast(fields)
+    assert words in str(refused.value)
+
+
+def test_an_output_that_the_job_switches_is_no_trigger() -> None:
+    switch = f"{HOME}, {{do: output, output: gantry.camera, value: true}}"
+    fields = f"axes: {{{LINE}}}, fly: {{duration: 10 ms, trigger: {{output: gantry.camera}}}}"
+    with pytest.raises(FileError, match=r"fly.trigger: output gantry.camera is switched"):
+        forecast(fields, switch)
+
+
+def test_an_axis_that_wraps_is_refused() -> None:
+    plain = FLEET.to_plain()
+    axis = plain["controllers"]["gantry"]["axes"]["x"]
+    axis |= {"kind": "rotary", "unit": "deg", "wrap": 360}
+    del axis["soft_limits"]
+    scan = Scan(axes={"gantry.x": {"from": 0, "to": 10, "points": 21}}, fly={"duration": "10 ms"})
+    with pytest.raises(Refusal, match="wraps"):
+        plan_lines(scan, Fleet.model_validate(plain))
