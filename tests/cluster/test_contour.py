@@ -134,3 +134,16 @@ def test_a_chain_and_another_make_start_a_jerk_limited_step_together() -> None:
         assert [each.end_counts for each in moved.values()] == [60_000, 30_000, 40_000]
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+def test_a_contour_whose_axes_are_named_in_another_order_ends_at_its_stamp() -> None:
+    """Its one stamp is that of the controller's first axis, whichever is named first."""
+    steps = "{do: move, to: {gantry.y: 10, gantry.x: 20}}, {do: move, to: {gantry.y: 0, gantry.x: 5}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        begin = "{do: enable, axes: [gantry]}, {do: home, axes: [gantry]}"
+        report = await outcome(fleet, job(f"[{begin}, {steps}]"))
+        assert report.state == "done", report.reason
+        assert [step.verdict for step in report.steps[2:]] == ["green", "green"]
+
+    run_fleet(main, two_gantries())

@@ -111,7 +111,10 @@ class SampleEnd:
     async def _followed_outcome(self, loaded: LoadedMove) -> MoveOutcome:
         """Return how a move ended behind which another one has begun: at its target, or that one had not begun."""
         way, mapping = loaded.lowered.moving_axes, self._device.samples.current_mapping() or loaded.mapping
-        ticks, *values = await self._device.session.read_many(["XZT", *(f"XZ{move.index + 1}" for move in way)])
+        names = [f"XZ{move.index + 1}" for move in way]
+        if loaded.lowered.load.contour is not None:
+            names = [min(names)] * len(names)
+        ticks, *values = await self._device.session.read_many(["XZT", *names])
         if int(ticks) != loaded.ticks:
             return MoveOutcome("fault", {}, "the controller has begun another step; its stamps are lost")
         end_spans = {move.axis: loaded.started[move.axis] for move in loaded.lowered.moves}
@@ -141,9 +144,9 @@ class SampleEnd:
         """
         way, load = loaded.lowered.moving_axes, loaded.lowered.load
         contour = load.contour
-        # A contour has one stamp for all its axes. A command line for all stamps would be too long (L12254).
+        # A contour has one stamp, that of its first axis of the controller. A command line for all stamps would be too long (L12254).
         names = [f"XE{move.index + 1}" for move in way]
-        operands = names if contour is None else [names[0], "XACT"]
+        operands = names if contour is None else [min(names), "XACT"]
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
         while True:
             (is_done, ticks, *values) = await self._device.session.read_many(["XDONE", "XT0", *operands])
