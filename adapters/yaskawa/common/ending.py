@@ -144,7 +144,8 @@ class SampleEnd:
         """
         way, load = loaded.lowered.moving_axes, loaded.lowered.load
         contour = load.contour
-        # A contour has one stamp, that of its first axis of the controller. A command line for all stamps would be too long (L12254).
+        # A contour has one stamp, that of the controller's first axis in it: a command line for all would be too long
+        # (L12254).
         names = [f"XE{move.index + 1}" for move in way]
         operands = names if contour is None else [min(names), "XACT"]
         until_ns = self._clock.now_ns() + EVIDENCE_WAIT_NS
