@@ -45,6 +45,7 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XLI    input to begin by, as AI takes it; 0: by XT0
     XLO    output to drive at XT0           XLV    its active level
     XLH    samples until it is passive again
+    XIN    counts to move farther           XIT    sample before which that is possible
     XRN    triggers of the table            XRI    the next one
     XRV    level that it sets the output to XRT    array: samples after XT0, then the stamps
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
@@ -70,6 +71,7 @@ STEP_THREADS = (STEP_THREAD, SECOND_STEP_THREAD)
 EDGE_THREAD = 3
 WATCHDOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # one round per record: WC, CD, count, jump; one more, once, where the end begins
+EXTENSION_VARIABLES = ("XIN", "XIT")
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
 LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
@@ -84,6 +86,7 @@ FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZ
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
     *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *CONTOUR_VARIABLES, *FOLLOWING_VARIABLES),
+    *EXTENSION_VARIABLES,
     *(f"{name}{number}" for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ") for number in range(1, 5)),
 )
 TAIL = "XTD"
