@@ -3,17 +3,16 @@
 from collections.abc import Mapping
 
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
+from adapters.yaskawa.common.continuing import MoveExtension, PathContinuation
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.ending import SampleEnd
-from adapters.yaskawa.common.extension import MoveExtension
 from adapters.yaskawa.common.following import FollowingStart
 from adapters.yaskawa.common.gate_start import GateStart
 from adapters.yaskawa.common.lines import OutputPlayer
 from adapters.yaskawa.common.loaded import LoadedMove
 from adapters.yaskawa.common.loads import YaskawaLowered
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.path import PathContinuation
 from orchestrator.clock.base import Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import ControllerFault, Refusal

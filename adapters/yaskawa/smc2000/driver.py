@@ -21,9 +21,9 @@ from adapters.contract import (
 from adapters.toolkit.frames import FrameDecoder
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
+from adapters.yaskawa.common.continuing import EXTENSION_EXCHANGES
 from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
-from adapters.yaskawa.common.extension import EXTENSION_EXCHANGES
 from adapters.yaskawa.common.lowering import (
     LOOP_COMMANDS,
     START_CLASSES,

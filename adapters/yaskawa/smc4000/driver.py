@@ -21,10 +21,10 @@ from adapters.contract import (
 from adapters.toolkit.frames import FrameDecoder
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
+from adapters.yaskawa.common.continuing import EXTENSION_EXCHANGES
 from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
-from adapters.yaskawa.common.extension import EXTENSION_EXCHANGES
 from adapters.yaskawa.common.lowering import (
     START_CLASSES,
     STOP_EXCHANGES,
