@@ -26,7 +26,7 @@ from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.report import StepReport, StepRetarget
-from orchestrator.model.state import RetargetAbility, RetargetWay
+from orchestrator.model.state import ControllerInfo, RetargetAbility, RetargetWay
 
 CHANGE_AFTER = 0.95  # of the time that a controller states for the change of its set-points
 MAX_ENTRIES = 100  # of one step, in its report: the last ones
@@ -75,9 +75,7 @@ class StepRetargets:
         reply = JobRetargeted(
             step=step.request.index,
             way="brake" if continuation is None else continuation.way,
-            within_s=max((info.costs.stop_ns / NS_PER_S for info in infos.values()), default=0.0)
-            if continuation is None
-            else continuation.within_s,
+            within_s=_find_brake_s(infos) if continuation is None else continuation.within_s,
         )
         if goal == present_goal:
             return reply.model_copy(update={"outcome": "same"})
@@ -90,7 +88,10 @@ class StepRetargets:
                 return reply.model_copy(update={"outcome": "replaced"})
             wish = _Wish(request, resolved_move, goal, asked_fleet_ns, continuation)
             try:
-                return reply.model_copy(update={"way": await self._apply(step, wish)})
+                way = await self._apply(step, wish)
+                if way != reply.way:
+                    reply = reply.model_copy(update={"way": way, "within_s": _find_brake_s(infos)})
+                return reply
             finally:
                 if number == self._asked:
                     self._wanted = {}
@@ -202,3 +203,8 @@ class StepRetargets:
 
     def _change_last(self, **fields: int) -> None:
         self.entries[-1] = self.entries[-1].model_copy(update=fields)
+
+
+def _find_brake_s(infos: Mapping[str, ControllerInfo]) -> float:
+    """The longest time of a stop of these controllers, s."""
+    return max((info.costs.stop_ns / NS_PER_S for info in infos.values()), default=0.0)
