@@ -83,7 +83,7 @@ class MoveExtension:
 
         IP on an axis at rest would begin a move, and on one that brakes it is refused (code 16): the controller itself
         multiplies it by whether the same move still goes on, and does not brake. What it is to load is read back
-        before, because on a serial line nothing else detects a garbled digit.
+        before, because on a serial line nothing else detects a garbled digit. Its variables are set only here.
         """
         load, moves = loaded.lowered.load, loaded.lowered.moves
         if not isinstance(load, RegisterLoad) or len(moves) != 1 or not moves[0].samples or loaded.begun_ticks is None:

@@ -71,7 +71,6 @@ STEP_THREADS = (STEP_THREAD, SECOND_STEP_THREAD)
 EDGE_THREAD = 3
 WATCHDOG_STEP_TICKS = 32
 LOOP_COMMANDS = 4  # one round per record: WC, CD, count, jump; one more, once, where the end begins
-EXTENSION_VARIABLES = ("XIN", "XIT")
 TAIL_LENGTH = 8  # a tail has at most one record of each length below the full one
 
 LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
@@ -86,7 +85,6 @@ FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZ
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
     *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *CONTOUR_VARIABLES, *FOLLOWING_VARIABLES),
-    *EXTENSION_VARIABLES,
     *(f"{name}{number}" for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ") for number in range(1, 5)),
 )
 TAIL = "XTD"

@@ -17,7 +17,6 @@ from adapters.yaskawa.common.program import (
     BEGIN_VARIABLE,
     CONTOUR_VARIABLES,
     EDGE_THREAD,
-    EXTENSION_VARIABLES,
     FOLLOWING_VARIABLES,
     LINE_VARIABLES,
     OUTPUT_PASSIVE,
@@ -82,7 +81,6 @@ def program_variables(axes: Sequence[int], *, chained: bool) -> tuple[str, ...]:
         *TABLE_VARIABLES,
         "XRA",
         *CONTOUR_VARIABLES,
-        *EXTENSION_VARIABLES,
         *(_following_variables(axes) if holds_following_steps(axes, chained=chained) else ()),
     )
 
