@@ -29,7 +29,7 @@ from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import FaultReport, RetargetAbility, StartClass, StepCosts
+from orchestrator.model.state import FaultReport, RetargetAbility, RetargetWay, StartClass, StepCosts
 
 
 class ControllerRestarted(LinkClosed):
@@ -133,7 +133,7 @@ class DriverCapabilities:
     chunk_s: the longest chunk of a path that it can load while it executes the one before, s; 0: a path is loaded as a
     whole. chunk_load_s: how long loading it takes at most.
     retarget_s: the most time from a request for another target on the way until the set-points change; 0: its axes
-    brake, and start again.
+    brake, and start again. retarget_way: how they continue.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
     last axis is at rest (transport, and the ramp from full speed).
     """
@@ -147,11 +147,12 @@ class DriverCapabilities:
     chunk_s: float = 0.0
     chunk_load_s: float = 0.0
     retarget_s: float = 0.0
+    retarget_way: RetargetWay = "stream"
 
     @property
     def retarget(self) -> RetargetAbility | None:
         """How axes get other targets on the way; None: they brake, and start again."""
-        return RetargetAbility(way="stream", within_s=self.retarget_s) if self.retarget_s else None
+        return RetargetAbility(way=self.retarget_way, within_s=self.retarget_s) if self.retarget_s else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ class GalilDriver(SMC4000Driver):
     DEVICE = GalilDevice
     OPTIONS = GalilOptions
     ORDERS: tuple[Literal[2, 3], ...] = (2,)
+    EXTENDS = False  # no manual of the families was compared
 
     def __init__(self, setup: DriverSetup) -> None:
         super().__init__(setup)

@@ -219,9 +219,10 @@ class CertificateEnd(Model):
     ends_utc: Utc
 
 
-RetargetWay = Literal["brake", "stream"]
+RetargetWay = Literal["brake", "stream", "extend"]
 """How a moving axis gets another target. `brake`: it brakes by its plan, and starts again from there. `stream`: its
-positions continue to the new target from where they are."""
+positions continue to the new target from where they are. `extend`: its controller moves farther in the same direction,
+at the speed that it has reached; in the other direction, and once it brakes, it is as `brake`."""
 
 
 class RetargetAbility(Model):

@@ -46,6 +46,38 @@ def continue_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile
     )
 
 
+def extend_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile:
+    """The trapezoid that is `profile` until `from_s`, and ends at the farther target of `move`: it keeps its speed for
+    longer, and brakes later. Raises `PlanError`: its target is not farther, it brakes by then, or it is no
+    trapezoid."""
+    segments = [segment for segment in profile.segments if segment.duration_s > 0.0]
+    brake = segments[-1]
+    speed = profile.state_at(brake.start_s).velocity
+    extra_counts = move.target_counts - profile.end_counts
+    if move.jerk is not None or len(segments) < 2 or any(segment.jerk for segment in segments):
+        raise PlanError(f"{move.axis} moves by no trapezoid, and is not sent farther on the way")
+    if extra_counts * (profile.end_counts - profile.start_counts) <= 0:
+        raise PlanError(f"the target of {move.axis} is not farther in its direction")
+    if from_s >= brake.start_s:
+        raise PlanError(f"{move.axis} brakes by then")
+    course = _Segments([], [], [])
+    for segment in segments[:-1]:
+        course.add(segment.duration_s, segment.acceleration, 0.0)
+    if course.accelerations[-1] == 0.0:
+        course.durations_s[-1] += extra_counts / speed
+    else:
+        course.add(extra_counts / speed, 0.0, 0.0)
+    course.add(brake.duration_s, brake.acceleration, 0.0)
+    return Profile(
+        start_counts=profile.start_counts,
+        end_counts=move.target_counts,
+        scale_counts=1.0,
+        durations_s=course.durations_s,
+        accelerations=course.accelerations,
+        jerks=course.jerks,
+    )
+
+
 def _add_way(segments: _Segments, state: MotionState, target: float, move: AxisMove) -> None:
     """Add the way from `state` to rest at `target`, both relative to the start of the profile."""
     assert move.jerk is not None

@@ -9,6 +9,7 @@ from adapters.abilities import (
     ManualDriver,
     OutputDriver,
     PathDriver,
+    RetargetDriver,
     SamplingDriver,
     SettingsDriver,
     TriggerDriver,
@@ -40,6 +41,7 @@ from adapters.yaskawa.language.words import STOP_CODES
 from adapters.yaskawa.wire.record import AXIS_LETTERS, OFF_ON_ERROR, AxisRecord, DataRecord
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
+from orchestrator.model.profile import Profile
 from orchestrator.model.state import FaultReport
 
 STEPPER_TYPE = 2.0  # motor types of step and direction: 2, -2, 2.5, -2.5 (SMC-4000: L7683-7704; SMC-2000: L10536)
@@ -57,6 +59,7 @@ class YaskawaDriver(
     Driver,
     SettingsDriver,
     PathDriver,
+    RetargetDriver,
     SamplingDriver,
     TriggerDriver,
     ManualDriver,
@@ -152,6 +155,10 @@ class YaskawaDriver(
     async def release_chunk(self, number: int) -> None:
         with log_refusals(self._log, "the release of a chunk"):
             await self._start.release_chunk(number)
+
+    async def retarget(self, profiles: Mapping[str, Profile], from_s: float) -> Mapping[str, float]:
+        with log_refusals(self._log, "a retarget"):
+            return await self._start.extend_move(profiles, from_s)
 
     async def begin_sampling(self, axes: Sequence[str], period_ns: int, seconds: float) -> SamplingPlan:
         with log_refusals(self._log, "sampling"):

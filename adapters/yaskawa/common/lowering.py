@@ -152,7 +152,7 @@ def _lower_to_registers(
             for axis, profile in way.items()
             if axis not in shapes
             or shapes[axis].whole_samples != places[axis].last
-            or not _stays_near_plan(shapes[axis], profile, tick_ns)
+            or not stays_near_plan(shapes[axis], profile, tick_ns)
         }
         shapes |= fit_registers(other_profiles, bounds, tick_ns, model) if other_profiles else {}
     except Refusal as refusal:
@@ -190,10 +190,10 @@ def _sample_alignments(
 def _registers_suffice(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
     in_time = abs(shape.off) <= DURATION_TOLERANCE_SAMPLES
     is_limited = shape.at_limit and 0.0 < shape.off <= STRETCH * shape.length
-    return (in_time or is_limited) and _stays_near_plan(shape, profile, tick_ns)
+    return (in_time or is_limited) and stays_near_plan(shape, profile, tick_ns)
 
 
-def _stays_near_plan(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
+def stays_near_plan(shape: RegisterTrapezoid, profile: Profile, tick_ns: float) -> bool:
     """Return whether the move stays near its plan."""
     peak = profile.peak_velocity * tick_ns * 1e-9
     return shape.path_error_counts <= max(NEAR_COUNTS, SKEW_SAMPLES * peak)

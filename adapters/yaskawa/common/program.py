@@ -45,6 +45,7 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XLI    input to begin by, as AI takes it; 0: by XT0
     XLO    output to drive at XT0           XLV    its active level
     XLH    samples until it is passive again
+    XIN    counts to move farther           XIT    sample before which that is possible
     XRN    triggers of the table            XRI    the next one
     XRV    level that it sets the output to XRT    array: samples after XT0, then the stamps
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter

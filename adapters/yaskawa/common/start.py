@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
+from adapters.yaskawa.common.continuing import MoveExtension, PathContinuation
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.ending import SampleEnd
@@ -12,10 +13,10 @@ from adapters.yaskawa.common.lines import OutputPlayer
 from adapters.yaskawa.common.loaded import LoadedMove
 from adapters.yaskawa.common.loads import YaskawaLowered
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.path import PathContinuation
 from orchestrator.clock.base import Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.profile import Profile
 
 
 class SampleStart:
@@ -31,6 +32,7 @@ class SampleStart:
         self._following = FollowingStart(device, clock, options)
         self._path = PathContinuation(self._present, clock, options, refill)
         self._end = self.SAMPLE_END(device, clock, options, self._following, player)
+        self._extension = MoveExtension(device, clock)
         self.player = player
 
     # Before T0
@@ -89,6 +91,15 @@ class SampleStart:
     async def release_chunk(self, number: int) -> None:
         """Change over to the loaded chunk. Raises `Refusal`."""
         await self._path.release_chunk(number)
+
+    # Another target
+
+    async def extend_move(self, profiles: Mapping[str, Profile], from_s: float) -> Mapping[str, float]:
+        """Send the present move farther, and return how long it takes, by axis, s. from_s: by when after T0 the
+        controller has been asked. Raises `Refusal`."""
+        if self._following.move is not None:
+            raise Refusal("no-retarget", "another move is loaded behind the present one", "unload it first")
+        return await self._extension.extend(self._present.require_move(), profiles, from_s)
 
     # After T0
 

@@ -12,7 +12,7 @@ to the end of the plan. Without that, a move may begin half a sample off T0 and 
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -152,6 +152,21 @@ class _MoveTargets:
         lag = (laws.peak**2 / laws.up - plan.peak**2 / plan.up) / 2 + laws.peak * self.phase
         distance = np.maximum(abs(faster * rise - lag), abs(faster * fall - lag))
         return self.length_penalty(laws.length) + distance
+
+
+def extend_shape(shape: RegisterTrapezoid, extra_counts: int) -> RegisterTrapezoid:
+    """The move with the same registers, `extra_counts` counts farther, with the sign of its distance."""
+    distance = shape.distance + extra_counts
+    registers = np.array([float(shape.speed), float(shape.up), float(shape.down)])
+    law = _CandidateMotions.from_registers(np.array(float(abs(distance))), registers)
+    return replace(shape, distance=distance, length=float(law.length))
+
+
+def braking_sample(shape: RegisterTrapezoid) -> float:
+    """Samples from the begin until it brakes."""
+    registers = np.array([float(shape.speed), float(shape.up), float(shape.down)])
+    law = _CandidateMotions.from_registers(np.array(float(abs(shape.distance))), registers)
+    return float(law.segment_ends[1])
 
 
 def fit_registers(

@@ -21,6 +21,7 @@ from adapters.contract import (
 from adapters.toolkit.frames import FrameDecoder
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
+from adapters.yaskawa.common.continuing import EXTENSION_EXCHANGES
 from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
 from adapters.yaskawa.common.lowering import (
@@ -170,7 +171,14 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * self._slow_exchange_ns.exchange_ns,
         )
         orders = (2, 3) if self._contoured else (2,)
-        return DriverCapabilities(start_classes=START_CLASSES, orders=orders, independent_axes=False, costs=costs)
+        return DriverCapabilities(
+            start_classes=START_CLASSES,
+            orders=orders,
+            independent_axes=False,
+            costs=costs,
+            retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S,
+            retarget_way="extend",
+        )
 
     def _settings_ns(self) -> int:
         """Return how long the check of the settings before a step takes: its lines, and leaving contour mode."""

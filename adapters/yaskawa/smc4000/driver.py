@@ -21,6 +21,7 @@ from adapters.contract import (
 from adapters.toolkit.frames import FrameDecoder
 from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
+from adapters.yaskawa.common.continuing import EXTENSION_EXCHANGES
 from adapters.yaskawa.common.decoder import YaskawaDecoder
 from adapters.yaskawa.common.device import HandleTraits, SmcDevice, stop_commands
 from adapters.yaskawa.common.driver import LIMITS, STEPPER_TYPE, YaskawaDriver
@@ -84,6 +85,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
     DEVICE: type[SmcDevice] = SmcDevice
     OPTIONS: type[YaskawaOptions] = YaskawaOptions
     ORDERS: tuple[Literal[2, 3], ...] = (2, 3)
+    EXTENDS = True
+    """A move on its way can be sent farther."""
 
     def __init__(self, setup: DriverSetup) -> None:
         options = self.OPTIONS.model_validate(setup.options.model_dump())
@@ -145,6 +148,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             costs=costs,
             chunk_s=chunk_s,
             chunk_load_s=load_s,
+            retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS else 0.0,
+            retarget_way="extend",
         )
 
     def _settings_ns(self) -> int:

@@ -1,10 +1,10 @@
 """Other targets for the axes of a move that is under way: resolved, checked and planned before anything is changed.
 
-A single controller that follows positions of its computer continues to them on the way. All others brake together, and
-start again: controllers that change one by one would leave their common instants.
+A single axis continues to them on the way if its controller follows positions of its computer, or can move farther. All
+others brake together, and start again: controllers that change one by one would leave their common instants.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -16,10 +16,10 @@ from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, r
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import RetargetReply, RetargetRequest, raise_first_refusal
 from orchestrator.model.names import controller_of, split_name
-from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility
+from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility, RetargetWay
 from orchestrator.model.steps.move import Move
 from orchestrator.model.units import AxisQuantity, UnitError, parse_quantity
-from orchestrator.plan.retarget import continue_profile
+from orchestrator.plan.retarget import continue_profile, extend_profile
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import limit_speeds, plan_motion
 from orchestrator.plan.step import StepPlan
@@ -69,19 +69,26 @@ def resolve_retarget(
     return resolved_move
 
 
-def find_stream(infos: Mapping[str, ControllerInfo]) -> RetargetAbility | None:
-    """How the only controller of a move continues to another target on the way; None: the axes brake."""
-    abilities = [info.retarget for info in infos.values()]
-    ability = abilities[0] if len(abilities) == 1 else None
-    return ability if ability is not None and ability.way == "stream" else None
+def find_continuation(infos: Mapping[str, ControllerInfo], axes: Sequence[str]) -> RetargetAbility | None:
+    """How the only axis of a move continues to another target on the way; None: the axes brake."""
+    if len(axes) != 1:
+        return None
+    ability = infos[controller_of(axes[0])].retarget
+    return None if ability is None or ability.way == "brake" else ability
 
 
 async def continue_motion(
-    services: MotionServices, motion: PlannedMotion, resolved_move: ResolvedMove, begin_fleet_ns: int
+    services: MotionServices,
+    motion: PlannedMotion,
+    resolved_move: ResolvedMove,
+    begin_fleet_ns: int,
+    way: RetargetWay,
 ) -> PlannedMotion:
     """Have the only member of a moving step continue to other targets, from where its axis will be at an instant.
     Raises `Refusal`: it moves as before, or its answer was lost."""
     request, agreement, state = motion.planned.request, motion.agreement, motion.start.state
+    if not agreement.plan.profiles:
+        raise Refusal("late", "the axis does not move")
     (member,), (axis,) = agreement.members, agreement.plan.profiles
     from_s = (begin_fleet_ns - state.t0_fleet_ns) / NS_PER_S
     profile = agreement.plan.profiles[axis]
@@ -90,7 +97,8 @@ async def continue_motion(
         raise Refusal("late", "the axis is not on its way then")
     try:
         (move,) = limit_speeds(services.fleet.view.fleet, request.move, resolved_move.moves)
-        following = continue_profile(profile, from_s, move)
+        find_course = extend_profile if way == "extend" else continue_profile
+        following = find_course(profile, from_s, move)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
     asked_request = RetargetRequest(

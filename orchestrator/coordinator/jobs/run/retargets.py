@@ -16,7 +16,7 @@ from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.retarget import (
     AxisTargets,
     continue_motion,
-    find_stream,
+    find_continuation,
     read_infos,
     resolve_retarget,
 )
@@ -26,7 +26,7 @@ from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.report import StepReport, StepRetarget
-from orchestrator.model.state import RetargetAbility, RetargetWay
+from orchestrator.model.state import ControllerInfo, RetargetAbility, RetargetWay
 
 CHANGE_AFTER = 0.95  # of the time that a controller states for the change of its set-points
 MAX_ENTRIES = 100  # of one step, in its report: the last ones
@@ -35,13 +35,13 @@ RETARGETED = "the step before it got other targets"
 
 @dataclass(frozen=True, slots=True)
 class _Wish:
-    """One request. fleet_ns: when it came. stream: how its controller continues on the way; None: the axes brake."""
+    """One request. fleet_ns: when it came. continuation: how its axis continues on the way; None: the axes brake."""
 
     request: RetargetJob
     resolved: ResolvedMove
     goal: Mapping[str, Fraction]
     fleet_ns: int
-    stream: RetargetAbility | None
+    continuation: RetargetAbility | None
 
 
 class StepRetargets:
@@ -71,11 +71,11 @@ class StepRetargets:
         present_goal = self._wanted or step.goal
         resolved_move = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), present_goal, infos)
         goal = {axis: exact for axis, (exact, _) in resolved_move.exact.items()}
-        stream = find_stream(infos)
+        continuation = find_continuation(infos, step.request.axes)
         reply = JobRetargeted(
             step=step.request.index,
-            way="stream" if stream is not None else "brake",
-            within_s=max((info.retarget_ability.within_s for info in infos.values()), default=0.0),
+            way="brake" if continuation is None else continuation.way,
+            within_s=_find_brake_s(infos) if continuation is None else continuation.within_s,
         )
         if goal == present_goal:
             return reply.model_copy(update={"outcome": "same"})
@@ -86,9 +86,12 @@ class StepRetargets:
             if number < self._asked:
                 self._replaced += 1
                 return reply.model_copy(update={"outcome": "replaced"})
-            wish = _Wish(request, resolved_move, goal, asked_fleet_ns, stream)
+            wish = _Wish(request, resolved_move, goal, asked_fleet_ns, continuation)
             try:
-                return reply.model_copy(update={"way": await self._apply(step, wish)})
+                way = await self._apply(step, wish)
+                if way != reply.way:
+                    reply = reply.model_copy(update={"way": way, "within_s": _find_brake_s(infos)})
+                return reply
             finally:
                 if number == self._asked:
                     self._wanted = {}
@@ -131,8 +134,8 @@ class StepRetargets:
         if chain.is_decided:
             raise Refusal("not-moving", "the move ends, and the next one starts behind it", "ask again for that one")
         await chain.drop(RETARGETED, actor)
-        if await self._continue(step, wish):
-            return "stream"
+        if wish.continuation is not None and await self._continue(step, wish, wish.continuation):
+            return wish.continuation.way
         if self._state.motion_step is not step:
             raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
         self._change_goal(step, wish)
@@ -142,20 +145,22 @@ class StepRetargets:
             self._change_last(changed_ns=self._services.leadership.fleet_now_ns() - wish.fleet_ns)
         return "brake"
 
-    async def _continue(self, step: MotionStep, wish: _Wish) -> bool:
+    async def _continue(self, step: MotionStep, wish: _Wish, ability: RetargetAbility) -> bool:
         """Have the present motion continue to its new targets on the way; whether it does."""
         motion = step.motion
-        if wish.stream is None or motion is None or step.is_retargeted or motion.start.state.paused_by is not None:
+        if motion is None or step.is_retargeted or motion.start.state.paused_by is not None:
             return False
-        begin_ns = wish.fleet_ns + round(CHANGE_AFTER * wish.stream.within_s * NS_PER_S)
+        begin_ns = wish.fleet_ns + round(CHANGE_AFTER * ability.within_s * NS_PER_S)
         old_goal = step.goal
         try:
-            continued_motion = await continue_motion(self._services.motion, motion, wish.resolved, begin_ns)
+            continued_motion = await continue_motion(
+                self._services.motion, motion, wish.resolved, begin_ns, ability.way
+            )
             step.take_motion(motion, continued_motion)
         except Refusal as refusal:
             self._services.log.info(f"braked for its other target: {refusal}", job=wish.request.job_id)
             return False
-        self._note(old_goal, wish, "stream")
+        self._note(old_goal, wish, ability.way)
         after_ns = begin_ns - wish.fleet_ns
         self._change_last(changed_ns=after_ns, started_ns=after_ns)
         self._state.note_start(continued_motion.start.state.t0_fleet_ns, continued_motion.duration_s)
@@ -198,3 +203,8 @@ class StepRetargets:
 
     def _change_last(self, **fields: int) -> None:
         self.entries[-1] = self.entries[-1].model_copy(update=fields)
+
+
+def _find_brake_s(infos: Mapping[str, ControllerInfo]) -> float:
+    """The longest time of a stop of these controllers, s."""
+    return max((info.costs.stop_ns / NS_PER_S for info in infos.values()), default=0.0)
