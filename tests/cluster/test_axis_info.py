@@ -22,7 +22,7 @@ def test_an_axis_is_described_from_the_fleet_file_with_its_offset() -> None:
         assert (info.least, info.most) == (float(config.soft_limits.min), float(config.soft_limits.max))
         assert (info.velocity, info.acceleration) == (config.limits.velocity, config.limits.acceleration)
         assert info.referenced
-        assert info.retarget.way == "brake" and info.retarget.within_s > 0
+        assert info.retarget.way == "extend" and info.retarget.within_s > 0
         position = await client.position("gantry.x")
         await outcome(fleet, job(f"[{{do: set-position, axes: {{gantry.x: {position + 10}}}}}]"))
         moved = await client.axis("gantry.x")
