@@ -3,6 +3,7 @@
 import asyncio
 import os
 import signal
+import subprocess
 import sys
 import time
 from fractions import Fraction
@@ -67,12 +68,8 @@ def read_memory_mb(pid: int) -> int:
     return int(status.split("VmRSS:")[1].split()[0]) // 1000
 
 
-def test_a_long_path_is_planned_beside_the_loop_and_its_memory_is_returned() -> None:
-    """A thread kept the loop waiting for 133 ms with 100,000 pieces, and 0.7 GB stayed.
-
-    Measured is the processor time of this process from turn to turn: planning in a thread of it counts, work of others
-    on a busy machine does not.
-    """
+def plan_long_path() -> None:
+    """Plan a long path, and print the most processor time of this process from a turn of its loop to the next, s."""
     fleet = load_fleet(find_example("demo.fleet.yaml"))
     axes = ("gantry.x", "gantry.y")
     points = [[90 + number * 0.01, 50 + number % 2 * 0.01] for number in range(1, PIECES + 1)]
@@ -113,5 +110,19 @@ def test_a_long_path_is_planned_beside_the_loop_and_its_memory_is_returned() -> 
 
     asyncio.run(main())
     longest_s = max(late - early for early, late in pairwise(turns))
-    sys.stdout.write(f"most work of this process in a turn of its loop: {longest_s * 1e3:.0f} ms\n")
-    assert longest_s < TURN_S
+    sys.stdout.write(f"{longest_s:.6f}")
+
+
+def test_a_long_path_is_planned_beside_the_loop_and_its_memory_is_returned() -> None:
+    """A thread was silent for 133 ms with 100,000 pieces, and 0.7 GB stayed.
+
+    Processor time of a process of its own: planning in a thread of it counts; work of others on a busy machine does
+    not, nor threads and objects that earlier tests have left.
+    """
+    done = subprocess.run([sys.executable, __file__], capture_output=True, text=True, check=False, timeout=110)
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) < TURN_S
+
+
+if __name__ == "__main__":
+    plan_long_path()
