@@ -13,6 +13,7 @@ from adapters.controller.publishing.publisher import StatePublisher, StateSource
 from adapters.controller.slots.participant import StepParticipant
 from adapters.controller.slots.parts import StepParts
 from adapters.controller.slots.path_chunks import PathChunks
+from adapters.controller.slots.present_motion import PresentMotion
 from adapters.controller.slots.retargets import MoveRetargets
 from adapters.controller.slots.sampling import SampleCollection
 from adapters.controller.slots.step_checks import StepChecks
@@ -74,6 +75,7 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
     step_parts = StepParts(
         steps=steps, withdrawal=withdrawal, settling=settling, surveillance=surveillance, events=events, tasks=tasks
     )
+    present = PresentMotion(context, steps, fence, leases, status)
     return Components(
         remembered=remembered,
         fence=fence,
@@ -89,8 +91,8 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         participant=StepParticipant(context, step_parts, StepChecks(context.config, fence, status, leases)),
         withdrawal=withdrawal,
         settling=settling,
-        chunks=PathChunks(context, steps, fence, leases, status),
-        retargets=MoveRetargets(context, steps, fence, leases, status),
+        chunks=PathChunks(present),
+        retargets=MoveRetargets(present),
         samples=SampleCollection(context, status, steps),
         triggers=TriggerCollection(context, status, steps),
         surveillance=surveillance,

@@ -17,7 +17,7 @@ from orchestrator.client.continuing import RestRequests
 from orchestrator.client.live_follow import LiveFollower
 from orchestrator.client.live_verbs import LiveVerbs
 from orchestrator.client.results import JobResult
-from orchestrator.client.steps import JobFailed
+from orchestrator.client.steps import JobFailed, make_move
 from orchestrator.model.errors import Refusal, TuttiError
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.live import AskLive, LiveAsked, require_room
@@ -190,8 +190,7 @@ class LiveJob(LiveVerbs):
         sync: Literal["time", "phase", "none"] = "time",
     ) -> Move:
         """A move for `submit`, at the speed of this live job if none is given. Raises `WrongValue`."""
-        target = to if isinstance(to, str) else dict(to or {})
-        return Move(to=target, by=dict(by or {}), speed=self._speed if speed is None else speed, sync=sync)
+        return make_move(to, by, self._speed if speed is None else speed, sync)
 
     async def submit(self, *steps: Step) -> list[int]:
         """Ask for steps, up to 100 ahead, and return their numbers when they are accepted: moves are then chained, each

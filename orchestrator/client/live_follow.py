@@ -8,11 +8,8 @@ from orchestrator.client.jobs import POLL_S
 from orchestrator.client.results import JobResult
 from orchestrator.client.steps import StepRequests
 from orchestrator.model.errors import Refusal
-from orchestrator.model.jobs.live import LiveRead, LiveResult, ReadLive
+from orchestrator.model.jobs.live import KEPT_RESULTS, LiveRead, LiveResult, ReadLive
 from orchestrator.model.report import FINISHED_STATES, ArmedState, JobProgress, StepReport
-from orchestrator.model.steps.live import MAX_AHEAD
-
-KEPT_RESULTS = 2 * MAX_AHEAD
 
 
 class LiveFollower:

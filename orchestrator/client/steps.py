@@ -101,9 +101,7 @@ class StepRequests(JobRequests):
         axis, 20 % unless the fleet file says otherwise. sync, wait: as in a job, and in `run`. Raises `Refusal`,
         `JobFailed`.
         """
-        return await self.run(
-            Move(to=to if isinstance(to, str) else dict(to or {}), by=dict(by or {}), speed=speed, sync=sync), wait=wait
-        )
+        return await self.run(make_move(to, by, speed, sync), wait=wait)
 
     async def home(self, *axes: str, wait: bool = False) -> JobResult:
         """Find the reference of axes (groups, controllers); without any, of the whole fleet in its home_order.
@@ -155,6 +153,16 @@ class StepRequests(JobRequests):
         except TimeoutError:
             text = "the end of the job is not confirmed; if axes still move: `tutti stop`"
         sys.stderr.write(f"tutti: interrupted: {text}\n")
+
+
+def make_move(
+    to: Mapping[str, int | float | str] | str | None,
+    by: Mapping[str, int | float | str] | None,
+    speed: float | str | Mapping[str, float | str],
+    sync: Literal["time", "phase", "none"],
+) -> Move:
+    """A move of what a program writes for it. Raises `WrongValue`."""
+    return Move(to=to if isinstance(to, str) else dict(to or {}), by=dict(by or {}), speed=speed, sync=sync)
 
 
 def _make_job(job: Job | Step | Sequence[Step]) -> Job:

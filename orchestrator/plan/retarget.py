@@ -23,6 +23,17 @@ class _Segments:
             self.accelerations.append(acceleration)
             self.jerks.append(jerk)
 
+    def make_profile(self, profile: Profile, move: AxisMove) -> Profile:
+        """The motion by these segments, from where `profile` begins to the target of `move`."""
+        return Profile(
+            start_counts=profile.start_counts,
+            end_counts=move.target_counts,
+            scale_counts=1.0,
+            durations_s=self.durations_s,
+            accelerations=self.accelerations,
+            jerks=self.jerks,
+        )
+
 
 def continue_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile:
     """The motion that is `profile` until `from_s`, and goes to the target of `move` from there, jerk-limited, in the
@@ -36,14 +47,7 @@ def continue_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile
     if len(segments.durations_s) > MAX_SEGMENTS:
         raise PlanError(f"{move.axis} has got other targets too often on one way")
     _add_way(segments, profile.state_at(from_s), move.target_counts - profile.start_counts, move)
-    return Profile(
-        start_counts=profile.start_counts,
-        end_counts=move.target_counts,
-        scale_counts=1.0,
-        durations_s=segments.durations_s,
-        accelerations=segments.accelerations,
-        jerks=segments.jerks,
-    )
+    return segments.make_profile(profile, move)
 
 
 def extend_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile:
@@ -68,14 +72,7 @@ def extend_profile(profile: Profile, from_s: float, move: AxisMove) -> Profile:
     else:
         course.add(extra_counts / speed, 0.0, 0.0)
     course.add(brake.duration_s, brake.acceleration, 0.0)
-    return Profile(
-        start_counts=profile.start_counts,
-        end_counts=move.target_counts,
-        scale_counts=1.0,
-        durations_s=course.durations_s,
-        accelerations=course.accelerations,
-        jerks=course.jerks,
-    )
+    return course.make_profile(profile, move)
 
 
 def _add_way(segments: _Segments, state: MotionState, target: float, move: AxisMove) -> None:

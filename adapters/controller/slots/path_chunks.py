@@ -4,38 +4,21 @@ import asyncio
 
 from adapters.abilities import PathDriver
 from adapters.contract import PathChunk
-from adapters.controller.slots.fleet_durations import to_host_profiles
+from adapters.controller.slots.present_motion import PresentMotion
 from adapters.controller.state.armed_step import ArmedStep, StepPhase
-from adapters.controller.state.context import ControllerContext
-from adapters.controller.state.fencing import EpochFence
-from adapters.controller.state.leases import MotionLeases
-from adapters.controller.state.limits import check_path_limits
-from adapters.controller.state.loaded_steps import LoadedSteps
-from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ChunkReply, LoadChunkRequest, ReleaseChunkRequest, Reply
-from orchestrator.model.steps.numbers import name_step
 
 
 class PathChunks:
     """The chunks of the present path of one controller."""
 
-    def __init__(
-        self,
-        context: ControllerContext,
-        steps: LoadedSteps,
-        fence: EpochFence,
-        leases: MotionLeases,
-        status: ControllerStatus,
-    ) -> None:
-        self._context = context
-        self._steps = steps
-        self._loader = context.driver if isinstance(context.driver, PathDriver) else None
-        self._fence = fence
-        self._leases = leases
-        self._status = status
+    def __init__(self, present: PresentMotion) -> None:
+        driver = present.context.driver
+        self._present = present
+        self._loader = driver if isinstance(driver, PathDriver) else None
         self._lock = asyncio.Lock()
         self._loaded: tuple[PathChunk, float] | None = None
 
@@ -44,21 +27,19 @@ class PathChunks:
         is given up: a hold does not wait. Raises `Refusal`."""
         step = self._require_step(request)
         self._loaded = None
-        if set(request.profiles) != set(step.axes):
-            raise Refusal("other-axes", "a chunk moves the axes of its path", "")
-        self._leases.require_lease(request.job, request.profiles)
-        check_path_limits(self._status, request.profiles)
-        options, scale = request.chunk, self._context.require_scale()
+        profiles = self._present.take_profiles(request, step, "a chunk moves the axes of its path")
+        options, context = request.chunk, self._present.context
+        scale = context.require_scale()
         chunk = PathChunk(
             request.number,
             _to_host_s(request.begin_s, step, scale),
             _to_host_s(options.end_s, step, scale),
             options.last,
-            to_host_profiles(request.profiles, scale),
+            profiles,
         )
         if self._loader is None:
             raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
-        fit = await self._loader.load_chunk(chunk, self._context.driver.clock_mapping())
+        fit = await self._loader.load_chunk(chunk, context.driver.clock_mapping())
         self._require_step(request)
         self._loaded = chunk, fit.stop_s
         return ChunkReply(
@@ -83,10 +64,10 @@ class PathChunks:
             return Reply()
 
     def _require_step(self, request: LoadChunkRequest | ReleaseChunkRequest) -> ArmedStep:
-        self._fence.require_no_estop()
-        step = self._steps.present
-        if step is None or not step.is_for(request, request.t0_fleet_ns):
-            raise Refusal("not-moving", f"job {request.job} {name_step(request.step)} is not being executed", "")
+        self._present.fence.require_no_estop()
+        step = self._present.find_step(request)
+        if step is None:
+            raise self._present.refuse_absent(request)
         if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):
             raise Refusal("wrong-phase", f"the path is {step.phase.value}, not moving", "")
         return step

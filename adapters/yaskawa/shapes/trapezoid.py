@@ -157,16 +157,18 @@ class _MoveTargets:
 def extend_shape(shape: RegisterTrapezoid, extra_counts: int) -> RegisterTrapezoid:
     """The move with the same registers, `extra_counts` counts farther, with the sign of its distance."""
     distance = shape.distance + extra_counts
-    registers = np.array([float(shape.speed), float(shape.up), float(shape.down)])
-    law = _CandidateMotions.from_registers(np.array(float(abs(distance))), registers)
-    return replace(shape, distance=distance, length=float(law.length))
+    return replace(shape, distance=distance, length=float(_find_law(shape, distance).length))
 
 
 def braking_sample(shape: RegisterTrapezoid) -> float:
     """Samples from the begin until it brakes."""
+    return float(_find_law(shape, shape.distance).segment_ends[1])
+
+
+def _find_law(shape: RegisterTrapezoid, distance: int) -> "_CandidateMotions":
+    """The motion by the registers of a move over a distance."""
     registers = np.array([float(shape.speed), float(shape.up), float(shape.down)])
-    law = _CandidateMotions.from_registers(np.array(float(abs(shape.distance))), registers)
-    return float(law.segment_ends[1])
+    return _CandidateMotions.from_registers(np.array(float(abs(distance))), registers)
 
 
 def fit_registers(

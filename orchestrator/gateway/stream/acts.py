@@ -16,12 +16,11 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.live_acts import LiveActs
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
+from orchestrator.gateway.stream.step_fields import fill_speed, refuse_fields
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.problems import first_error_text
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobProgress, JobReport
-from orchestrator.model.steps.speed import MANUAL
 
 LEASE_S = 2.0
 LOOK_NS = 200 * NS_PER_MS  # period of looking whether the user is still there
@@ -244,17 +243,14 @@ def _read_axes(frame: Frame) -> list[str]:
 
 def _make_job(step: object) -> Job:
     """A job of one step. Raises `Refusal` for a step that is not valid, or is none for a person to wait for."""
-    fields = dict(cast(Frame, step)) if isinstance(step, dict) else {}
+    fields: Frame = fill_speed(cast(Frame, step)) if isinstance(step, dict) else {}
     verb = fields.get("do")
     if verb not in WORK_STEPS:
         raise Refusal("bad-request", f"`step` must do one of: {', '.join(WORK_STEPS)}", "submit a job for others")
-    if verb == "move":  # a person asks for it: at the manual speed of its axes, unless it states another one
-        fields.setdefault("speed", MANUAL)
     try:
         return Job.model_validate({"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [fields]})
     except ValidationError as error:
-        text = first_error_text(error).removeprefix("Value error, ")
-        raise Refusal("bad-request", text, "see the steps of job files") from None
+        raise refuse_fields(error) from None
 
 
 def _explain_end(report: JobReport) -> dict[str, Any]:

@@ -13,13 +13,12 @@ from orchestrator.client.steps import JobFailed
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.gateway.access.refusals import describe_refusal
 from orchestrator.gateway.stream.socket import Frame, Handler, UserSocket
+from orchestrator.gateway.stream.step_fields import fill_speed, refuse_fields
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.problems import first_error_text
 from orchestrator.model.report import StepReport
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.live import AskedStep
-from orchestrator.model.steps.speed import MANUAL
 
 _STEPS: TypeAdapter[list[AskedStep]] = TypeAdapter(list[AskedStep])
 
@@ -117,25 +116,16 @@ def _make_job(frame: Frame) -> Job:
             {"schema": "tutti.job/1", "name": frame.get("name", "live"), **fields, "steps": [step]}
         )
     except ValidationError as error:
-        text = first_error_text(error).removeprefix("Value error, ")
-        raise Refusal("bad-request", text, 'for example `{"do": "live-begin", "axes": ["gantry"]}`') from None
+        raise refuse_fields(error, 'for example `{"do": "live-begin", "axes": ["gantry"]}`') from None
 
 
 def _read_steps(value: object) -> list[Step]:
     """The steps of a frame. Raises `Refusal`."""
-    steps = [_fill_speed(step) for step in cast(list[object], value)] if isinstance(value, list) else []
+    entries = cast(list[object], value) if isinstance(value, list) else []
+    steps = [fill_speed(cast(Frame, entry)) if isinstance(entry, dict) else entry for entry in entries]
     if not steps:
         raise Refusal("bad-request", "`steps` must be a list of steps", "see the steps of job files")
     try:
         return list(_STEPS.validate_python(steps))
     except ValidationError as error:
-        text = first_error_text(error).removeprefix("Value error, ")
-        raise Refusal("bad-request", text, "see the steps of job files") from None
-
-
-def _fill_speed(step: object) -> object:
-    """A step that was asked for by itself: a move has the manual speed of its axes, unless it states another one."""
-    if not isinstance(step, dict):
-        return step
-    fields = cast(Frame, step)
-    return {"speed": MANUAL, **fields} if fields.get("do") == "move" else fields
+        raise refuse_fields(error) from None

@@ -11,6 +11,9 @@ from orchestrator.model.report import StepReport
 from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.live import MAX_AHEAD, AskedStep
 
+KEPT_RESULTS = 2 * MAX_AHEAD
+"""Results of the newest steps that the coordinator and a program keep, because one may be lost on the way."""
+
 
 class AskLive(JobReference):
     """Ask a running live job for steps: they run one after the other behind those that wait, or, where moves are

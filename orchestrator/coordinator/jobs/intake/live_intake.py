@@ -38,7 +38,11 @@ class LiveIntake:
         """Check steps, wherever the axes will be then, and add them to those that wait. None is added if one is
         refused."""
         _, live_steps = await self._find_live(request.job_id)
-        groups = [await self._prepare_step(live_steps.live, step, number) for number, step in enumerate(request.steps)]
+        resolver = self._services.positions.make_resolver()
+        groups: list[list[Step]] = []
+        for number, step in enumerate(request.steps):
+            self._require_own(live_steps.live, step)
+            groups.append(await self._prepare_step(resolver.resolve_step(step), number))
         numbers = live_steps.ask_steps([step for group in groups for step in group])
         # A path that rests on its way is several: the last one stands for it.
         return LiveAsked(numbers=[numbers[end - 1] for end in accumulate(map(len, groups))])
@@ -56,8 +60,10 @@ class LiveIntake:
 
     async def _stop_steps(self, request: JobReference) -> Reply:
         """Stop what a live job moves, and forget what it was asked for; it goes on."""
-        run, _ = await self._find_live(request.job_id)
-        await run.stop_steps(request.actor)
+        run, live_steps = await self._find_live(request.job_id)
+        reason = f"stopped by {request.actor}"
+        live_steps.stop(reason)
+        await run.stop_motion(reason, request.actor)
         return Reply()
 
     async def _find_live(self, job_id: str) -> tuple[JobRun, LiveSequence]:
@@ -69,18 +75,18 @@ class LiveIntake:
             raise Refusal("not-live", text, "begin a live job from a program, as with `tutti.live(...)`")
         return run, run.live_steps
 
-    async def _prepare_step(self, live: Live, step: Step, number: int) -> list[Step]:
-        """Step `number` of a request as it runs: with quantities for the names of positions, and as several where it is
-        a path that rests on its way."""
-        services, fleet = self._services, self._services.view.fleet
-        foreign = live.find_foreign(step, fleet)
+    def _require_own(self, live: Live, step: Step) -> None:
+        foreign = live.find_foreign(step, self._services.view.fleet)
         if foreign:
             own = ", ".join(live.axes)
             text = f"{', '.join(foreign)} is not of this live job, which was begun with {own}"
             raise Refusal("not-of-job", text, "name it when the live job is begun")
-        resolved_step = services.positions.make_resolver().resolve_step(step)
-        job = await split_paths(services, Job.model_construct(steps=[resolved_step]))
+
+    async def _prepare_step(self, step: Step, number: int) -> list[Step]:
+        """Step `number` of a request as it runs: checked, and as several where it is a path that rests on its way."""
+        services = self._services
+        job = await split_paths(services, Job.model_construct(steps=[step]))
         steps = [part for entry in job.steps for part in entry.iterate_written()]
         remaining = [RemainingStep(number, number, part) for part in steps]
-        await check_job(fleet, remaining, services.motion.plan, services.check)
+        await check_job(services.view.fleet, remaining, services.motion.plan, services.check)
         return steps

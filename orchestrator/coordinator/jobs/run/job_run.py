@@ -99,10 +99,8 @@ class JobRun:
         if not self._over:
             self.task.cancel()
 
-    async def stop_steps(self, actor: str) -> None:
-        """Of a live job: stop the present motion, and forget the steps that wait. The job goes on."""
-        reason = f"stopped by {actor}"
-        self._steps.stop(reason)
+    async def stop_motion(self, reason: str, actor: str) -> None:
+        """Stop the present motion, and unload what is prepared behind it. The job goes on."""
         await self._chain.drop(reason, actor)
         if self._state.motion_step is not None:
             await self._services.fleet.stop_members(self._rest.members, "decelerate", actor, reason)

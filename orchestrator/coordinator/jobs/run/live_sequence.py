@@ -10,16 +10,13 @@ from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.jobs.live import LiveResult, require_room
+from orchestrator.model.jobs.live import KEPT_RESULTS, LiveResult, require_room
 from orchestrator.model.report import StepReport
 from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.live import MAX_AHEAD, Live
+from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.tree import as_live
 from orchestrator.model.units import parse_quantity
-
-KEPT_RESULTS = 2 * MAX_AHEAD
-"""Of the newest steps, for a program whose connection has lost some."""
 
 
 class LiveSequence(StepSequence):
@@ -133,10 +130,6 @@ class LiveSequence(StepSequence):
         fleet = self._services.view.fleet
         targets = place.asked.iterate_targets()
         return {axis: float(parse_quantity(target, fleet.axis(axis).unit)) for axis, target in targets}
-
-    def find_lines(self, place: StepPlace) -> None:
-        """A live job has no scan that flies."""
-        del place
 
     # Results
 

@@ -120,6 +120,10 @@ class StepRetargets:
             raise Refusal("paused", f"the job is being paused by {pause.paused_by}", "resume it first")
         return step
 
+    def _require_present(self, step: MotionStep) -> None:
+        if self._state.motion_step is not step:
+            raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
+
     async def _apply(self, step: MotionStep, wish: _Wish) -> RetargetWay:
         """Have the present step go to other targets, and return by which way. Raises `Refusal`."""
         chain, actor = self._chain, wish.request.actor
@@ -129,15 +133,13 @@ class StepRetargets:
             return "brake"
         chain.prevent_release(RETARGETED)
         await chain.settle_pause()
-        if self._state.motion_step is not step:
-            raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
+        self._require_present(step)
         if chain.is_decided:
             raise Refusal("not-moving", "the move ends, and the next one starts behind it", "ask again for that one")
         await chain.drop(RETARGETED, actor)
         if wish.continuation is not None and await self._continue(step, wish, wish.continuation):
             return wish.continuation.way
-        if self._state.motion_step is not step:
-            raise Refusal("not-moving", "the move has ended", "a retarget is for a move that is under way")
+        self._require_present(step)
         self._change_goal(step, wish)
         is_begun = step.motion is not None and step.motion.start.state.decided
         await step.feed_hold(actor)
@@ -175,11 +177,8 @@ class StepRetargets:
     def _note(self, old_goal: Mapping[str, Fraction], wish: _Wish, way: RetargetWay) -> None:
         """Note a retarget for the report; one whose motion has not started yet is replaced by it."""
         last = self.entries[-1] if self.entries else None
-        number, replaced_count, old_targets = (
-            1 if last is None else last.number + 1,
-            self._replaced,
-            self._as_user(old_goal),
-        )
+        number = 1 if last is None else last.number + 1
+        replaced_count, old_targets = self._replaced, self._as_user(old_goal)
         if last is not None and last.started_ns is None:
             replaced_count, old_targets = replaced_count + last.replaced + 1, last.before
             self.entries.pop()

@@ -73,10 +73,6 @@ class StepSequence:
     def end(self) -> None:
         """No further step begins."""
 
-    def stop(self, reason: str) -> None:
-        """A program stops what moves and what waits."""
-        del reason
-
     async def find_next(self, index: int) -> int | None:
         """The number of the next step to run, `index` or behind it, once there is one; None: there is none any more."""
         return index if index < len(self) else None
