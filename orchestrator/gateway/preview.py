@@ -18,7 +18,7 @@ from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flown_lines import plan_lines
+from orchestrator.plan.flying.lines import plan_lines
 from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.forecast.ways import ForecastMotion
 

@@ -47,6 +47,15 @@ class ChunkPlan(NamedTuple):
         return self.clock.find_path_s(self.stop_s)
 
 
+class _ChunkEnd(NamedTuple):
+    """Where a chunk ends, as in `ChunkPlan`."""
+
+    clock: PathClock
+    end_s: float
+    stop_s: float
+    last: bool
+
+
 @dataclass(frozen=True, slots=True)
 class PathCourse:
     """The motion along a path, from where the axes stand at the start of the motion.
@@ -65,7 +74,7 @@ class PathCourse:
     @property
     def duration_s(self) -> float:
         """Of the whole path, at rate 1."""
-        return float(self.motion.times_s[-1])
+        return self.motion.duration_s
 
     def find_peaks(self) -> tuple[dict[str, float], dict[str, float]]:
         """The largest acceleration and jerk of each axis on the whole path, counts/s², counts/s³."""
@@ -182,11 +191,29 @@ class PathCourse:
 
     def plan_chunk(self, clock: PathClock, begin_s: float, most_s: float) -> ChunkPlan:
         """The chunk from `begin_s` on, at most `most_s` long with its tail. Raises `Refusal`, `PlanError`."""
+        return self._make_chunk(self._find_end(clock, begin_s, most_s), begin_s)
+
+    def plan_stop(self, clock: PathClock, begin_s: float) -> ChunkPlan:
+        """The chunk from `begin_s` to the end of a clock that comes to rest."""
+        return self._make_chunk(_find_stop(clock), begin_s)
+
+    def has_chunks(self, most_s: float) -> bool:
+        """Whether it can be executed in chunks that are at most so long, and braked along the path behind each."""
+        begin_s, clock = 0.0, self.begin_at(0.0)
+        try:
+            while not (end := self._find_end(clock, begin_s, most_s)).last:
+                begin_s = end.end_s - SWITCH_S
+        except Refusal:
+            return False
+        return True
+
+    def _find_end(self, clock: PathClock, begin_s: float, most_s: float) -> _ChunkEnd:
+        """The end of the chunk from `begin_s` on, at most `most_s` long with its tail. Raises `Refusal`."""
         ends_s = clock.find_instant(self.duration_s)
         if ends_s - begin_s <= most_s:
-            return self._make_chunk(clock, begin_s, ends_s, ends_s, last=True)
+            return _ChunkEnd(clock, ends_s, ends_s, last=True)
         if clock.rate <= 0.0:
-            return self.plan_stop(clock, begin_s)
+            return _find_stop(clock)
         least_s = max(begin_s + SWITCH_S, clock.ramps[-1].end_s)
         latest_s = begin_s + most_s - RAMPS_S[0]
         for end_s in np.arange(latest_s, least_s, -END_STEP_S).tolist():
@@ -195,16 +222,12 @@ class PathCourse:
                     break
                 tail = clock.change_rate(end_s, 0.0, ramp_s)
                 if tail.ramps[-1].end_path_s < self.duration_s and self._fits(tail, end_s, ramp_s):
-                    return self._make_chunk(tail, begin_s, end_s, end_s + ramp_s, last=False)
+                    return _ChunkEnd(tail, end_s, end_s + ramp_s, last=False)
         text = f"from {begin_s:.1f} s of the path on, it could not be braked along the path within {most_s:.1f} s"
         raise Refusal("path-brake", text, "allow the path less `acceleration` than its axes, or corners that stop")
 
-    def plan_stop(self, clock: PathClock, begin_s: float) -> ChunkPlan:
-        """The chunk from `begin_s` to the end of a clock that comes to rest."""
-        brake = clock.ramps[-1]
-        return self._make_chunk(clock, begin_s, brake.begin_s, brake.end_s, last=False)
-
-    def _make_chunk(self, clock: PathClock, begin_s: float, end_s: float, stop_s: float, *, last: bool) -> ChunkPlan:
+    def _make_chunk(self, end: _ChunkEnd, begin_s: float) -> ChunkPlan:
+        clock, end_s, stop_s, last = end
         parts = self._cut(clock, begin_s, stop_s)
         durations = np.concatenate([np.diff(part.times_s) for part in parts]).tolist()
         accelerations = np.concatenate([part.accelerations for part in parts])
@@ -270,6 +293,12 @@ class PathCourse:
 
     def _limits(self, order: int) -> Array:
         return np.array([(axis.velocity, axis.acceleration, axis.jerk)[order] for axis in self.axes])
+
+
+def _find_stop(clock: PathClock) -> _ChunkEnd:
+    """The end of a clock that comes to rest."""
+    brake = clock.ramps[-1]
+    return _ChunkEnd(clock, brake.begin_s, brake.end_s, last=False)
 
 
 def _slice(motion: FittedMotion, begin_s: float, stop_s: float) -> FittedMotion:

@@ -63,6 +63,11 @@ class FittedMotion(NamedTuple):
     accelerations: Array
     jerks: Array
 
+    @property
+    def duration_s(self) -> float:
+        """Of the whole motion."""
+        return float(self.times_s[-1])
+
     def evaluate(self, times_s: Array) -> tuple[Array, Array, Array, Array]:
         """Positions, velocities, accelerations and jerks at instants: (instants, axes); at rest from the end on."""
         k = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.jerks) - 1)
@@ -107,7 +112,7 @@ def fit_profiles(evaluate: Evaluate, duration_s: float, axes: Sequence[FittedAxi
     profiles: dict[str, Profile] = {}
     standing: list[str] = []
     for column, axis in enumerate(axes):
-        profile = _make_profile(pieces, column, axis)
+        profile = make_profile(pieces.motion, column, axis)
         if profile.is_still:
             standing.append(axis.name)
         else:
@@ -215,13 +220,13 @@ def _find_stretch(pieces: _Pieces, axes: Sequence[FittedAxis]) -> float:
     return max(1.0, float(over[worst]))
 
 
-def _make_profile(pieces: _Pieces, column: int, axis: FittedAxis) -> Profile:
-    scale = axis.counts_per_unit
+def make_profile(motion: FittedMotion, column: int, axis: FittedAxis) -> Profile:
+    """The profile of one axis of a motion from rest to rest."""
     return Profile(
         start_counts=axis.start_counts,
         end_counts=axis.end_counts,
-        scale_counts=scale,
-        durations_s=np.diff(pieces.times_s).tolist(),
-        accelerations=pieces.accelerations[:, column].tolist(),
-        jerks=pieces.jerks[:, column].tolist(),
+        scale_counts=axis.counts_per_unit,
+        durations_s=np.diff(motion.times_s).tolist(),
+        accelerations=motion.accelerations[:, column].tolist(),
+        jerks=motion.jerks[:, column].tolist(),
     )

@@ -18,6 +18,7 @@ from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
+from orchestrator.plan.flying.flight import Flight
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
@@ -27,14 +28,12 @@ from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_lines import LineTimes, time_lines
 from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.step import AxisMove, StepPlan
-from orchestrator.plan.targets import make_axis_move
+from orchestrator.plan.targets import find_jerk, make_axis_move
 
 MAX_STRETCHES = 200  # of a report
 ORDERS = ("", "velocity", "acceleration", "jerk")
 ALONG = ("its table", "speed along the path", "acceleration along the path", "jerk along the path")
 SAMPLES = 2001  # of the speeds of members
-# Of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it.
-LEAST_RAMP_S = 0.02
 MAX_START_COUNTS = 1  # by which an axis may stand beside the start of its path: rounding
 
 
@@ -57,7 +56,8 @@ class PlannedPath:
     exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
     counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
     motion, for members that execute it in chunks; a line on a trapezoid has none.
-    lines: of the file that it was made of.
+    lines: of the file that it was made of. flight: of lines of a scan that are flown in one motion; the samples are of
+    its windows then, and the axes are off their plan by so much there.
     """
 
     plan: StepPlan
@@ -71,6 +71,7 @@ class PlannedPath:
     speeds: Mapping[str, Array]
     course: PathCourse | None
     lines: LineTimes | None = None
+    flight: Flight | None = None
 
     def find_speeds(self, member: str) -> tuple[Array, Array]:
         """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""
@@ -92,9 +93,9 @@ def plan_path_step(
 ) -> PlannedPath:
     """Plan a path whose axes stand at its start. frames: those of the fleet file. Raises `Refusal`, `PlanError`."""
     step, starts = _apply_fraction(step, starts)
-    unit = _find_unit(starts)
+    unit = find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
-    _require_start(step, starts, frames or {})
+    require_start(step, starts, frames or {})
     plan = plan_path(step, [_describe_axis(start) for start in starts], frames)
     shift = np.array([float(start.offset) for start in starts])
     ends = (plan.evaluate(np.array([plan.duration_s])).positions[0] - shift).tolist()
@@ -102,18 +103,7 @@ def plan_path_step(
     exact: dict[str, tuple[Fraction, int]] = {}
     for start, end in zip(starts, ends, strict=True):
         exact[start.name] = Fraction(end), start.axis.to_target_counts(Fraction(end))
-        limits, scale = start.axis.limits, float(start.axis.counts_per_unit)
-        axes.append(
-            FittedAxis(
-                name=start.name,
-                counts_per_unit=scale,
-                velocity=limits.velocity,
-                acceleration=limits.acceleration,
-                start_counts=start.start_counts,
-                end_counts=exact[start.name][1],
-                jerk=limits.jerk or inf,
-            )
-        )
+        axes.append(make_fitted_axis(start, exact[start.name][1]))
 
     def evaluate_motors(times_s: Array) -> PathStates:
         rows = plan.evaluate(times_s)
@@ -160,6 +150,20 @@ def plan_path_step(
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
 
 
+def make_fitted_axis(start: PathStart, end_counts: int) -> FittedAxis:
+    """An axis of a path with its limits and its ends."""
+    limits = start.axis.limits
+    return FittedAxis(
+        name=start.name,
+        counts_per_unit=float(start.axis.counts_per_unit),
+        velocity=limits.velocity,
+        acceleration=limits.acceleration,
+        start_counts=start.start_counts,
+        end_counts=end_counts,
+        jerk=limits.jerk or inf,
+    )
+
+
 def _apply_fraction(step: FollowPath, starts: Sequence[PathStart]) -> tuple[FollowPath, Sequence[PathStart]]:
     """A path at a speed in percent: without limit along it, and with that fraction of what its axes allow. Raises
     `PathRefusal`."""
@@ -190,13 +194,12 @@ def _describe_axis(start: PathStart) -> PathAxis:
     if limits is not None:
         low, high = sorted(axis.to_unit(limit) + float(start.offset) for limit in limits)
         soft = low, high
-    jerk = axis.limits.jerk or axis.limits.acceleration / LEAST_RAMP_S
     return PathAxis(
         axis=start.name,
         unit=axis.unit,
         velocity=axis.limits.velocity,
         acceleration=axis.limits.acceleration,
-        jerk=jerk,
+        jerk=find_jerk(axis),
         soft_limits=soft,
     )
 
@@ -215,7 +218,7 @@ def _list_stretches(plan: PathPlan) -> list[PathStretch]:
     return stretches
 
 
-def _find_unit(starts: Sequence[PathStart]) -> Unit:
+def find_unit(starts: Sequence[PathStart]) -> Unit:
     """The unit of all axes. Raises `Refusal` if they have several: a distance from the path would have none."""
     units = {start.axis.unit: start.name for start in starts}
     if len(units) > 1:
@@ -256,7 +259,7 @@ def find_start(step: FollowPath, units: Sequence[Unit], frames: Mapping[str, Fra
     ]
 
 
-def _require_start(step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]) -> None:
+def require_start(step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]) -> None:
     """Raise `Refusal` for an axis that does not stand where the path begins, to a count."""
     units = [start.axis.unit for start in starts]
     for position, start in zip(find_start(step, units, frames), starts, strict=True):

@@ -155,18 +155,13 @@ def check_shapes(shapes: ShapeRows, bounds: ShapeBounds, names: Sequence[str]) -
 
 def _run_ruckig(bounds: ShapeBounds, margin: float, *, synchronised: bool) -> tuple[float, ShapeRows | None]:
     n = len(bounds.distance)
-    solver, trajectory, question = get_workspace(n)
+    question = get_workspace(n)[2]
     question.target_position = bounds.distance.tolist()
     question.max_velocity = [margin] * n
     question.max_acceleration = (bounds.acceleration * margin).tolist()
     question.max_jerk = (bounds.jerk * margin).tolist()
     question.synchronization = _TIME if synchronised else _NONE
-    try:
-        result = solver.calculate(question, trajectory)
-    except Exception as error:  # Ruckig has no exception class of its own for invalid input
-        raise PlanError(f"Ruckig refuses the input: {error}") from None
-    if result not in _SOLVED:
-        raise PlanError(f"Ruckig returned {result}")
+    trajectory = ask_ruckig(question, n)
     duration_s = cast(float, trajectory.duration)
     if duration_s > MAX_DURATION_S:
         return duration_s, None
@@ -181,6 +176,26 @@ def _run_ruckig(bounds: ShapeBounds, margin: float, *, synchronised: bool) -> tu
 
 
 _workspaces: dict[int, tuple[Any, Any, Any]] = {}
+
+
+def ask_ruckig(question: Any, n: int) -> Any:
+    """The trajectory of `n` axes for a question that has no intermediate waypoints; valid until the next question.
+    Raises `PlanError`."""
+    solver, trajectory, _ = get_workspace(n)
+    try:
+        result = solver.calculate(question, trajectory)
+    except Exception as error:  # Ruckig has no exception class of its own for invalid input
+        raise PlanError(f"Ruckig refuses the input: {error}") from None
+    if result not in _SOLVED:
+        raise PlanError(f"Ruckig returned {result}")
+    return trajectory
+
+
+def list_jerks(profile: Any) -> list[tuple[float, float]]:
+    """Lengths (s) and jerks of the trajectory of one axis. Before its seven segments it brings what exceeds a limit by
+    rounding back to it."""
+    durations_s, jerks = cast(list[float], [*profile.brake.t, *profile.t]), [*profile.brake.j, *profile.j]
+    return list(zip(durations_s, cast(list[float], jerks), strict=True))
 
 
 def get_workspace(n: int) -> tuple[Any, Any, Any]:
@@ -201,7 +216,6 @@ def solve_way(state: MotionState, target: float, limits: tuple[float, float, flo
     """The fastest way of one axis from `state` to rest at `target`, as lengths (s) and jerks. limits: velocity,
     acceleration and jerk, which `state` keeps. Raises `PlanError`."""
     velocity, acceleration, jerk = limits
-    solver, trajectory, _ = get_workspace(1)
     # A question of its own: that of the workspace is asked from rest.
     question: Any = InputParameter(1)  # pyright: ignore[reportUnknownVariableType]
     question.target_position = [(target - state.position) / velocity]
@@ -212,13 +226,5 @@ def solve_way(state: MotionState, target: float, limits: tuple[float, float, flo
         [acceleration / velocity],
         [jerk / velocity],
     )
-    try:
-        result = solver.calculate(question, trajectory)
-    except Exception as error:  # Ruckig has no exception class of its own for invalid input
-        raise PlanError(f"Ruckig refuses the input: {error}") from None
-    if result not in _SOLVED:
-        raise PlanError(f"Ruckig returned {result}")
-    way = trajectory.profiles[0][0]
-    # Before the seven segments it brings what exceeds a limit by rounding back to it.
-    durations_s, jerks = cast(list[float], [*way.brake.t, *way.t]), cast(list[float], [*way.brake.j, *way.j])
-    return [(duration_s, part * velocity) for duration_s, part in zip(durations_s, jerks, strict=True)]
+    way = ask_ruckig(question, 1).profiles[0][0]
+    return [(duration_s, part * velocity) for duration_s, part in list_jerks(way)]

@@ -7,6 +7,14 @@ from typing import Literal
 from orchestrator.model.fleet import MAX_COUNTS, Axis
 from orchestrator.plan.step import AxisMove
 
+# Of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it.
+LEAST_RAMP_S = 0.02
+
+
+def find_jerk(axis: Axis) -> float:
+    """The jerk limit of an axis on a path, in its unit/s³."""
+    return axis.limits.jerk or axis.limits.acceleration / LEAST_RAMP_S
+
 
 def choose_turn(axis: Axis, here: Fraction, target: Fraction, offset: Fraction) -> Fraction:
     """The motor position of an absolute target. On an axis that wraps it exists once per turn; taken is the one in

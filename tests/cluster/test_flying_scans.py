@@ -83,8 +83,11 @@ async def fly(
     return report, rows, Truth((instants - origin_host_ns(fleet)) / NS_PER_S, places * count, count)
 
 
-def check_line(rows: Sequence[PointRecord], truth: Truth, axis: str, spacing: float = SPACING) -> None:
-    """Each window of a line was flown at its speed, and all three instants of its row contain the truth."""
+def check_line(
+    rows: Sequence[PointRecord], truth: Truth, axis: str, spacing: float = SPACING, late_s: float = 0.0
+) -> None:
+    """Each window of a line was flown at its speed, and all three instants of its row contain the truth. late_s: by
+    which a sample of its motion may come late."""
     direction = 1 if rows[-1].target[axis] > rows[0].target[axis] else -1
     ends = rows[0].window, rows[-1].window
     assert ends[0] is not None and ends[1] is not None
@@ -99,19 +102,19 @@ def check_line(rows: Sequence[PointRecord], truth: Truth, axis: str, spacing: fl
             crossings_s.append(at_s)
         error = abs((crossings_s[2] - crossings_s[0]) / row.took_s - 1)
         # The truth of some makes is whole counts.
-        assert error <= max(0.005, 1.2 * truth.count / spacing), (row.point, error)
+        assert error <= max(0.005, 1.2 * truth.count / spacing, late_s / row.took_s), (row.point, error)
 
 
 MAKES = pytest.mark.parametrize(("make", "axis"), [(two_gantries, "gantry.y"), (path_fleet, "slide.y")])
 
 
 @pytest.mark.parametrize(
-    ("make", "axis", "window_ms"),
-    # A drive follows the SYNCs of its host, whose jitter of some 0.1 ms is 0.6 % of a window of 20 ms.
-    [(two_gantries, "gantry.y", 20), (path_fleet, "slide.y", 40)],
+    ("make", "axis", "window_ms", "late_s"),
+    # A drive follows the SYNCs of its host, of which a few are 0.3 ms late.
+    [(two_gantries, "gantry.y", 20, 0.0), (path_fleet, "slide.y", 40, 0.0004)],
 )
 def test_a_raster_is_flown_at_its_speed_and_its_rows_contain_the_truth(
-    make: Callable[[], Fleet], axis: str, window_ms: int
+    make: Callable[[], Fleet], axis: str, window_ms: int, late_s: float
 ) -> None:
     async def main(fleet: VirtualFleet) -> None:
         report, rows, truth = await fly(fleet, f"[{raster(axis, f'{{duration: {window_ms} ms}}')}]", axis)
@@ -127,7 +130,7 @@ def test_a_raster_is_flown_at_its_speed_and_its_rows_contain_the_truth(
         for first in range(0, 63, LINE_POINTS):
             line = rows[first : first + LINE_POINTS]
             assert all(row.took_s == pytest.approx(window_ms / 1000) for row in line)
-            check_line(line, truth, axis)
+            check_line(line, truth, axis, late_s=late_s)
 
     run_fleet(main, make())
 
@@ -214,7 +217,7 @@ def test_a_line_that_is_stopped_ends_the_scan_and_the_rows_before_it_are_kept(wh
     run_fleet(main, two_gantries())
 
 
-def test_a_line_that_is_braked_and_goes_on_is_not_good() -> None:
+def test_a_line_that_is_braked_is_flown_again_from_the_window_that_was_broken() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         await outcome(fleet, prepare(fleet))
@@ -224,12 +227,17 @@ def test_a_line_that_is_braked_and_goes_on_is_not_good() -> None:
             await sleep_ns(fleet.clock, NS_PER_MS)
         await client.pause_job(job_id, now=True)
         await wait_for_state(fleet, job_id, "paused")
+        assert 20_000 < fleet.controllers["gantry"].position("Y") < 30_000
+        flown = [row.point for row in await client.load_points(job_id)]
+        assert 22 < len(flown) < 42 and flown == list(range(1, len(flown) + 1))
         await client.resume_job(job_id)
         report = await client.wait_for_job(job_id)
         assert report.state == "done", report.reason
         rows = await client.load_points(job_id)
-        assert [row.point for row in rows if row.good] == [*range(1, 22), *range(43, 64)]
-        assert all(row.window is None for row in rows[21:42])
+        assert [row.point for row in rows if row.good] == list(range(1, 64))
+        first, again = rows[len(flown) - 1], rows[len(flown)]
+        assert first.window is not None and again.window is not None
+        assert again.window.lower.earliest_ns > first.window.upper.latest_ns + NS_PER_S // 10
 
     run_fleet(main, two_gantries())
 

@@ -136,11 +136,11 @@ async def outcome(fleet: VirtualFleet, *jobs: Job) -> JobReport:
 
 
 async def wait_for_point(fleet: VirtualFleet, job_id: str, point: int) -> None:
-    """Wait until a job works on a point of a scan, counted from 1."""
+    """Wait until a job works on a point of a scan, counted from 1, or on one behind it."""
     client, reached = fleet.make_client(), asyncio.Event()
 
     def look(sample: BusSample) -> None:
-        if JobProgress.model_validate_json(sample.payload).point == point:
+        if (JobProgress.model_validate_json(sample.payload).point or 0) >= point:
             reached.set()
 
     subscription = await client.bus.subscribe(client.keys.job_state(job_id), look)

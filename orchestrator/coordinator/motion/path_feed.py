@@ -61,6 +61,7 @@ class PathFeed:
         self._numbers = 1
         self._revision = 0
         self._wanted = self._first.rate
+        self._pause: tuple[str, float] | None = None
         self._stated_s: Mapping[str, float] = {}
         self.ends_s: Mapping[str, float] = {}
         """By member, when it is at rest, as it states."""
@@ -126,6 +127,7 @@ class PathFeed:
         most_s = min(first.most_s, max(SHORT_CHUNK_S, first.most_s * (latest_s - self._now_s()) / first.load_s))
         try:
             clock = first.course.adapt_rate(self._clock, begin_s + SWITCH_S, self._wanted, most_s)
+            clock = self._brake_in_chunk(clock, begin_s, most_s)
             following = first.course.plan_chunk(clock, begin_s, most_s)
         except (Refusal, PlanError) as error:
             self.failure = error if isinstance(error, Refusal) else Refusal("plan", str(error))
@@ -156,6 +158,8 @@ class PathFeed:
                 self.failure = refusal
             else:
                 self._clock = clock
+                if clock.rate <= 0.0 and self._pause is not None:
+                    self.held_by = self._pause[0]
 
     async def _load(self, chunk: ChunkPlan, latest_s: float) -> int:
         """Have all members load a chunk, in the place of one that they are loading; return its number. Raises
@@ -250,6 +254,41 @@ class PathFeed:
                 except (Refusal, PlanError) as error:
                     self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
             self._changed.set()
+
+    async def pause(self, actor: str, path_s: float) -> None:
+        """Brake along the path from `path_s` of its time on, or as soon as possible behind; until then `go_on` takes it
+        back."""
+        if self.held_by is not None or not self.covers_all or self._pause == (actor, path_s):
+            return
+        self._pause = asked = actor, path_s
+        async with self._lock:
+            place_s = self._clock.find_instant(path_s)
+            if self._pause is not asked or place_s >= self.chunk.end_s:
+                return  # it comes with a later chunk
+            self.held_by = actor
+            self._revision += 1
+            try:
+                await self._cut(self._first.course.brake(self._clock, max(place_s, self._now_s() + REACTIONS_S[0])))
+            except (Refusal, PlanError) as error:
+                self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
+            self._changed.set()
+
+    def go_on(self) -> None:
+        """Do not brake where a pause was asked for, if that has not begun."""
+        self._pause = None
+
+    def _brake_in_chunk(self, clock: PathClock, begin_s: float, most_s: float) -> PathClock:
+        """The clock of the next chunk, which is braked where a pause is asked for, if it reaches that place."""
+        if self._pause is None or clock.rate <= 0.0:
+            return clock
+        place_s = max(clock.find_instant(self._pause[1]), begin_s + SWITCH_S)
+        if place_s >= begin_s + most_s:
+            return clock
+        try:
+            braked = self._first.course.brake(clock, place_s)
+        except Refusal:
+            return clock
+        return braked if braked.ramps[-1].end_s <= begin_s + most_s else clock
 
     async def _cut(self, clock: PathClock) -> None:
         """Brake by `clock` before the end of what is released, unless that ends before."""

@@ -65,7 +65,7 @@ def _find_delays(
         return None
     ages_s = times_s if first is None or not has_chunks else np.minimum(times_s, first.most_s + first.load_s)
     rate = agreement.proposals[member].clock_ppm * 1e-6
-    early_ns, late_ns = _narrow_start(agreement, member, report, t0_ns)
+    early_ns, late_ns = narrow_start(agreement, member, report, t0_ns)
     low, high = early_ns - ages_s * rate * NS_PER_S, late_ns + ages_s * rate * NS_PER_S
     from_start = low, high
     for axis, evidence in report.evidence.items():
@@ -80,7 +80,7 @@ def _find_delays(
     return low / NS_PER_S, high / NS_PER_S
 
 
-def _narrow_start(agreement: StartAgreement, member: str, report: MemberReport, t0_ns: int) -> tuple[int, int]:
+def narrow_start(agreement: StartAgreement, member: str, report: MemberReport, t0_ns: int) -> tuple[int, int]:
     """The start of a member around T0, ns: its evidence, narrowed by its promise where both agree."""
     starts = [evidence.start_for_verdict for evidence in report.evidence.values()]
     early_ns, late_ns = (

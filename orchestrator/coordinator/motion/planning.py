@@ -18,6 +18,7 @@ from orchestrator.model.state import AxisState, ControllerInfo, ControllerState,
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.plan.flying.path import FlightPath, plan_flight_step
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
@@ -193,7 +194,10 @@ async def _plan_from(
         if isinstance(move, FollowPath):
             starts = make_path_starts(move, context)
             plan_elsewhere = services.plan_long if find_long_paths([move]) else services.plan
-            path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.frames)
+            if isinstance(move, FlightPath):
+                path = plan_flight_step(move, starts)
+            else:
+                path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.frames)
             resolved_move = ResolvedMove(path.moves, dict(path.exact))
             return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved_move = resolve_targets(move, context, goal)

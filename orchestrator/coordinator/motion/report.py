@@ -125,6 +125,16 @@ def judge_completed_step(
     return report.model_copy(update={"verdict": verdict, "deviations": deviations})
 
 
+def judge_starts(agreement: StartAgreement, reports: Mapping[str, MemberReport]) -> Verdict | None:
+    """The verdict on the starts of the members; None while one of them is not known."""
+    evidence = [axis_evidence for report in reports.values() for axis_evidence in report.evidence.values()]
+    if len(evidence) < len(agreement.plan.profiles):
+        return None
+    measured = measure_skew([axis_evidence.start for axis_evidence in evidence])
+    promised = measure_skew([axis_evidence.start_for_verdict for axis_evidence in evidence], agreement.budget)
+    return worse_verdict(judge_skew(measured, agreement.budget), judge_skew(promised, agreement.budget))
+
+
 def make_step_report(
     request: StepRequest,
     agreement: StartAgreement,

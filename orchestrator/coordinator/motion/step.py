@@ -26,6 +26,7 @@ from orchestrator.coordinator.motion.watch import StepWatch
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import PathStop, StepReport
+from orchestrator.plan.flying.path import FlightPath
 
 BRAKED = "braked"  # code of a path that was braked along it, because a chunk was not loaded in time
 MAX_STOPS = 3  # of one path, after which it ends
@@ -202,7 +203,10 @@ class MotionStep:
         came too late goes on from there.
         """
         report = await self._run_once(observer, seen_ns)
-        while report.refused is not None and report.refused.code == BRAKED and len(self._stops) <= MAX_STOPS:
+        goes_on = not isinstance(self._request.move, FlightPath)  # a scan begins again before what was disturbed
+        while goes_on and report.refused is not None and report.refused.code == BRAKED:
+            if len(self._stops) > MAX_STOPS:
+                break
             report = await self._run_once(observer, None)
         if report.path is not None and self._stops:
             report = report.model_copy(update={"path": report.path.model_copy(update={"stops": self._stops})})

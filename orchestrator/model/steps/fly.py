@@ -46,6 +46,13 @@ class FlyOptions(ScriptModel):
         "promised within it is refused.",
     )
     trigger: FlyTrigger | None = Field(default=None, description="A pulse in the window of each point.")
+    repeat_disturbed: int = Field(
+        default=0,
+        ge=0,
+        le=100,
+        description="How often in a scan windows are flown again that were disturbed because a part of the motion came "
+        "too late; otherwise their rows are not good.",
+    )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:

@@ -9,7 +9,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.forecast import StepProblem
 from orchestrator.model.names import controller_of
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flown_lines import FlownLines, check_room, plan_lines
+from orchestrator.plan.flying.lines import FlownLines, check_room, plan_lines
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.span import Span

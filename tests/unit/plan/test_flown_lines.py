@@ -12,7 +12,7 @@ from orchestrator.model.jobs.files import FileError, load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flown_lines import FlownLines, plan_lines
+from orchestrator.plan.flying.lines import FlownLines, plan_lines
 from orchestrator.plan.forecast.job import forecast_job
 
 FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "path.fleet.yaml")
@@ -41,7 +41,7 @@ def test_a_line_has_a_run_up_before_its_first_window_and_a_run_down_behind_its_l
     assert found.find_ends(25) == found.find_ends(0)
     assert [float(place) for place in found.list_positions(0, "start")[:2]] == [-0.25, 0.25]
     assert found.make_path(0).start == [-2.752]
-    assert found.make_move(30).to == {"slide.y": 1.0, "gantry.x": -2.752}
+    assert found.make_move(21).to == {"slide.y": 1.0, "gantry.x": -2.752}
 
 
 def test_a_line_that_snakes_goes_back_and_begins_where_the_one_before_has_ended() -> None:

@@ -13,7 +13,7 @@ from orchestrator.model.names import controller_of
 from orchestrator.model.report import PathReport, PointRecord, PointWindow, StepReport
 from orchestrator.model.state import AxisEvidence, TimeInterval
 from orchestrator.model.steps.order import StepPlace
-from orchestrator.plan.flown_lines import FlownLines
+from orchestrator.plan.flying.lines import FlownLines
 
 OTHER_TIME = 0.005  # of a line: it was held, went at another rate, or its plan was made slower
 _ERRORS = ("profile-fit", "execution", "clock")
@@ -58,7 +58,7 @@ def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
     if abs(path.duration_s / planned_s - 1) > OTHER_TIME or not _fits(evidence, executed_s):
         return []
     window_s = lines.window_s * path.duration_s / planned_s
-    error_s = _find_error(path, lines) * window_s / abs(float(lines.spacing))
+    error_s = find_error(path, lines) * window_s / abs(float(lines.spacing))
     find_instant = _InstantFinder(evidence.start_for_verdict, evidence.end, executed_s, error_s)
     first_s = path.duration_s / 2 - lines.count * window_s / 2
     return [
@@ -85,7 +85,7 @@ def _fits(evidence: AxisEvidence, duration_s: float) -> bool:
     return least_s <= duration_s * (1 + OTHER_TIME) and most_s >= duration_s * (1 - OTHER_TIME)
 
 
-def _find_error(path: PathReport, lines: FlownLines) -> float:
+def find_error(path: PathReport, lines: FlownLines) -> float:
     """How far the axis may be off its plan, besides its start, in its unit; with a count of rounding."""
     terms = [] if path.bound is None else path.bound.terms
     return sum(term.size for term in terms if term.name in _ERRORS) + 1.0 / float(lines.counts_per_unit)

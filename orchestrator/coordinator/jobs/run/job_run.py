@@ -6,6 +6,8 @@ from contextlib import suppress
 
 from orchestrator.clock.owner import running
 from orchestrator.coordinator.fleet.leases import AxesInUse
+from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
+from orchestrator.coordinator.jobs.run.flight_run import FlightRun
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence, make_sequence
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
@@ -26,6 +28,8 @@ from orchestrator.model.errors import Refusal, shorten_text
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import StopMode
 from orchestrator.model.report import JobProgress, JobReport, JobState, PointRecord, StepReport
+from orchestrator.model.steps.order import StepPlace
+from orchestrator.plan.flying.path import FlightPath
 
 
 class JobRun:
@@ -213,6 +217,8 @@ class JobRun:
         """Run step number `index`, and record its report. Raises `JournalError`, `JobInterrupted`."""
         location, step = self._steps.locate(index), await self._steps.read_step(index)
         self._reports.begin_step(location)
+        if isinstance(step, FlightPath):
+            return await self._run_flight(location, step)
         report = await self._step_run.run_step(index, step)
         self._rest.seen_ns = None
         report = self._chain.complete_report(report, self._reports.last_motion)
@@ -223,6 +229,20 @@ class JobRun:
         target = report.retargets[-1].to if report.retargets else self._steps.find_target(location)
         await self._reports.add_report(location, report, target)
         return report
+
+    async def _run_flight(self, place: StepPlace, step: FlightPath) -> StepReport:
+        """Run lines of a scan in one motion, and give out their rows meanwhile. Raises `JournalError`,
+        `JobInterrupted`."""
+        flight = FlightRows(self._services.motion, place, step.part)
+        self._state.flight = flight
+        following = FlightRun(self._services, self._state, self._reports, flight)
+        try:
+            async with running(following.run()):
+                report = await self._step_run.run_step(place.index, step)
+        finally:
+            self._state.flight = None
+        self._rest.seen_ns = None
+        return await following.finish(self._steps.flights, place, report)
 
     async def _store_points(self, points: Sequence[PointRecord]) -> None:
         journal = self._services.journal

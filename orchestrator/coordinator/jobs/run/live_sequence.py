@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import ClockTimer
+from orchestrator.coordinator.jobs.run.scan_flights import ScanFlights
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobRecord
@@ -168,4 +169,5 @@ def make_sequence(services: JobServices, row: JobRecord, job: Job, on_added: Cal
     order, live = StepOrder(job.steps, row.repeat), as_live(job.steps[0])
     if live is not None:
         return LiveSequence(order, services, row.id, live, on_added)
-    return StepSequence(order, services.view.fleet, services.journal.points, services.execute)
+    flights = ScanFlights(services.motion)
+    return StepSequence(order, services.view.fleet, services.journal.points, services.execute, flights)

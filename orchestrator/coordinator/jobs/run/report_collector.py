@@ -15,7 +15,7 @@ from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, St
 from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flown_lines import FlownLines
+from orchestrator.plan.flying.lines import FlownLines
 
 MAX_FINDINGS = 10  # points that are not green and stand in the report
 ROWS_AT_ONCE = 100  # in a transaction
@@ -123,6 +123,27 @@ class ReportCollector:
         self._end_line(scan, place, report, lines)
         await self._write_rows_in_turn()
 
+    async def add_flown_rows(self, rows: Sequence[PointRecord], text: str = "") -> None:
+        """Take rows of a flight, whose verdicts are alike, while it flies and behind it. Raises `JournalError`."""
+        if self._scan is None or not rows:
+            return
+        self._take_rows(self._scan, rows, text)
+        if rows[0].took_s is not None:
+            _note_time(self._scan, round(rows[0].took_s * NS_PER_S))
+        await self._write_rows_in_turn()
+
+    def end_flight(self, place: StepPlace, report: StepReport, steps: int) -> None:
+        """Take the report of a flight. steps: of the scan, that it stands for."""
+        scan = self._scan
+        assert scan is not None
+        scan.point_ns = self._clock.now_ns()
+        if report.t0_fleet_ns is not None:
+            self._last_motion = report
+            self._note_skew(scan, report)
+        scan.steps_done += steps
+        if report.state not in ("done", "stopped"):
+            scan.ended = place, report
+
     async def finish(self) -> None:
         """Write what was recorded until now. Raises `JournalError`."""
         self._close_row()
@@ -161,8 +182,7 @@ class ReportCollector:
                 now.findings.append(PointFinding(point=place.point + 1, verdict=verdict, text=text))
         if report.state == "done":
             now.points += 1
-            now.least_ns = took_ns if now.least_ns is None else min(now.least_ns, took_ns)
-            now.most_ns = max(now.most_ns, took_ns)
+            _note_time(now, took_ns)
         self._last_row = PointRecord(
             step=place.first,
             point=place.point + 1,
@@ -181,19 +201,21 @@ class ReportCollector:
         took_ns = self._clock.now_ns() - now.point_ns
         now.point_ns += took_ns
         rows = make_line_rows(place, report, lines)
-        self._rows += rows
-        now.worst = worse_verdict(now.worst, report.verdict if report.state == "done" else "none")
-        verdict = rows[0].verdict
-        now.verdicts[verdict] = now.verdicts.get(verdict, 0) + len(rows)
+        self._take_rows(now, rows, "; ".join(report.deviations) or report.reason)
         self._note_skew(now, report)
-        if verdict in ("amber", "red") and len(now.findings) < MAX_FINDINGS:
-            text = "; ".join(report.deviations) or report.reason
-            now.findings.append(PointFinding(point=rows[0].point, verdict=verdict, text=text))
         if report.state == "done":
-            now.points += len(rows)
-            point_ns = took_ns // len(rows)
-            now.least_ns = point_ns if now.least_ns is None else min(now.least_ns, point_ns)
-            now.most_ns = max(now.most_ns, point_ns)
+            _note_time(now, took_ns // len(rows))
+
+    def _take_rows(self, now: _ScanProgress, rows: Sequence[PointRecord], text: str) -> None:
+        """Take rows of points that were flown, whose verdicts are alike. text: what is wrong, if the verdict says
+        so."""
+        self._rows += rows
+        verdict = rows[0].verdict
+        now.worst = worse_verdict(now.worst, verdict)
+        now.verdicts[verdict] = now.verdicts.get(verdict, 0) + len(rows)
+        now.points += sum(row.state == "done" for row in rows)
+        if verdict in ("amber", "red") and len(now.findings) < MAX_FINDINGS:
+            now.findings.append(PointFinding(point=rows[0].point, verdict=verdict, text=text))
 
     def _note_skew(self, now: _ScanProgress, moved: StepReport) -> None:
         skew = moved.narrowest_skew
@@ -239,3 +261,9 @@ class ReportCollector:
         reason = f"{location.describe()}: {ended_report.reason}"
         changes = {"state": ended_report.state, "reason": reason, "verdict": "none"}
         return [report.model_copy(update=changes), ended_report]
+
+
+def _note_time(now: _ScanProgress, took_ns: int) -> None:
+    """A point took so long."""
+    now.least_ns = took_ns if now.least_ns is None else min(now.least_ns, took_ns)
+    now.most_ns = max(now.most_ns, took_ns)

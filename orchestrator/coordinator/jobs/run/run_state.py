@@ -4,6 +4,7 @@ import asyncio
 
 from orchestrator.bus.base import Priority
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
@@ -49,7 +50,8 @@ class RunState:
     """The state of job `row`.
 
     needs: controllers that no other job may use meanwhile. rate: of the speed of its next moves. is_recorded: its
-    beginning is in the journal. motion_step: the present step, if it is a motion.
+    beginning is in the journal. motion_step: the present step, if it is a motion. flight: what it stands for, if it
+    flies lines of a scan in one motion.
     """
 
     def __init__(self, services: JobServices, row: JobRecord, steps: StepSequence, needs: frozenset[str]) -> None:
@@ -60,6 +62,7 @@ class RunState:
         self.rate = 1.0
         self.step = row.from_step
         self.motion_step: MotionStep | None = None
+        self.flight: FlightRows | None = None
         self._services = services
         self._row = row
         self._steps = steps
@@ -148,9 +151,9 @@ class RunState:
             steps=len(self._steps),
             step_name=self._doing or location.step_name,
             scan_step=location.first if within_scan else None,
-            point=location.point + 1 if location.point is not None and within_scan else None,
+            point=self._find_point(location.point) + 1 if location.point is not None and within_scan else None,
             points=location.point_count if within_scan else None,
-            fraction=min(1.0, (self.step + step_share) / max(1, len(self._steps))),
+            fraction=min(1.0, (self.step + step_share * self._count_steps()) / max(1, len(self._steps))),
             remaining_s=remaining_s,
             line=self._find_line(),
             override_percent=None if rate is None else round(100 * rate, 3),
@@ -158,6 +161,13 @@ class RunState:
             reason=self._describe_reason(rate),
             utc=self._services.clock.utc(),
         )
+
+    def _find_point(self, first: int) -> int:
+        return first if self.flight is None else self.flight.point
+
+    def _count_steps(self) -> int:
+        """The steps that the present one stands for."""
+        return 1 if self.flight is None else self.flight.steps
 
     def _find_armed(self) -> ArmedState | None:
         start = None if self.motion_step is None else self.motion_step.armed_start

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from orchestrator.clock.executor import Executor
+from orchestrator.coordinator.jobs.run.scan_flights import ScanFlights
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.store import PointUploads
 from orchestrator.model.fleet import Fleet
@@ -13,7 +14,7 @@ from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
-from orchestrator.plan.flown_lines import FlownLines, plan_lines
+from orchestrator.plan.flying.lines import FlownLines
 
 ROWS_AT_ONCE = 4096  # that are read of stored points; 32 kB an axis
 READERS_KEPT = 2  # of the present scan, and the one before or behind it
@@ -34,19 +35,21 @@ class PointReader(Protocol):
 class StepSequence:
     """The steps of a job by their numbers. A point of a scan is a move, then the steps at it."""
 
-    def __init__(self, order: StepOrder, fleet: Fleet, store: PointUploads, execute: Executor) -> None:
+    def __init__(
+        self, order: StepOrder, fleet: Fleet, store: PointUploads, execute: Executor, flights: ScanFlights | None = None
+    ) -> None:
+        """flights: of its scans; a job that flies none needs none."""
         self.order = order
         self._fleet = fleet
         self._store = store
         self._execute = execute
         self._readers: dict[int, tuple[Scan, PointReader]] = {}
-        self._lines: tuple[Scan, FlownLines] | None = None
+        self._flights = flights
 
     def replace_order(self, order: StepOrder) -> None:
         """Other steps, with the named positions of this moment."""
         self.order = order
         self._readers = {}
-        self._lines = None
 
     def list_steps(self, first: int) -> list[Step]:
         """The written steps from number `first` on."""
@@ -75,12 +78,13 @@ class StepSequence:
 
     async def find_next(self, index: int) -> int | None:
         """The number of the next step to run, `index` or behind it, once there is one; None: there is none any more."""
+        index = index if self._flights is None else self._flights.take_next(index)
         return index if index < len(self) else None
 
     def note_report(self, index: int, report: StepReport) -> bool:
         """Step `index` has ended; return whether another one may begin."""
         del index
-        return report.state == "done"
+        return report.state == "done" or (self._flights is not None and self._flights.goes_on)
 
     def drop_waiting(self, reason: str) -> None:
         """The job has ended: steps that were asked for and have not begun do not begin."""
@@ -91,6 +95,8 @@ class StepSequence:
         location = self.locate(index)
         if location.scan is not None and location.point is not None:
             await self._find_reader(location.scan).load_point(location.point)
+        if self._flights is not None:
+            await self._flights.prepare(location)
         return self[index]
 
     def find_target(self, place: StepPlace) -> Mapping[str, float]:
@@ -101,21 +107,21 @@ class StepSequence:
         positions = self._find_reader(place.scan).find_positions(place.point)
         return dict(zip(place.scan.axis_names, positions, strict=True))
 
+    @property
+    def flights(self) -> ScanFlights:
+        """What of its scans flies."""
+        assert self._flights is not None
+        return self._flights
+
     def find_lines(self, place: StepPlace) -> FlownLines | None:
         """The lines of the scan that a step belongs to, if it flies. Raises `Refusal` if it cannot be flown."""
-        scan = place.scan
-        if scan is None or scan.fly is None:
-            return None
-        if self._lines is None or self._lines[0] is not scan:
-            self._lines = scan, plan_lines(scan, self._fleet)
-        return self._lines[1]
+        return None if self._flights is None else self._flights.find_lines(place)
 
     def _make_motion(self, scan: Scan, place: StepPlace) -> Step:
         """The motion of a scan that a place is: to a point, or of a line that is flown its move or path."""
-        lines = self.find_lines(place)
-        if lines is None or place.point is None:
-            return scan.make_move(self.find_target(place))
-        return lines.make_path(place.point) if place.part else lines.make_move(place.point)
+        if self.find_lines(place) is not None:
+            return self.flights.find_motion(place)
+        return scan.make_move(self.find_target(place))
 
     def _find_reader(self, scan: Scan) -> PointReader:
         if id(scan) not in self._readers:

@@ -20,6 +20,7 @@ from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import FeedHold, JobState, StepReport
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.tree import as_motion
+from orchestrator.plan.flying.path import FlightPath
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,8 @@ class StepRun:
                     await self._wait_for_cause(report.reason)
                     continue
                 is_retargeted = await self._retargets.continue_step(report)
-                if refused_code != FEED_HOLD and not is_retargeted:
+                # Of a flight that was braked, the scan flies again what was disturbed.
+                if isinstance(step, FlightPath) or (refused_code != FEED_HOLD and not is_retargeted):
                     return report.model_copy(update={"feed_holds": holds, "retargets": self._retargets.entries})
                 is_held = self._pause.braked or not is_retargeted
                 await self._chain.drop("the job is paused" if is_held else RETARGETED, self._context.actor)

@@ -18,7 +18,7 @@ from orchestrator.model.steps.points import GridPoints, ScanAxis
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.triggers import Trigger
 from orchestrator.model.units import Unit, UnitError, parse_quantity, parse_rate
-from orchestrator.plan.path_step import LEAST_RAMP_S
+from orchestrator.plan.targets import find_jerk
 
 MARGIN_COUNTS = 2  # of each run-up: its ends are rounded to counts
 LEAST_WINDOW_COUNTS = 2
@@ -67,6 +67,11 @@ class FlownLines:
         return self.scan.flown_axis
 
     @property
+    def line_count(self) -> int:
+        """The number of lines."""
+        return self.scan.point_count // self.count
+
+    @property
     def window_s(self) -> float:
         """The time in the window of a point, s."""
         return abs(float(self.spacing)) / self.speed
@@ -92,6 +97,19 @@ class FlownLines:
         if GridPoints(self.scan.axes).find_indices(first)[-1] == 0:
             return ends
         return LineEnds(ends.end, ends.begin, forward=False)
+
+    def find_velocity(self, point: int) -> float:
+        """Of the axis that flies, with its sign, in the window of a point."""
+        is_rising = self.find_ends(point).forward == (self.spacing > 0)
+        return self.speed if is_rising else -self.speed
+
+    def find_begin(self, point: int) -> float:
+        """Where the axis that flies rests, so that it has its speed from the window of a point on."""
+        if not point % self.count:
+            return self.find_ends(point).begin
+        way = Fraction(self.run_up) + abs(self.spacing) / 2
+        position = Fraction(self.find_target(point)[self.axis]) - (way if self.find_velocity(point) > 0.0 else -way)
+        return float(round(position * self.counts_per_unit) / self.counts_per_unit)
 
     def list_positions(self, point: int, place: WindowPlace = "middle") -> list[Fraction]:
         """A place in each window of the line of a point, in the order in which they are flown."""
@@ -122,9 +140,8 @@ class FlownLines:
         return [Trigger.model_validate({"output": trigger.output, "at": positions, "of": self.axis, **pulse})]
 
     def make_move(self, point: int) -> Move:
-        """The move to the beginning of the line of a point."""
-        target = self.find_target(point - point % self.count)
-        return self.scan.make_move({**target, self.axis: self.find_ends(point).begin})
+        """The move to where the axis that flies rests before the window of a point."""
+        return self.scan.make_move({**self.find_target(point), self.axis: self.find_begin(point)})
 
     def make_ends_scan(self) -> Scan:
         """A scan from point to point that has the ends of the lines instead of their points."""
@@ -167,7 +184,7 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
         fitting_ms = window / axis.limits.velocity * 1e3
         remedy = f"`duration: {fitting_ms * 1.0005:.4g} ms` or longer fits, or points that are closer together"
         raise Refusal("fly-speed", text, remedy, owner)
-    ramp_s = axis.limits.acceleration / axis.limits.jerk if axis.limits.jerk else LEAST_RAMP_S
+    ramp_s = axis.limits.acceleration / find_jerk(axis)
     run_up_s = speed / axis.limits.acceleration + ramp_s
     run_up = speed * run_up_s / 2 + MARGIN_COUNTS / float(counts_per_unit)
     if scan.fly.trigger is not None:

@@ -1,0 +1,234 @@
+"""The rows of lines that are flown in one motion: given out line by line while it flies.
+
+A row is given out as soon as it is certain that its line was flown as planned: what was released reaches beyond its
+end at the planned speed, and every member has published a reading behind it that shows it in motion and without fault.
+When an axis was in a window follows from the evidence of the start, and from the bound of the clock, which is fitted
+anew with each chunk. As with single lines, an axis that is off its plan by a distance is off in time by that divided by
+the speed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil, floor, inf
+from typing import Literal
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.jobs.run.flown_rows import find_error
+from orchestrator.coordinator.motion.path_proof import narrow_start
+from orchestrator.coordinator.motion.report import judge_starts
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.coordinator.motion.start import FEED_HOLD
+from orchestrator.coordinator.motion.step import BRAKED, PlannedMotion
+from orchestrator.model.names import controller_of
+from orchestrator.model.report import PointRecord, PointWindow, StepReport, Verdict
+from orchestrator.model.state import TimeInterval
+from orchestrator.model.steps.order import StepPlace
+from orchestrator.plan.flying.flight import FlightLine
+from orchestrator.plan.flying.path import FlownPart
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEnd:
+    """How a flight has ended. rows: those that were not given out before. next_point: of the scan, from 0, that is
+    flown next. late: it was braked because a chunk came too late. broken: points whose windows were
+    disturbed. is_interrupted: it was braked on its way, and goes on."""
+
+    rows: list[PointRecord]
+    next_point: int
+    late: bool = False
+    broken: range = range(0)
+    is_interrupted: bool = False
+
+
+class FlightRows:
+    """The rows of the flight that a step is. place: of its first line."""
+
+    def __init__(self, services: MotionServices, place: StepPlace, part: FlownPart) -> None:
+        self._view = services.fleet.view
+        self._now_ns = services.leadership.fleet_now_ns
+        self._place = place
+        self._part = part
+        self._waiting = list(part.flight.lines)
+        self._confirmed_s = -inf
+        self._motion: PlannedMotion | None = None
+
+    @property
+    def motion(self) -> PlannedMotion | None:
+        """The flight, once it is agreed on."""
+        return self._motion
+
+    @property
+    def steps(self) -> int:
+        """The steps of the scan that it stands for."""
+        lines = len(self._part.flight.lines)
+        return lines * (self._place.scan.points_steps if self._place.scan is not None else 1)
+
+    def find_line_end(self, after_s: float) -> float | None:
+        """When the line that is flown at an instant of the flight is over, or the next one; None behind all of them."""
+        return next((line.end_s for line in self._part.flight.lines if line.end_s >= after_s), None)
+
+    @property
+    def point(self) -> int:
+        """The point of the scan, from 0, that it flies through now."""
+        at_s = self._find_now_s()
+        lines = [line for line in self._part.flight.lines if line.begin_s <= at_s]
+        if not lines:
+            return self._part.first
+        return lines[-1].first + min(lines[-1].points - 1, int((at_s - lines[-1].begin_s) / lines[-1].window_s))
+
+    def _find_now_s(self) -> float:
+        t0_ns = 0 if self._motion is None else self._motion.start.state.t0_fleet_ns
+        return (self._now_ns() - t0_ns) / NS_PER_S if t0_ns else -inf
+
+    def observe(self, motion: PlannedMotion | None) -> None:
+        """Take the present motion of the step, and what its members have published meanwhile."""
+        if motion is None:
+            return
+        self._motion = motion
+        t0_ns = motion.start.state.t0_fleet_ns
+        if t0_ns and motion.watch.failure is None:
+            readings_ns = [self._find_reading_ns(member) for member in motion.agreement.proposals]
+            self._confirmed_s = max(self._confirmed_s, (min(readings_ns, default=0) - t0_ns) / NS_PER_S)
+
+    def _find_reading_ns(self, member: str) -> int:
+        """Until when a member is known to have followed its plan: its last reading; 0: not at all."""
+        motion, state = self._motion, self._view.last_state(member)
+        assert motion is not None
+        if state is None or state.read_fleet_ns is None or state.faults or self._view.is_silent(member):
+            return 0
+        if state.instance != motion.planned.instances.get(member, state.instance):
+            return 0
+        flown = self._part.lines.axis
+        for name in motion.agreement.profiles(member):
+            axis = state.axes[name]
+            if not axis.enabled or axis.fault or (not axis.moving and f"{member}.{name}" == flown):
+                return 0
+        return state.read_fleet_ns
+
+    # Rows
+
+    def take(self) -> list[PointRecord]:
+        """The rows of lines that have become certain."""
+        verdict = self._judge_starts()
+        if verdict is None:
+            return []
+        certain_s = min(self._confirmed_s, self._find_undisturbed_s())
+        return list(self._take_until(certain_s, verdict))
+
+    def _take_until(self, certain_s: float, verdict: Verdict) -> Iterator[PointRecord]:
+        while self._waiting and self._waiting[0].end_s <= certain_s:
+            line = self._waiting.pop(0)
+            yield from self._make_rows(line, line.points, verdict)
+
+    def finish(self, report: StepReport) -> FlightEnd:
+        """The rows that were not given out, and where the scan goes on."""
+        code = "" if report.refused is None else report.refused.code
+        if report.state == "done":
+            rows = list(self._take_until(inf, report.verdict))
+            return FlightEnd(rows, self._part.end)
+        if code not in (FEED_HOLD, BRAKED):
+            return FlightEnd(self._list_broken(report.state), self._part.first)
+        is_late = code == BRAKED
+        undisturbed_s, verdict = self._find_undisturbed_s(), self._judge_starts()
+        rows = [] if verdict is None else list(self._take_until(undisturbed_s, verdict))
+        if not self._waiting:
+            return FlightEnd(rows, self._part.end, late=is_late, is_interrupted=True)
+        line, flown = self._waiting[0], 0
+        if verdict is not None and undisturbed_s > line.begin_s:
+            flown = min(line.points, floor((undisturbed_s - line.begin_s) / line.window_s))
+            rows += self._make_rows(line, flown, verdict)
+        broken = self._find_broken(line, flown)
+        return FlightEnd(rows, line.first + flown, late=is_late, broken=broken, is_interrupted=True)
+
+    def _find_broken(self, line: FlightLine, flown: int) -> range:
+        """The points behind the first `flown` ones of a line whose windows have begun when the flight was at rest."""
+        feed = None if self._motion is None else self._motion.feed
+        stop_s = line.begin_s if feed is None else feed.chunk.stop_path_s
+        begun = max(flown, min(line.points, ceil((stop_s - line.begin_s) / line.window_s)))
+        return range(line.first + flown, line.first + begun)
+
+    def _find_undisturbed_s(self) -> float:
+        """Until when what is released is played at the planned speed, in the time of the flight."""
+        feed = None if self._motion is None else self._motion.feed
+        if feed is None:
+            return -inf
+        ramps = feed.chunk.clock.ramps
+        if ramps[0].after != 1.0:
+            return -inf
+        return ramps[1].begin_s if len(ramps) > 1 else inf
+
+    def _judge_starts(self) -> Verdict | None:
+        """The verdict on the starts of all members; None as long as one is not known."""
+        motion = self._motion
+        return None if motion is None else judge_starts(motion.agreement, motion.watch.reports)
+
+    def _make_rows(self, line: FlightLine, count: int, verdict: Verdict) -> list[PointRecord]:
+        motion, lines = self._motion, self._part.lines
+        assert motion is not None
+        return [
+            self._make_row(
+                line.first + number,
+                "done",
+                verdict=verdict,
+                window=PointWindow(
+                    lower=self._find_interval(line, number),
+                    middle=self._find_interval(line, number + 0.5),
+                    upper=self._find_interval(line, number + 1),
+                ),
+                took_s=lines.window_s,
+            )
+            for number in range(count)
+        ]
+
+    def _make_row(
+        self,
+        point: int,
+        state: Literal["done", "failed", "stopped"],
+        verdict: Verdict = "none",
+        window: PointWindow | None = None,
+        took_s: float | None = None,
+    ) -> PointRecord:
+        target = self._part.lines.find_target(point)
+        return PointRecord(
+            step=self._place.first,
+            point=point + 1,
+            state=state,
+            verdict=verdict,
+            t0_fleet_ns=None if self._motion is None else self._motion.start.state.t0_fleet_ns,
+            took_s=took_s,
+            target=target,
+            measured=dict.fromkeys(target),
+            window=window,
+            good=window is not None and verdict != "red",
+        )
+
+    def make_broken_rows(self, points: range) -> list[PointRecord]:
+        """Rows of points whose windows were disturbed, and are not flown again."""
+        return [self._make_row(point, "stopped") for point in points]
+
+    def _list_broken(self, state: Literal["done", "failed", "stopped", "skipped"]) -> list[PointRecord]:
+        """The rows of the lines that had begun when the flight failed, and were not certain; at least one."""
+        words: Literal["failed", "stopped"] = "stopped" if state == "stopped" else "failed"
+        at_s = self._find_now_s()
+        begun_lines = [line for line in self._waiting if line.begin_s <= at_s]
+        if not begun_lines:
+            first = self._waiting[0].first if self._waiting else self._part.first
+            return [self._make_row(first, words)]
+        points = range(begun_lines[0].first, begun_lines[-1].first + begun_lines[-1].points)
+        return [self._make_row(point, words) for point in points]
+
+    def _find_interval(self, line: FlightLine, windows: float) -> TimeInterval:
+        """When the axis was so many windows behind the beginning of a line."""
+        motion, lines = self._motion, self._part.lines
+        assert motion is not None and motion.agreement.first is not None and motion.agreement.path is not None
+        agreement, first = motion.agreement, motion.agreement.first
+        t0_ns, member = motion.start.state.t0_fleet_ns, controller_of(lines.axis)
+        at_s = line.begin_s + windows * line.window_s
+        early_ns, late_ns = narrow_start(agreement, member, motion.watch.reports[member], t0_ns)
+        age_s = min(at_s, first.most_s + first.load_s)
+        error_s = find_error(motion.agreement.path, lines) * line.window_s / abs(float(lines.spacing))
+        beside_ns = (agreement.proposals[member].clock_ppm * 1e-6 * age_s + error_s) * NS_PER_S
+        planned_ns = t0_ns + at_s * NS_PER_S
+        return TimeInterval(
+            earliest_ns=floor(planned_ns + early_ns - beside_ns), latest_ns=ceil(planned_ns + late_ns + beside_ns)
+        )

@@ -1,0 +1,78 @@
+"""A flight of a job while it flies: its rows are given out, and a pause brakes it between two lines."""
+
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
+from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
+from orchestrator.coordinator.jobs.run.run_state import RunState
+from orchestrator.coordinator.jobs.run.scan_flights import MOST_STOPS, ScanFlights
+from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.model.report import StepReport
+from orchestrator.model.steps.order import StepPlace
+
+LOOK_NS = 50 * NS_PER_MS
+"""Between two looks at a flight: rows are published at most 20 times a second."""
+
+
+class FlightRun:
+    """Follows one flight."""
+
+    def __init__(self, services: JobServices, state: RunState, reports: ReportCollector, flight: FlightRows) -> None:
+        self._services = services
+        self._state = state
+        self._reports = reports
+        self._flight = flight
+
+    async def run(self) -> None:
+        """Give out rows, and brake behind the present line when a pause is asked for, until it is cancelled."""
+        while True:
+            await sleep_ns(self._services.clock, LOOK_NS)
+            step = self._state.motion_step
+            self._flight.observe(None if step is None else step.motion)
+            try:
+                await self._reports.add_flown_rows(self._flight.take())
+            except JournalError as error:  # the rows are kept, and written again with those that follow
+                self._services.log.warning(f"rows are not written yet: {error}")
+            await self._follow_pause()
+
+    async def _follow_pause(self) -> None:
+        motion, pause = self._flight.motion, self._state.pause
+        feed = None if motion is None else motion.feed
+        if feed is None or pause.braked:
+            return
+        if pause.paused_by is None:
+            feed.go_on()
+            return
+        times_s = feed.times_s
+        place_s = None if times_s is None else self._flight.find_line_end(times_s[0])
+        if place_s is not None:
+            await feed.pause(pause.paused_by, place_s)
+
+    async def finish(self, flights: ScanFlights, place: StepPlace, report: StepReport) -> StepReport:
+        """Take what has become of the flight: its last rows, and where the scan goes on. Raises `JournalError`."""
+        end = self._flight.finish(report)
+        interrupted = report.state != "done" and end.is_interrupted
+        await self._reports.add_flown_rows(end.rows, "; ".join(report.deviations) or report.reason)
+        next_point = end.next_point
+        if end.late:
+            self._services.log.warning(report.reason, job=report.name, step=place.index)
+            if not flights.note_stop(place):
+                reason = f"{report.reason}; the scan was braked {MOST_STOPS + 1} times because of that, and ends"
+                report = report.model_copy(update={"state": "failed", "reason": reason})
+                interrupted = False
+            elif not flights.repeats_disturbed(place) and end.broken:
+                await self._reports.add_flown_rows(self._flight.make_broken_rows(end.broken))
+                next_point = end.broken.stop
+        done_steps = self._count_steps(place, next_point, report)
+        self._reports.end_flight(place, report, done_steps)
+        if report.state == "done" or interrupted:
+            flights.note_end(place, next_point)
+        return report
+
+    def _count_steps(self, place: StepPlace, next_point: int, report: StepReport) -> int:
+        """The steps of the scan that are done: the moves between lines are parts of the flight."""
+        assert place.scan is not None and place.point is not None
+        if report.state == "failed":
+            return 0
+        lines = (next_point - place.point) // place.scan.line_points
+        return max(0, lines * place.scan.points_steps - 1)

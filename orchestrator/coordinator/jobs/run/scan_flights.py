@@ -1,0 +1,133 @@
+"""Scans that fly: which lines are flown in one motion, and where a flight that was interrupted goes on."""
+
+from dataclasses import dataclass
+
+from orchestrator.coordinator.motion.path_chunks import LONGEST_CHUNK_S
+from orchestrator.coordinator.motion.services import MotionServices
+from orchestrator.model.names import controller_of
+from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.steps.order import StepPlace
+from orchestrator.model.steps.scan import Scan
+from orchestrator.plan.flying.lines import FlownLines, plan_lines
+from orchestrator.plan.flying.path import FlightPath, FlownPart, plan_part
+from orchestrator.plan.shape import PlanError
+
+MOST_STOPS = 3
+"""Of one scan, because chunks came too late, after which it ends."""
+
+
+SCANS_KEPT = 2  # the present one, and one that is looked at ahead
+
+
+@dataclass(slots=True)
+class _FlownScan:
+    """A scan whose lines are flown. part: what is flown next in one motion, None: its lines are flown one by one.
+    begin: the point from which an interrupted line is flown again. stops: how often chunks came too late."""
+
+    lines: FlownLines
+    part: FlownPart | None = None
+    begin: int | None = None
+    stops: int = 0
+
+    def is_in_line(self, point: int | None, begin: int) -> bool:
+        """Whether a point is in the line that begins with another one."""
+        return point is not None and point - point % self.lines.count == begin
+
+
+class ScanFlights:
+    """The flights of one job, one scan after the other."""
+
+    def __init__(self, services: MotionServices) -> None:
+        self._services = services
+        self._fleet = services.fleet.view.fleet
+        self._scans: dict[int, _FlownScan] = {}
+        self._next_index: int | None = None
+
+    def find_lines(self, place: StepPlace) -> FlownLines | None:
+        """The lines of the scan that a step belongs to, if it flies. Raises `Refusal` if it cannot be flown."""
+        scan = place.scan
+        return None if scan is None or scan.fly is None else self._find_scan(place, scan).lines
+
+    def _find_scan(self, place: StepPlace, scan: Scan) -> _FlownScan:
+        found = self._scans.get(place.first)
+        if found is None or found.lines.scan is not scan:
+            if len(self._scans) == SCANS_KEPT:
+                del self._scans[next(iter(self._scans))]
+            self._scans[place.first] = found = _FlownScan(plan_lines(scan, self._fleet))
+        return found
+
+    async def prepare(self, place: StepPlace) -> None:
+        """Plan what is flown from a line on, before the move to its beginning. Raises `Refusal`."""
+        if place.scan is None or place.scan.fly is None or place.point is None:
+            return
+        flown = self._find_scan(place, place.scan)
+        if place.part and flown.part is not None and flown.is_in_line(flown.part.first, place.point):
+            return
+        is_inside = flown.begin is not None and flown.is_in_line(flown.begin, place.point)
+        flown.part = await self._plan_part(flown.lines, flown.begin if is_inside and flown.begin else place.point)
+
+    def find_motion(self, place: StepPlace) -> Motion:
+        """The motion of a step of a scan that flies: to where a line begins, or through its windows, and those of the
+        lines behind it that are flown with it. Raises `Refusal`."""
+        assert place.scan is not None and place.point is not None
+        flown = self._find_scan(place, place.scan)
+        lines, part = flown.lines, flown.part
+        if part is None or not flown.is_in_line(part.first, place.point):
+            return lines.make_path(place.point) if place.part else lines.make_move(place.point)
+        return FlightPath.make(part) if place.part else lines.make_move(part.first)
+
+    async def _plan_part(self, lines: FlownLines, first: int) -> FlownPart | None:
+        """The lines from a point on that are flown in one motion; None where they are flown one by one."""
+        most_s = await self._find_chunk_s(lines)
+        if most_s is None:
+            return None
+        most_points = lines.scan.point_count
+        try:
+            return await self._services.plan(plan_part, lines, self._fleet, first, most_points, most_s)
+        except PlanError as error:
+            self._services.fleet.log.info(f"flown line by line: {error}")
+            return None
+
+    async def _find_chunk_s(self, lines: FlownLines) -> float | None:
+        """The longest chunk that all members of a flight load, s; None where one of them cannot play it. Raises
+        `Refusal` for an absent one."""
+        axes = [self._fleet.axis(name) for name in lines.scan.axes]
+        if lines.scan.trigger_outputs or len({axis.unit for axis in axes}) > 1 or lines.line_count < 2:
+            return None
+        most_s = LONGEST_CHUNK_S
+        for controller in dict.fromkeys(map(controller_of, lines.scan.axes)):
+            info = await self._services.fleet.view.require_info(controller)
+            if not info.chunk_s or max(info.orders) < 3:
+                return None
+            most_s = min(most_s, info.chunk_s)
+        return most_s
+
+    # Ends
+
+    def note_end(self, place: StepPlace, next_point: int) -> None:
+        """A flight has ended, as planned or braked on its way: the points from `next_point` on are flown next."""
+        flown = self._scans[place.first]
+        count = flown.lines.count
+        self._next_index = place.first + next_point // count * flown.lines.scan.points_steps
+        flown.begin = next_point if next_point % count else None
+        flown.part = None
+
+    def note_stop(self, place: StepPlace) -> bool:
+        """A chunk came too late; return whether the scan goes on all the same."""
+        self._scans[place.first].stops += 1
+        return self._scans[place.first].stops <= MOST_STOPS
+
+    def repeats_disturbed(self, place: StepPlace) -> bool:
+        """Whether windows that were disturbed because a chunk came too late are flown again."""
+        flown = self._scans[place.first]
+        return flown.lines.scan.fly is not None and flown.stops <= flown.lines.scan.fly.repeat_disturbed
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether a flight has ended behind which the scan goes on."""
+        return self._next_index is not None
+
+    def take_next(self, index: int) -> int:
+        """The number of the next step, where `index` would be without flights."""
+        found, self._next_index = self._next_index, None
+        return index if found is None else found

@@ -1,0 +1,1 @@
+"""Scans that fly: their lines, and the motion through them."""

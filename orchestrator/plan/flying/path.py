@@ -1,0 +1,165 @@
+"""Several lines of a scan as one step of a job: a path whose motion is that of a flight."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from pydantic import PrivateAttr
+
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.frame import FrameSpec
+from orchestrator.model.paths.pieces import LinePiece
+from orchestrator.model.report import PathReport, PathStretch
+from orchestrator.model.steps.path import FollowPath
+from orchestrator.plan.flying.flight import Flight, plan_flight
+from orchestrator.plan.flying.lines import FlownLines
+from orchestrator.plan.path_course import PathCourse
+from orchestrator.plan.path_profiles import Array, FittedMotion, make_profile
+from orchestrator.plan.path_step import (
+    MAX_STRETCHES,
+    PathStart,
+    PlannedPath,
+    find_unit,
+    make_fitted_axis,
+    require_start,
+)
+from orchestrator.plan.shape import PlanError
+from orchestrator.plan.step import StepPlan
+from orchestrator.plan.targets import make_axis_move
+
+USES = (1.0, 0.8, 0.6)
+"""Of the acceleration and jerk of the axes in turn-arounds: the first that leaves room to brake along the path."""
+
+FLIGHT_MOST_S = 600.0  # a longer scan is flown in several motions of whole lines
+FLIGHT_MOST_LINES = 1000
+RAMP_SHARE = 0.05  # of the tolerance: how far a stopping tail may be off its path
+
+
+@dataclass(frozen=True, slots=True)
+class FlownPart:
+    """Points of a scan that are flown in one motion: from `first` on, before `end`, from 0; `end` begins a line.
+    flight: through them, in user positions."""
+
+    lines: FlownLines
+    first: int
+    end: int
+    flight: Flight
+
+
+class FlightPath(FollowPath):
+    """The step that flies lines of a scan in one motion. It is made when its turn comes, and never sent or stored."""
+
+    _part: FlownPart = PrivateAttr()
+
+    @property
+    def part(self) -> FlownPart:
+        """What it flies."""
+        return self._part
+
+    @classmethod
+    def make(cls, part: FlownPart) -> "FlightPath":
+        """The step for a part of a scan."""
+        ends = part.flight.motion.positions[[0, -1]].tolist()
+        path = cls(
+            name=part.lines.scan.name,
+            axes=list(part.lines.scan.axes),
+            start=ends[0],
+            pieces=[LinePiece(piece="line", to=ends[1])],
+            tolerance=part.lines.tolerance,
+        )
+        path._part = part
+        return path
+
+
+def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_points: int, most_s: float) -> FlownPart:
+    """The longest part of a scan from a point on that is flown in one motion. most_points: in it, but a line at least.
+    most_s: the longest chunk that its members load. Raises `PlanError` for lines that cannot be joined so."""
+    rest = lines.count - first % lines.count
+    line_s = lines.count * lines.window_s + 2 * lines.run_up_s
+    more = min(int(FLIGHT_MOST_S / line_s), FLIGHT_MOST_LINES, (most_points - rest) // lines.count)
+    end = min(first + rest + max(0, more) * lines.count, lines.scan.point_count)
+    axes = [fleet.axis(name) for name in lines.scan.axes]
+    starts = [
+        PathStart(name, axis, Fraction(0), 0, Fraction(0), 3) for name, axis in zip(lines.scan.axes, axes, strict=True)
+    ]
+    for use in USES:
+        flight = plan_flight(lines, fleet, (first, end), use)
+        if _make_course(flight.motion, starts, lines).has_chunks(most_s):
+            return FlownPart(lines, first, end, flight)
+    raise PlanError(f"lines of {lines.count} points of {lines.axis} are too short to be braked between two of them")
+
+
+def plan_flight_step(
+    step: FlightPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
+) -> PlannedPath:
+    """Plan a flight whose axes stand at its start. Raises `Refusal`."""
+    unit, part = find_unit(starts), step.part
+    require_start(step, starts, frames or {})
+    shift = np.array([float(start.offset) for start in starts])
+    motion = part.flight.motion._replace(positions=part.flight.motion.positions - shift)
+    course = _make_course(motion, starts, part.lines)
+    exact = {
+        start.name: (Fraction(end), axis.end_counts)
+        for start, axis, end in zip(starts, course.axes, motion.positions[-1].tolist(), strict=True)
+    }
+    profiles = {
+        course.axes[column].name: make_profile(motion, column, course.axes[column]) for column in course.columns
+    }
+    times_s, speeds = _sample_windows(part.flight)
+    return PlannedPath(
+        plan=StepPlan(course.duration_s, profiles, [start.name for start in starts if start.name not in profiles]),
+        moves=[
+            make_axis_move(start.name, start.axis, start.start_counts, exact[start.name][1], start.order)
+            for start in starts
+        ],
+        exact=exact,
+        report=PathReport(
+            unit=unit,
+            length=float(np.linalg.norm(np.diff(motion.positions, axis=0), axis=1).sum()),
+            duration_s=course.duration_s,
+            stretches=_list_stretches(part),
+        ),
+        tolerance=part.lines.tolerance,
+        fit_error=0.5 / min(abs(axis.counts_per_unit) for axis in course.axes),
+        counts_per_unit={axis.name: axis.counts_per_unit for axis in course.axes},
+        times_s=times_s,
+        speeds={start.name: speeds[:, column] for column, start in enumerate(starts)},
+        course=course,
+        flight=part.flight,
+    )
+
+
+def _make_course(motion: FittedMotion, starts: Sequence[PathStart], lines: FlownLines) -> PathCourse:
+    """The course of a flight in motor positions."""
+    axes = [
+        make_fitted_axis(start, start.axis.to_target_counts(Fraction(end)))
+        for start, end in zip(starts, motion.positions[-1].tolist(), strict=True)
+    ]
+    columns = [column for column in range(len(axes)) if np.ptp(motion.positions[:, column]) > 0.0]
+    return PathCourse(motion, axes, columns, motion.positions[0], lines.tolerance * RAMP_SHARE)
+
+
+def _sample_windows(flight: Flight) -> tuple[Array, Array]:
+    """Instants of a flight, and the speeds of its axes then: their own in the windows, 0 in between, where they need
+    not keep together."""
+    edges = np.array([[line.begin_s, line.end_s] for line in flight.lines])
+    times_s = np.concatenate([[0.0], edges.ravel(), [flight.duration_s]])
+    speeds = np.zeros((len(times_s), flight.motion.positions.shape[1]))
+    speeds[1:-1] = np.abs(flight.motion.evaluate(edges.mean(axis=1))[1]).repeat(2, axis=0)
+    return times_s, speeds
+
+
+def _list_stretches(part: FlownPart) -> list[PathStretch]:
+    """The lines of a flight, and the turn-arounds between them; of a long one only itself."""
+    lines, last = part.flight.lines, part.flight.duration_s
+    if 2 * len(lines) + 1 > MAX_STRETCHES:
+        return [PathStretch(from_s=0.0, to_s=last, binds=f"{len(lines)} lines at constant speed, and turn-arounds")]
+    stretches, at_s = list[PathStretch](), 0.0
+    for line in lines:
+        words = f"points {line.first + 1} to {line.first + line.points} at constant speed"
+        between = "turn-around" if stretches else "run-up"
+        stretches.append(PathStretch(from_s=at_s, to_s=line.begin_s, binds=between))
+        stretches.append(PathStretch(from_s=line.begin_s, to_s=line.end_s, binds=words))
+        at_s = line.end_s
+    return [*stretches, PathStretch(from_s=at_s, to_s=last, binds="run-down")]
