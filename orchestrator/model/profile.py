@@ -9,6 +9,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+LEAST_REST_S = 0.01
+"""A rest at the beginning of a profile that is shorter changes nothing about when its axis is seen to move."""
+
 
 class MotionState(NamedTuple):
     """The motion at an instant: counts, counts/s, counts/s²; the position is relative to the profile's start."""
@@ -74,6 +77,12 @@ class Profile(_IntegrationCache):
     def duration_s(self) -> float:
         """From the start of the axis to its end, in seconds."""
         return sum(self.durations_s)
+
+    @property
+    def rests_first(self) -> bool:
+        """Whether it begins with a rest of more than a moment."""
+        moves = bool(self.first_velocity or self.accelerations[0] or self.jerks[0])
+        return not moves and self.durations_s[0] > LEAST_REST_S
 
     @property
     def segments(self) -> list[Segment]:

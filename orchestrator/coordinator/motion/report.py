@@ -127,12 +127,28 @@ def judge_completed_step(
 
 def judge_starts(agreement: StartAgreement, reports: Mapping[str, MemberReport]) -> Verdict | None:
     """The verdict on the starts of the members; None while one of them is not known."""
-    evidence = [axis_evidence for report in reports.values() for axis_evidence in report.evidence.values()]
-    if len(evidence) < len(agreement.plan.profiles):
+    if sum(len(report.evidence) for report in reports.values()) < len(agreement.plan.profiles):
         return None
-    measured = measure_skew([axis_evidence.start for axis_evidence in evidence])
-    promised = measure_skew([axis_evidence.start_for_verdict for axis_evidence in evidence], agreement.budget)
+    measured, promised = _measure_starts(agreement, reports)
     return worse_verdict(judge_skew(measured, agreement.budget), judge_skew(promised, agreement.budget))
+
+
+def _measure_starts(
+    agreement: StartAgreement, reports: Mapping[str, MemberReport]
+) -> tuple[SkewInterval | None, SkewInterval | None]:
+    """The start skew by evidence alone, and with the promises."""
+    plan, starts, promised = (
+        agreement.plan if agreement.first is None else agreement.first.plan,
+        list[TimeInterval](),
+        list[TimeInterval](),
+    )
+    for member, report in reports.items():
+        for axis, evidence in report.evidence.items():
+            # Of an axis that rests first, a controller can state a start only when it has begun to move.
+            rests = plan.profiles[f"{member}.{axis}"].rests_first
+            starts.append(evidence.start_for_verdict if rests else evidence.start)
+            promised.append(evidence.start_for_verdict)
+    return measure_skew(starts), measure_skew(promised, agreement.budget)
 
 
 def make_step_report(
@@ -148,8 +164,7 @@ def make_step_report(
     starts = [axis_evidence.start_for_verdict for axis_evidence in evidence]
     is_complete = len(starts) == len(axes)
     ends = [axis_evidence.end for axis_evidence in evidence if axis_evidence.end is not None]
-    start_skew = measure_skew([axis_evidence.start for axis_evidence in evidence]) if is_complete else None
-    promised_skew = measure_skew(starts, agreement.budget) if is_complete else None
+    start_skew, promised_skew = _measure_starts(agreement, reports) if is_complete else (None, None)
     end_skew = measure_skew(ends) if len(ends) == len(axes) else None
     actual_s = None
     if failure is None and ends:

@@ -4,7 +4,7 @@ from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.run_state import RunState
-from orchestrator.coordinator.jobs.run.scan_flights import MOST_STOPS, ScanFlights
+from orchestrator.coordinator.jobs.run.scan_flights import ScanFlights
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.report import StepReport
@@ -56,15 +56,14 @@ class FlightRun:
         next_point = end.next_point
         if end.late:
             self._services.log.warning(report.reason, job=report.name, step=place.index)
-            if not flights.note_stop(place):
-                reason = f"{report.reason}; the scan was braked {MOST_STOPS + 1} times because of that, and ends"
-                report = report.model_copy(update={"state": "failed", "reason": reason})
+            if end_words := flights.note_stop(place):
+                report = report.model_copy(update={"state": "failed", "reason": f"{report.reason}; {end_words}"})
                 interrupted = False
             elif not flights.repeats_disturbed(place) and end.broken:
                 await self._reports.add_flown_rows(self._flight.make_broken_rows(end.broken))
                 next_point = end.broken.stop
         done_steps = self._count_steps(place, next_point, report)
-        self._reports.end_flight(place, report, done_steps)
+        await self._reports.end_flight(place, report, done_steps)
         if report.state == "done" or interrupted:
             flights.note_end(place, next_point)
         return report

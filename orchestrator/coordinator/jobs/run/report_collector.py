@@ -132,8 +132,9 @@ class ReportCollector:
             _note_time(self._scan, round(rows[0].took_s * NS_PER_S))
         await self._write_rows_in_turn()
 
-    def end_flight(self, place: StepPlace, report: StepReport, steps: int) -> None:
-        """Take the report of a flight. steps: of the scan, that it stands for."""
+    async def end_flight(self, place: StepPlace, report: StepReport, steps: int) -> None:
+        """Take the report of a flight, and write its rows. steps: of the scan, that it stands for. Raises
+        `JournalError`."""
         scan = self._scan
         assert scan is not None
         scan.point_ns = self._clock.now_ns()
@@ -143,6 +144,7 @@ class ReportCollector:
         scan.steps_done += steps
         if report.state not in ("done", "stopped"):
             scan.ended = place, report
+        await self._write_rows()
 
     async def finish(self) -> None:
         """Write what was recorded until now. Raises `JournalError`."""

@@ -112,10 +112,11 @@ class ScanFlights:
         flown.begin = next_point if next_point % count else None
         flown.part = None
 
-    def note_stop(self, place: StepPlace) -> bool:
-        """A chunk came too late; return whether the scan goes on all the same."""
-        self._scans[place.first].stops += 1
-        return self._scans[place.first].stops <= MOST_STOPS
+    def note_stop(self, place: StepPlace) -> str:
+        """A chunk came too late; return why the scan does not go on, empty: it does."""
+        flown = self._scans[place.first]
+        flown.stops += 1
+        return "" if flown.stops <= MOST_STOPS else f"that was stop {flown.stops} of the scan, which ends"
 
     def repeats_disturbed(self, place: StepPlace) -> bool:
         """Whether windows that were disturbed because a chunk came too late are flown again."""

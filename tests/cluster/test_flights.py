@@ -1,0 +1,142 @@
+"""Lines of a scan that are flown in one motion: time, windows by truth, pauses, overrides, and chunks that are late."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from cluster.test_contour import two_gantries
+from cluster.test_flying_scans import Truth, fly, path_fleet, prepare
+from cluster.test_paths import delay_chunks
+from cluster.worlds import job, outcome, run_fleet, wait_for_point
+
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.jobs.run import scan_flights
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import JobReport, PointRecord
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+
+SPACING = 0.5
+
+
+def raster(
+    lines: int, points: int, duration: str, outer: str = "gantry.x", flown: str = "gantry.y", more: str = ""
+) -> str:
+    """A scan of lines that snake, with points 0.5 mm apart."""
+    axes = (
+        f"{{{outer}: {{from: 50, to: {50 + SPACING * (lines - 1):g}, points: {lines}}}, "
+        f"{flown}: {{from: 20, to: {20 + SPACING * (points - 1):g}, points: {points}, snake: true}}}}"
+    )
+    return f"{{do: scan, axes: {axes}, fly: {{duration: {duration}{more}}}}}"
+
+
+def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: float = 0.0) -> None:
+    """Each good row contains the truth, and its window was flown at its speed."""
+    for row in rows:
+        assert row.good and row.window is not None and row.took_s is not None, row
+        crossings: list[float] = []
+        intervals = (row.window.lower, row.window.middle, row.window.upper)
+        begin_s, end_s = intervals[0].earliest_ns / NS_PER_S - 0.003, intervals[2].latest_ns / NS_PER_S + 0.003
+        inside = (truth.times_s >= begin_s) & (truth.times_s <= end_s)
+        ends = truth.places[inside][[0, -1]]
+        direction = 1.0 if ends[1] > ends[0] else -1.0
+        for part, interval in zip((-0.5, 0.0, 0.5), intervals, strict=True):
+            at_s = truth.find_crossing(row.target[axis] + direction * part * SPACING, begin_s, end_s)
+            assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, (row.point, part)
+            crossings.append(at_s)
+        error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
+        assert error <= max(0.005, 1.2 * truth.count / SPACING, late_s / row.took_s), (row.point, error)
+
+
+def count_motions(report: JobReport) -> int:
+    (scan,) = (step for step in report.steps if step.scan is not None)
+    assert scan.scan is not None
+    return scan.scan.steps_done
+
+
+@pytest.mark.parametrize(
+    ("make", "outer", "flown", "late_s"),
+    [
+        (two_gantries, "gantry.x", "gantry.y", 0.0),
+        (two_gantries, "portal.x", "gantry.y", 0.0),
+        (path_fleet, "slide.y", "gantry.x", 0.0),
+        (path_fleet, "gantry.x", "slide.y", 0.0004),
+    ],
+)
+def test_a_raster_is_one_motion_that_takes_its_windows_and_its_turns(
+    make: Callable[[], Fleet], outer: str, flown: str, late_s: float
+) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truth = await fly(fleet, f"[{raster(15, 41, '20 ms', outer, flown)}]", flown)
+        assert report.state == "done" and report.verdict == "green", report.reason
+        assert [row.point for row in rows] == list(range(1, 15 * 41 + 1))
+        check_windows(rows, truth, flown, late_s)
+        speed, limits = SPACING / 0.02, fleet.fleet.axis(flown).limits
+        turn_s = 2 * speed / limits.acceleration + limits.acceleration / (limits.jerk or np.inf)
+        spent_s = rows[-1].window.upper.latest_ns - rows[0].window.lower.earliest_ns  # pyright: ignore
+        assert spent_s / NS_PER_S <= 1.1 * (15 * 41 * 0.02 + 14 * turn_s)
+
+    run_fleet(main, make())
+
+
+async def begin_flight(fleet: VirtualFleet, steps: str, point: int) -> str:
+    """Submit a flight, and return its job when it flies through a point."""
+    await outcome(fleet, prepare(fleet))
+    job_id = await fleet.make_client().submit(job(f"[{steps}]"))
+    await wait_for_point(fleet, job_id, point)
+    return job_id
+
+
+def test_rows_are_given_out_while_the_lines_behind_them_are_flown() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        job_id = await begin_flight(fleet, raster(12, 41, "20 ms"), 200)
+        # A row is stored at the latest a second behind the line of its point.
+        assert len(await fleet.make_client().load_points(job_id)) >= 82
+        report = await fleet.make_client().wait_for_job(job_id)
+        assert report.state == "done" and len(await fleet.make_client().load_points(job_id)) == 12 * 41
+
+    run_fleet(main, two_gantries())
+
+
+def test_an_override_slows_the_lines_down_whose_rows_are_not_good_then() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        job_id = await begin_flight(fleet, raster(16, 41, "20 ms"), 50)
+        client = fleet.make_client()
+        await client.override_job(job_id, 50)
+        await sleep_ns(fleet.clock, 5 * NS_PER_S)
+        await client.override_job(job_id, 100)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        rows = await client.load_points(job_id)
+        assert [row.point for row in rows] == list(range(1, 16 * 41 + 1))
+        bad = [row.point for row in rows if not row.good]
+        assert bad and bad == list(range(bad[0], bad[-1] + 1)) and bad[0] > 60 and bad[-1] < 500
+
+    run_fleet(main, two_gantries())
+
+
+@pytest.mark.parametrize("repeat", [0, 2])
+def test_a_chunk_that_is_late_breaks_windows_that_are_flown_again_if_asked(
+    monkeypatch: pytest.MonkeyPatch, repeat: int
+) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        more = f", repeat_disturbed: {repeat}"
+        report, rows, truth = await fly(fleet, f"[{raster(15, 41, '20 ms', more=more)}]", "gantry.y")
+        assert report.state == "done", report.reason
+        good = [row for row in rows if row.good]
+        check_windows(good, truth, "gantry.y")
+        assert sorted(row.point for row in rows) == list(range(1, 15 * 41 + 1))
+        assert (len(good) == len(rows)) == bool(repeat)
+
+    delay_chunks(monkeypatch, "y", 1)
+    run_fleet(main, two_gantries())
+
+
+def test_chunks_that_are_late_too_often_end_the_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, _ = await fly(fleet, f"[{raster(22, 41, '20 ms')}]", "gantry.y")
+        assert report.state == "failed" and "stop 2 of the scan" in report.reason, report.reason
+        assert any(row.good for row in rows)
+
+    monkeypatch.setattr(scan_flights, "MOST_STOPS", 1)
+    delay_chunks(monkeypatch, "y", 1000)
+    run_fleet(main, two_gantries())
