@@ -21,7 +21,7 @@ from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.coordinator.motion.trigger import TriggerStart
-from orchestrator.coordinator.motion.triggers import StepTriggers
+from orchestrator.coordinator.switching.outputs import StepTriggers
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, TriggerWire
@@ -229,17 +229,17 @@ class StartNegotiation:
         return best_agreement
 
     async def _plan_first_chunk(self) -> FirstChunk | None:
-        """The first chunk of a path, if members can execute it in chunks; a path with triggers is loaded as a whole,
-        because their instants are set before it begins. Raises `Refusal`."""
+        """The first chunk of a path, if members can execute it in chunks, its triggers included. Raises `Refusal`."""
         planned_step = self._planned
-        if planned_step.path is None or self._triggers.owners:
+        if planned_step.path is None:
             return None
-        members = dict.fromkeys(controller_of(axis) for axis in planned_step.plan.profiles)
+        movers = [controller_of(axis) for axis in planned_step.plan.profiles]
         try:
-            infos = {member: await self._view.require_info(member) for member in members}
-            return plan_first_chunk(
-                planned_step.path, planned_step.plan, infos, planned_step.begun_s, planned_step.rate
-            )
+            infos = {
+                member: await self._view.require_info(member)
+                for member in dict.fromkeys([*movers, *self._triggers.owners])
+            }
+            return plan_first_chunk(planned_step, infos)
         except PlanError as error:
             raise Refusal("plan", str(error)) from None
 
@@ -334,7 +334,7 @@ class StartNegotiation:
         }
         start_class = "auto" if wish == "line" else wish
         first = agreement.first
-        outputs = agreement.triggers.find_outputs(agreement.plan)
+        outputs = agreement.triggers.find_outputs(agreement.plan) if first is None else first.find_outputs()
         return {
             member: (
                 line.start_options(member, lead_ns)
