@@ -4,14 +4,7 @@ import asyncio
 from dataclasses import dataclass, field
 
 import pytest
-from cluster.test_paths import (
-    begin,
-    circle,
-    delay_chunks,
-    gantry_and_drive,
-    is_moving,
-    prepare,
-)
+from cluster.test_paths import ALONE, TWO, begin, circle, delay_chunks, gantries, gantry_and_drive, is_moving, prepare
 from cluster.test_triggers import TrueEdges, check_rows
 from cluster.worlds import changed, outcome, run_fleet
 
@@ -73,7 +66,18 @@ def driven() -> Switched:
     return Switched(fleet, DRIVEN, "drive.lamp", "gantry.x", pulse="10 ms")
 
 
-OWNERS = {"drive": driven}
+def with_lamp(owner: str, axes: tuple[str, str]) -> Switched:
+    """Two SMC-4000, of which one has an output."""
+    return Switched(
+        changed(gantries(), **{owner: {"outputs": {"lamp": {"number": 1}}}}), axes, f"{owner}.lamp", axes[0]
+    )
+
+
+OWNERS = {
+    "drive": driven,
+    "gantry": lambda: with_lamp("gantry", TWO),
+    "standing": lambda: with_lamp("portal", ALONE),
+}
 
 
 @pytest.fixture(params=OWNERS)
