@@ -225,7 +225,8 @@ class Lowered:
     move can advance.
     commands: the commands that would be sent, for display.
     triggers: by output that the controller switches on the way (`start.triggers`), the guaranteed interval of an edge
-    at its terminal relative to the instant asked for, one entry per cause.
+    at its terminal relative to the instant asked for, one entry per cause. trigger_least_ns: by output, the shortest
+    time from one instant to the next.
     """
 
     start_class: StartClass
@@ -244,6 +245,7 @@ class Lowered:
     triggers: Mapping[str, tuple[BudgetTerm, ...]] = field(
         default_factory=dict[str, tuple[BudgetTerm, ...]], kw_only=True
     )
+    trigger_least_ns: Mapping[str, int] = field(default_factory=dict[str, int], kw_only=True)
 
     @property
     def window_ns(self) -> tuple[int, int]:

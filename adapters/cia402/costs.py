@@ -15,7 +15,6 @@ _FULL = CanFrame(0x7FF, bytes(8))
 _READS, _ORDERS = 4, 5  # of arming: SDOs with verification; mode, target, profile, and the drive's state
 LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
 CHUNK_TRIGGERS = 20_000  # nothing is stored in the drive
-LEVEL_PERIODS = 2  # from one change of a level to the next: of one edge at most nothing is known
 RETARGET_PERIODS = 10  # those that are sent ahead, and some for the request
 _STOP_FRAMES = 3  # what waits for a SYNC, both controlword and position, and the controlword that counts at once
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, both ways
@@ -74,6 +73,6 @@ def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabili
         costs=costs,
         chunk_s=LONGEST_CHUNK_S,
         chunk_load_s=LOAD_S,
-        chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS, rest_ns=LEVEL_PERIODS * period_ms * NS_PER_MS),
+        chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS),
         retarget_s=RETARGET_PERIODS * period_ms / 1000,
     )

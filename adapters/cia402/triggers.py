@@ -43,10 +43,13 @@ def add_triggers(
     grid = EdgeGrid(course.period_ns, middle_ns)
     points: list[SwitchedPoint] = []
     terms: dict[str, tuple[BudgetTerm, ...]] = {}
+    least_ns: dict[str, int] = {}
     for trigger in start.triggers:
         edges = grid.find_edges(trigger.instants_ns)
         pulse = _fit_pulse(trigger, course.period_ns)
-        _require_rate(trigger, edges, max(pulse, 1) + 1, course.period_ns)
+        least = max(pulse, 1) + 1
+        _require_rate(trigger, edges, least, course.period_ns)
+        least_ns[trigger.output] = least * course.period_ns
         points.append(_make_point(config, trigger, edges, pulse, course.point_count))
         off_ns = [edge * course.period_ns - instant for edge, instant in zip(edges, trigger.instants_ns, strict=True)]
         if lowered.chunk is not None:  # of the instants of later chunks the same is promised
@@ -58,6 +61,7 @@ def add_triggers(
         switched=OutputSchedule(tuple(points)),
         grid=grid,
         triggers=terms,
+        trigger_least_ns=least_ns,
         commands=(
             *lowered.commands,
             *(

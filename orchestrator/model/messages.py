@@ -322,6 +322,9 @@ class Proposal(Reply):
     triggers: dict[Id, list[BudgetTerm]] = Field(
         default={}, description="By output with a trigger: window of its edges relative to the instants asked for."
     )
+    trigger_least_ns: dict[Id, Int53] = Field(
+        default={}, description="By output with a trigger: the shortest time from one instant to the next."
+    )
     clock_ppm: float = Field(default=100.0, description="Guaranteed bound of the controller's rate error.")
     can_advance: bool = Field(default=False, description="Whether T0 can be brought forward after it was armed.")
     gap_ns: Int53 | None = Field(

@@ -235,11 +235,10 @@ class RetargetAbility(Model):
 
 class ChunkTriggers(Model):
     """How a controller takes triggers with the chunks of a path. most: instants of a chunk, of all its outputs.
-    rest_ns: the least time from the end of a pulse, or from a change of level, to the next instant. load_ns: by how
-    much an instant makes loading a chunk longer."""
+    load_ns: by how much an instant makes loading a chunk longer. How close they may be depends on pulse and path: it
+    is in the proposal."""
 
     most: int
-    rest_ns: Int53
     load_ns: Int53 = 0
 
 

@@ -39,19 +39,23 @@ class PathContinuation:
         self._clock = clock
         self._options = options
         self._refill = present.refill
+        self._loads = 0
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
         """Load the next chunk of the present path, and its triggers. Raises `Refusal`."""
         present = self._present.require_move()
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known", "wait a second")
-        present.loaded, end_ns = None, round(chunk.end_s * NS_PER_S)
+        self._loads += 1
+        load, end_ns, present.loaded = self._loads, round(chunk.end_s * NS_PER_S), None
         records = await self._load_records(chunk, mapping) if chunk.profiles else None
         triggers: dict[str, tuple[BudgetTerm, ...]] = {}
         for output, instants in chunk.triggers.items():
             clock_term = await self._present.player.load_part(instants, end_ns, mapping)
             armed_terms = present.lowered.triggers[output]
             triggers[output] = (clock_term, *(term for term in armed_terms if term.name != clock_term.name))
+        if load != self._loads:
+            raise Refusal("superseded", "another chunk is loaded in its place", "")
         present.loaded = LoadedChunk(chunk.number, end_ns, records)
         if records is not None:
             return replace(records.fit, triggers=triggers)

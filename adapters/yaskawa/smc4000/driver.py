@@ -149,7 +149,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             costs=costs,
             chunk_s=chunk_s,
             chunk_load_s=load_s,
-            chunk_triggers=None if plain else find_chunk_triggers(context, SMC4000_TRIGGERS),
+            chunk_triggers=None if plain else find_chunk_triggers(context),
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS else 0.0,
             retarget_way="extend",
         )

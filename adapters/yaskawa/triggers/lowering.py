@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from adapters.yaskawa.common import lines
 from adapters.yaskawa.common.loads import YaskawaLowered
-from adapters.yaskawa.common.lowering import LOOP_COMMANDS, LoweringContext, find_chunk_times, find_interval
+from adapters.yaskawa.common.lowering import LOOP_COMMANDS, LoweringContext, find_chunk_times
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import TABLE
 from adapters.yaskawa.triggers.ring import MOST_OF_CHUNK, RING
@@ -44,16 +44,13 @@ def find_needs(start: StartOptions, traits: TriggerTraits) -> TriggerNeeds:
     return TriggerNeeds(traits.contour_commands, elements if start.chunk is None else RING)
 
 
-def find_chunk_triggers(context: LoweringContext, traits: TriggerTraits) -> ChunkTriggers | None:
+def find_chunk_triggers(context: LoweringContext) -> ChunkTriggers | None:
     """How the controller takes triggers with the chunks of a path of all its axes; None without room for both."""
-    options, tick_ns = context.options, context.options.tick_ns
-    chunk_s, _ = find_chunk_times(context, tick_ns)
-    if find_chunk_times(replace(context, beside_elements=RING), tick_ns)[0] < chunk_s:
+    chunk_s, _ = find_chunk_times(context, context.options.tick_ns)
+    if find_chunk_times(replace(context, beside_elements=RING), context.options.tick_ns)[0] < chunk_s:
         return None
-    beside_context = replace(context, beside_commands=traits.contour_commands)
-    pace = TriggerPace(options, traits, tick_ns, find_interval(beside_context, tick_ns), is_ring=True)
     # An element is assigned, read back, and read again when it was played.
-    return ChunkTriggers(most=MOST_OF_CHUNK, rest_ns=pace.find_round_ns(1), load_ns=3 * options.decode_us * NS_PER_US)
+    return ChunkTriggers(most=MOST_OF_CHUNK, load_ns=3 * context.options.decode_us * NS_PER_US)
 
 
 def add_triggers(
@@ -92,6 +89,7 @@ def add_triggers(
     return replace(
         lowered,
         switches=lines.ProgramTriggers(output, tuple(trigger.instants_ns), turns, end_ns),
+        trigger_least_ns={trigger.output: pace.find_round_ns(trigger.pulse_ns)},
         triggers={trigger.output: _make_terms(trigger, pace, start, mapping)},
         gap_ns=None,
         costs=lowered.costs.model_copy(update={"arm_ns": lowered.costs.arm_ns + loading_ns}),

@@ -49,6 +49,7 @@ SAME_DURATION_S = 50e-6
 SPARE_LEAD_FACTOR = 2  # on the known need
 LEAD_FACTOR = 1.25  # on the need of the same members in their last step, so that a slower step needs no extra round
 READING_NS = 500 * NS_PER_MS  # maximum age of the last clock reading when arming begins
+TRIGGER_RATE = "trigger-rate"  # code of triggers that follow faster than the make plays them
 MAX_TOLERANCE_NS = 50 * NS_PER_MS
 """A start that is later than promised by more than this was not delayed by load: its host was suspended."""
 
@@ -199,6 +200,15 @@ class StartNegotiation:
         if self._present is not None:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
+        try:
+            return await self._agree_from_rest(chunk)
+        except Refusal as refusal:
+            # Loaded as a whole, triggers may be a little closer.
+            if chunk is None or refusal.code != TRIGGER_RATE:
+                raise
+        return await self._agree_from_rest(None)
+
+    async def _agree_from_rest(self, chunk: FirstChunk | None) -> StartAgreement:
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
         # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.

@@ -27,7 +27,7 @@ class FirstChunk:
     those that can, with the owners of outputs that are switched on the way. most_s: the longest chunk that all of them
     take. load_s: how long before the end of a chunk the loading of the next one begins. clock: of the motion. peaks:
     largest acceleration and jerk of each axis, counts/s², counts/s³. rate: the feed override wanted; more than 1 is
-    taken on where the axes allow it. triggers: with how soon after a pulse of theirs the owner takes the next one, ns.
+    taken on where the axes allow it.
     """
 
     course: PathCourse
@@ -39,7 +39,7 @@ class FirstChunk:
     load_s: float
     peaks: tuple[Mapping[str, float], Mapping[str, float]]
     rate: float
-    triggers: Sequence[tuple[PathTrigger, int]] = field(default=())
+    triggers: Sequence[PathTrigger] = field(default=())
 
     def make_options(self, member: str, chunk: ChunkPlan) -> ChunkOptions:
         """The options of a chunk for one of `members`."""
@@ -50,7 +50,7 @@ class FirstChunk:
     def find_outputs(self) -> Mapping[str, list[OutputTrigger]]:
         """By controller, what it is to switch in this chunk."""
         outputs: dict[str, list[OutputTrigger]] = {}
-        for trigger, _ in self.triggers:
+        for trigger in self.triggers:
             owner, name = split_name(trigger.resolved.output)
             outputs.setdefault(owner, []).append(
                 OutputTrigger(
@@ -99,7 +99,7 @@ def plan_first_chunk(planned: PlannedStep, infos: Mapping[str, ControllerInfo]) 
         load_s=load_s,
         peaks=course.find_peaks(),
         rate=planned.rate,
-        triggers=[(trigger, abilities[trigger.resolved.owner].rest_ns) for trigger in triggers],
+        triggers=triggers,
     )
 
 

@@ -56,6 +56,7 @@ class PathFeed:
         self._first: FirstChunk = agreement.first
         self._state = state
         self._bound = agreement.path.bound if agreement.path is not None else None
+        self._proposals = agreement.proposals
         self._clocks = ClockPromises(self._bound, agreement.budget)
         self._lock = asyncio.Lock()
         self._changed = asyncio.Event()
@@ -118,6 +119,11 @@ class PathFeed:
         """Continue the path until it is held, or a chunk cannot be loaded. A task in parallel with the supervision of
         the step, which ends it: an override may take the last chunk back."""
         while self.failure is None and self.held_by is None:
+            if (
+                self._lock.locked()
+            ):  # an override continues the path: loading beside it would take the place of its chunk
+                async with self._lock:
+                    continue
             due_s = self.chunk.end_s - self._first.load_s
             self._changed.clear()
             with suppress(TimeoutError):
@@ -271,7 +277,7 @@ class PathFeed:
         if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:
             text = f"at {rate:.0%} the axes may be {self._bound.predicted * rate:.3g} {self._bound.unit} off the path"
             raise Refusal("path-error", text, f"the tolerance is {self._bound.tolerance:.3g}; choose a lower speed")
-        self.triggers.require_rate(rate)
+        self.triggers.require_rate(rate, self._proposals)
         course.require_rate(self._clock.find_path_s(self._now_s()), rate)
         self._revision += 1
         self._wanted = rate

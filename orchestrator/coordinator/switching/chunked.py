@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import BudgetTerm, ChunkReply, ChunkTrigger
+from orchestrator.model.messages import BudgetTerm, ChunkReply, ChunkTrigger, Proposal
 from orchestrator.model.names import split_name
 from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_triggers import GivenTrigger, PathTrigger
@@ -14,9 +14,8 @@ from orchestrator.plan.path_triggers import GivenTrigger, PathTrigger
 class ChunkedOutput:
     """One output in one motion along a path."""
 
-    def __init__(self, given: GivenTrigger, rest_ns: int) -> None:
+    def __init__(self, given: GivenTrigger) -> None:
         self.given = given
-        self.rest_ns = rest_ns
         self._terms: list[tuple[int, list[BudgetTerm]]] = []
 
     def note_terms(self, terms: list[BudgetTerm]) -> None:
@@ -33,9 +32,9 @@ class ChunkedOutput:
 class FeedTriggers:
     """All outputs of one motion along a path."""
 
-    def __init__(self, triggers: Sequence[tuple[PathTrigger, int]], first: ChunkPlan) -> None:
-        """triggers: with how soon after a pulse of theirs the owner takes the next one, ns. first: chunk."""
-        self.outputs = [ChunkedOutput(GivenTrigger(trigger), rest_ns) for trigger, rest_ns in triggers]
+    def __init__(self, triggers: Sequence[PathTrigger], first: ChunkPlan) -> None:
+        """first: chunk."""
+        self.outputs = [ChunkedOutput(GivenTrigger(trigger)) for trigger in triggers]
         self.take_chunk(first)
 
     @property
@@ -68,13 +67,14 @@ class FeedTriggers:
         for output in self.outputs:
             output.given.skip_tail(chunk)
 
-    def require_rate(self, rate: float) -> None:
-        """Raise `Refusal` for a rate above 1 at which instants would follow faster than their owner takes them."""
+    def require_rate(self, rate: float, proposals: Mapping[str, Proposal]) -> None:
+        """Raise `Refusal` for a rate above 1 at which instants would follow faster than their owner takes them, by its
+        proposal."""
         for output in self.outputs:
-            trigger, motion_trigger = output.given.trigger.resolved, output.given.trigger
-            least_ns, needs_ns = motion_trigger.least_ns, trigger.pulse_ns + output.rest_ns
-            if rate > 1.0 and motion_trigger.gets_faster and least_ns and least_ns / rate < needs_ns:
-                gap_ms = least_ns / rate / NS_PER_MS
-                text = f"at {rate:.0%} triggers of {trigger.output} would be {gap_ms:.3g} ms apart"
-                remedy = f"it takes one in {needs_ns / NS_PER_MS:.3g} ms: choose a lower speed"
+            motion_trigger, trigger = output.given.trigger, output.given.trigger.resolved
+            needs_ns = proposals[trigger.owner].trigger_least_ns.get(split_name(trigger.output)[1], 0)
+            gap_ns = motion_trigger.least_ns / rate
+            if rate > 1.0 and motion_trigger.gets_faster and 0 < gap_ns < needs_ns:
+                text = f"at {rate:.0%} triggers of {trigger.output} would be {gap_ns / NS_PER_MS:.3g} ms apart"
+                remedy = f"its controller takes one in {needs_ns / NS_PER_MS:.3g} ms: choose a lower speed"
                 raise Refusal("override", text, remedy, trigger.owner)
