@@ -16,7 +16,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -29,7 +29,7 @@ from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import FaultReport, RetargetAbility, RetargetWay, StartClass, StepCosts
+from orchestrator.model.state import ChunkTriggers, FaultReport, RetargetAbility, RetargetWay, StartClass, StepCosts
 
 
 class ControllerRestarted(LinkClosed):
@@ -131,7 +131,8 @@ class DriverCapabilities:
     checks_while_moving: `check_settings` may be called while an axis moves.
     compares_when_loading: loading a move compares the settings that motion relies on, and refuses it if one differs.
     chunk_s: the longest chunk of a path that it can load while it executes the one before, s; 0: a path is loaded as a
-    whole. chunk_load_s: how long loading it takes at most.
+    whole. chunk_load_s: how long loading it takes at most. chunk_triggers: how it takes triggers with chunks; None: a
+    path with triggers is loaded as a whole.
     retarget_s: the most time from a request for another target on the way until the set-points change; 0: its axes
     brake, and start again. retarget_way: how they continue.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
@@ -146,6 +147,7 @@ class DriverCapabilities:
     compares_when_loading: bool = False
     chunk_s: float = 0.0
     chunk_load_s: float = 0.0
+    chunk_triggers: ChunkTriggers | None = None
     retarget_s: float = 0.0
     retarget_way: RetargetWay = "stream"
 
@@ -155,12 +157,21 @@ class DriverCapabilities:
         return RetargetAbility(way=self.retarget_way, within_s=self.retarget_s) if self.retarget_s else None
 
 
+class ChunkInstants(NamedTuple):
+    """Instants of an output, ns after T0, that come behind the `first` ones of the motion, in the place of those that
+    were loaded there."""
+
+    first: int
+    instants_ns: tuple[int, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class PathChunk:
     """A chunk of a path, in seconds after its T0: profiles from `begin_s`, along the path to `end_s`, then to rest.
 
     Up to `end_s` of the chunk before, which is later than `begin_s`, both are the same motion: the controller changes
-    over at an instant of its own in between. last: it ends at the end of the path. profiles: by axis.
+    over at an instant of its own in between. last: it ends at the end of the path. profiles: by axis; none of a
+    controller that only switches outputs. triggers: by output, its instants up to `end_s`.
     """
 
     number: int
@@ -168,11 +179,13 @@ class PathChunk:
     end_s: float
     last: bool
     profiles: Mapping[str, Profile]
+    triggers: Mapping[str, ChunkInstants] = field(default_factory=dict[str, ChunkInstants])
 
     @property
     def stop_s(self) -> float:
-        """When it is at rest."""
-        return self.begin_s + max(profile.duration_s for profile in self.profiles.values())
+        """When it is at rest; without axes, when it has nothing to switch any more."""
+        durations_s = [profile.duration_s for profile in self.profiles.values()]
+        return self.begin_s + max(durations_s, default=self.end_s - self.begin_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +194,7 @@ class ChunkFit:
 
     drift_ns: how far the clock had drifted from the plan at its beginning; it is corrected on the way. left_ns: what of
     that remains at its end. bound_ns: guaranteed error of the clock mapping. path_error_counts: by axis. stop_s: when
-    it is at rest, from T0.
+    it is at rest, from T0. triggers: as of a lowered move, for the instants of the chunk.
     """
 
     stop_s: float
@@ -189,6 +202,7 @@ class ChunkFit:
     left_ns: int
     bound_ns: int
     path_error_counts: Mapping[str, float]
+    triggers: Mapping[str, tuple[BudgetTerm, ...]] = field(default_factory=dict[str, tuple[BudgetTerm, ...]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +225,8 @@ class Lowered:
     move can advance.
     commands: the commands that would be sent, for display.
     triggers: by output that the controller switches on the way (`start.triggers`), the guaranteed interval of an edge
-    at its terminal relative to the instant asked for, one entry per cause.
+    at its terminal relative to the instant asked for, one entry per cause. trigger_least_ns: by output, the shortest
+    time from one instant to the next.
     """
 
     start_class: StartClass
@@ -230,6 +245,7 @@ class Lowered:
     triggers: Mapping[str, tuple[BudgetTerm, ...]] = field(
         default_factory=dict[str, tuple[BudgetTerm, ...]], kw_only=True
     )
+    trigger_least_ns: Mapping[str, int] = field(default_factory=dict[str, int], kw_only=True)
 
     @property
     def window_ns(self) -> tuple[int, int]:

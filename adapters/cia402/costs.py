@@ -9,11 +9,12 @@ from adapters.cia402.sync.stream import COPIES
 from adapters.contract import DriverCapabilities
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.link.can import CanFrame, frame_ns
-from orchestrator.model.state import StepCosts
+from orchestrator.model.state import ChunkTriggers, StepCosts
 
 _FULL = CanFrame(0x7FF, bytes(8))
 _READS, _ORDERS = 4, 5  # of arming: SDOs with verification; mode, target, profile, and the drive's state
 LONGEST_CHUNK_S, LOAD_S = 60.0, 0.1  # nothing is loaded ahead in the drive
+CHUNK_TRIGGERS = 20_000  # nothing is stored in the drive
 RETARGET_PERIODS = 10  # those that are sent ahead, and some for the request
 _STOP_FRAMES = 3  # what waits for a SYNC, both controlword and position, and the controlword that counts at once
 _HOST_NS = 2 * NS_PER_MS  # event loop and operating system, both ways
@@ -72,5 +73,6 @@ def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabili
         costs=costs,
         chunk_s=LONGEST_CHUNK_S,
         chunk_load_s=LOAD_S,
+        chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS),
         retarget_s=RETARGET_PERIODS * period_ms / 1000,
     )

@@ -2,7 +2,7 @@
 starts it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 from adapters.cia402.canopen.objects import FOLLOWED, PROFILE_POSITION_MODE, point_bit
@@ -10,7 +10,7 @@ from adapters.cia402.costs import full_frame_ns, stream_ns, sync_ns
 from adapters.cia402.fleetaxes import POSITION_MAX, axis_bounds, drive_units, needs_stream, only_axis
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.shapes.course import SetpointTrajectory
-from adapters.cia402.shapes.switching import NOTHING_SWITCHED, OutputSchedule, SwitchedPoint, SyncPoint
+from adapters.cia402.shapes.switching import NOTHING_SWITCHED, EdgeGrid, OutputSchedule, SwitchedPoint, SyncPoint
 from adapters.cia402.shapes.trapezoid import DriveBounds, DriveTrapezoid, DriveUnits, fit_trapezoid
 from adapters.contract import Lowered, ends_too_early, require_start_class
 from adapters.toolkit.host_start import ORDER_NS
@@ -41,7 +41,8 @@ class Cia402Lowered(Lowered):
     target: None when nothing moves; otherwise shape or trajectory describes the motion.
     chunk: the trajectory is the first chunk of a path.
     mode: of operation.
-    switched: outputs that are switched with the positions of the trajectory; among them `drive`, if there is one."""
+    switched: outputs that are switched with the positions of the trajectory; among them `drive`, if there is one. grid:
+    of triggers."""
 
     axis: str = ""
     start_counts: int = 0
@@ -53,6 +54,7 @@ class Cia402Lowered(Lowered):
     lead_ns: int = 0
     drive: SyncOutput | None = None
     switched: OutputSchedule = NOTHING_SWITCHED
+    grid: EdgeGrid = field(default=EdgeGrid())
 
     @property
     def position_count(self) -> int:

@@ -169,7 +169,7 @@ class Cia402Mover:
 
     async def release_chunk(self, number: int) -> None:
         """Change over to the loaded chunk. Raises `Refusal`."""
-        path.release_chunk(self._require_step(), number)
+        self._stream_outputs.switching = path.release_chunk(self._require_step(), number)
 
     async def retarget(self, profile: Profile, from_s: float) -> float:
         """Continue by another profile behind `from_s`; return how long it takes, s. Raises `Refusal`."""

@@ -5,9 +5,11 @@ from math import ceil
 
 from adapters.cia402.lowering import Cia402Lowered
 from adapters.cia402.shapes.course import SetpointTrajectory
+from adapters.cia402.shapes.switching import OutputSchedule
 from adapters.cia402.step import DriveStep
 from adapters.cia402.sync.starts import SyncScheduler
 from adapters.cia402.sync.stream import TAIL_SYNCS
+from adapters.cia402.triggers import continue_triggers
 from adapters.contract import ChunkFit, PathChunk
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
@@ -19,12 +21,14 @@ def load_chunk(move: DriveStep, chunk: PathChunk) -> ChunkFit:
     `Refusal`."""
     lowered_step = _require_path(move)
     trajectory = _make_trajectory(lowered_step, chunk)
+    continue_triggers(lowered_step, chunk, trajectory.point_count)
     move.next_chunk = chunk
     return ChunkFit(trajectory.duration_s, 0, 0, 0, {lowered_step.axis: trajectory.path_error_counts})
 
 
-def release_chunk(move: DriveStep, number: int) -> None:
-    """Take positions from the loaded chunk, from the next one that is not sent yet. Raises `Refusal`."""
+def release_chunk(move: DriveStep, number: int) -> OutputSchedule:
+    """Take positions from the loaded chunk, from the next one that is not sent yet, and return what its stream switches
+    then. Raises `Refusal`."""
     lowered_step = _require_path(move)
     chunk, streamed_move = move.next_chunk, move.streamed_move
     if chunk is None or chunk.number != number or streamed_move is None:
@@ -36,11 +40,22 @@ def release_chunk(move: DriveStep, number: int) -> None:
     first = max(streamed_move.next_number, ceil(chunk.begin_s / period_s - 1e-6) - 1)
     if first * period_s > min(move.end_s, chunk.end_s) or streamed_move.is_done:
         raise Refusal("late", "the positions up to the place where the path was to be continued are sent", "")
-    streamed_move.continue_with(trajectory, first)
+    schedule = continue_triggers(lowered_step, chunk, trajectory.point_count)
+    change = lowered_step.switched.find_change(schedule)
+    if change is not None and change < streamed_move.next_number:
+        raise Refusal("late", "the outputs up to the place where the path was to be continued are schedule", "")
+    streamed_move.continue_with(trajectory, first, schedule)
     move.end_s = chunk.end_s
     profile = trajectory.profile
     durations_s = {lowered_step.axis: trajectory.duration_s}
-    move.lowered = replace(lowered_step, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
+    move.lowered = replace(
+        lowered_step,
+        durations_s=durations_s,
+        target=profile.end_counts,
+        trajectory=trajectory,
+        switched=schedule,
+    )
+    return schedule
 
 
 def change_course(move: DriveStep, sync_scheduler: SyncScheduler, profile: Profile, from_s: float) -> float:
@@ -57,7 +72,7 @@ def change_course(move: DriveStep, sync_scheduler: SyncScheduler, profile: Profi
     sync_scheduler.extend_start(
         move.sync_start, move.t0_ns + (trajectory.point_count + TAIL_SYNCS) * trajectory.period_ns
     )
-    streamed_move.continue_with(trajectory, number)
+    streamed_move.continue_with(trajectory, number, lowered_step.switched)
     durations_s = {lowered_step.axis: trajectory.duration_s}
     move.lowered = replace(lowered_step, durations_s=durations_s, target=profile.end_counts, trajectory=trajectory)
     return trajectory.duration_s

@@ -9,7 +9,8 @@ from adapters.cia402.canopen.objects import point_bit
 from adapters.cia402.costs import full_frame_ns, sync_ns
 from adapters.cia402.lowering import BusTimes, Cia402Lowered
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.shapes.switching import EdgeTimes, OutputSchedule, SwitchedPoint
+from adapters.cia402.shapes.switching import EdgeGrid, EdgeTimes, OutputSchedule, SwitchedPoint
+from adapters.contract import PathChunk
 from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_US
 from orchestrator.model.duration import format_ns
@@ -39,21 +40,28 @@ def add_triggers(
         )
     sync_terms = find_edge_terms(options, bus)
     middle_ns = sum(sum_terms(sync_terms)) // 2
+    grid = EdgeGrid(course.period_ns, middle_ns)
     points: list[SwitchedPoint] = []
     terms: dict[str, tuple[BudgetTerm, ...]] = {}
+    least_ns: dict[str, int] = {}
     for trigger in start.triggers:
-        # The first SYNC is the start itself.
-        edges = [max(1, round((instant_ns - middle_ns) / course.period_ns)) for instant_ns in trigger.instants_ns]
+        edges = grid.find_edges(trigger.instants_ns)
         pulse = _fit_pulse(trigger, course.period_ns)
-        _require_rate(trigger, edges, max(pulse, 1) + 1, course.period_ns)
+        least = max(pulse, 1) + 1
+        _require_rate(trigger, edges, least, course.period_ns)
+        least_ns[trigger.output] = least * course.period_ns
         points.append(_make_point(config, trigger, edges, pulse, course.point_count))
         off_ns = [edge * course.period_ns - instant for edge, instant in zip(edges, trigger.instants_ns, strict=True)]
+        if lowered.chunk is not None:  # of the instants of later chunks the same is promised
+            off_ns += grid.most_off_ns
         rounding = BudgetTerm(name="quantisation", earliest_ns=min(off_ns), latest_ns=max(off_ns))
         terms[trigger.output] = (*sync_terms, rounding)
     return replace(
         lowered,
         switched=OutputSchedule(tuple(points)),
+        grid=grid,
         triggers=terms,
+        trigger_least_ns=least_ns,
         commands=(
             *lowered.commands,
             *(
@@ -62,6 +70,26 @@ def add_triggers(
             ),
         ),
     )
+
+
+def continue_triggers(lowered: Cia402Lowered, chunk: PathChunk, point_count: int) -> OutputSchedule:
+    """Return what the outputs of a path do when it goes on with `chunk`. point_count: positions of the stream then.
+    Raises `Refusal`."""
+    if not lowered.triggers:
+        return lowered.switched
+    points: list[SwitchedPoint] = []
+    for point in lowered.switched.points:
+        part = chunk.triggers.get(point.name)
+        if part is None or part.first > len(point.edges):
+            text = f"output {point.name}: instants are missing before those of chunk {chunk.number}"
+            raise Refusal("trigger-gap", text, "")
+        edges = (*point.edges[: part.first], *lowered.grid.find_edges(part.instants_ns))
+        newest = edges[max(0, part.first - 1) :]
+        if any(next_edge - edge <= max(point.pulse, 1) for edge, next_edge in pairwise(newest)):
+            text = f"output {point.name}: triggers of chunk {chunk.number} follow faster than the drive switches"
+            raise Refusal("trigger-rate", text, "move slower")
+        points.append(point.with_edges(edges, point_count))
+    return OutputSchedule(tuple(points))
 
 
 def find_edge_terms(options: Cia402Options, bus: BusTimes) -> tuple[BudgetTerm, ...]:
@@ -100,8 +128,11 @@ def _fit_pulse(trigger: OutputTrigger, period_ns: int) -> int:
 
 def _require_rate(trigger: OutputTrigger, edges: Sequence[int], least: int, period_ns: int) -> None:
     """Raise `Refusal` for edges that follow faster than the SYNCs allow. least: periods from one to the next."""
-    if any(next_edge - edge < least for edge, next_edge in pairwise(edges)):
-        gap_ns = min(next_ns - instant_ns for instant_ns, next_ns in pairwise(trigger.instants_ns))
+    # Of a path in chunks the shortest distance is known, and may lie anywhere between two SYNCs.
+    is_close = trigger.least_ns and trigger.least_ns < least * period_ns
+    if is_close or any(next_edge - edge < least for edge, next_edge in pairwise(edges)):
+        gaps_ns = [next_ns - instant_ns for instant_ns, next_ns in pairwise(trigger.instants_ns)]
+        gap_ns = trigger.least_ns or min(gaps_ns)
         raise Refusal(
             "trigger-rate",
             f"output {trigger.output}: two triggers are {format_ns(gap_ns)} apart; a CiA 402 drive with a SYNC every "
@@ -114,10 +145,7 @@ def _require_rate(trigger: OutputTrigger, edges: Sequence[int], least: int, peri
 def _make_point(
     config: Controller, trigger: OutputTrigger, edges: Sequence[int], pulse: int, point_count: int
 ) -> SwitchedPoint:
-    """Return the output with all its changes. pulse: in periods; 0: a level, which is passive from the end on."""
+    """Return the output with all its changes. pulse: in periods; 0: a level."""
     point = find_driven_output(config, TriggerDrive(output=trigger.output, active_ns=trigger.pulse_ns))
-    if pulse:
-        numbers = [number for edge in edges for number in (edge, edge + pulse)]
-    else:
-        numbers = [*edges, max(point_count, edges[-1] + 1)] if len(edges) % 2 else list(edges)
-    return SwitchedPoint(trigger.output, point_bit(point.number), point.active == "high", tuple(numbers), tuple(edges))
+    passive_point = SwitchedPoint(trigger.output, point_bit(point.number), point.active == "high", (), pulse=pulse)
+    return passive_point.with_edges(tuple(edges), point_count)

@@ -197,15 +197,30 @@ class ChunkOptions(Model):
 class OutputTrigger(Model):
     """Switch an output on the way. output: the member's own, by name.
 
-    instants_ns: from T0 on, growing. pulse_ns: how long it is active each time; 0: it changes its level each time,
-    first to active, and is passive after the end of the step. axis: the member's own axis of whose positions the
-    instants were made; None: they are times, or positions of an axis of another member.
+    instants_ns: from T0 on, growing; of a path in chunks, those of the first chunk, if it has any. pulse_ns: how long
+    it is active each time; 0: it changes its level each time, first to active, and is passive after the end of the
+    step. axis: the member's own axis of whose positions the instants were made; None: they are times, or positions of
+    an axis of another member. least_ns: of a path in chunks, the shortest time from one instant to the next on all of
+    it, as planned; 0: it has one at most.
     """
 
     output: Id
     axis: Id | None = None
-    instants_ns: list[Int53] = Field(min_length=1)
+    instants_ns: list[Int53]
     pulse_ns: Int53 = Field(ge=0)
+    least_ns: Int53 = Field(default=0, ge=0)
+
+
+class ChunkTrigger(Model):
+    """The instants of an output that come with a chunk of a path: up to its `end_s`, none in its stopping tail.
+
+    output: the member's own, by name, of the arming. first: how many of the motion's instants come before these; what
+    was loaded behind them is withdrawn. instants_ns: from T0 on, growing.
+    """
+
+    output: Id
+    first: Int53 = Field(ge=0)
+    instants_ns: list[Int53]
 
 
 class StartOptions(Model):
@@ -226,7 +241,7 @@ class StartOptions(Model):
     at_once: no other member depends on this start: T0 is the earliest instant of a start as soon as the member can.
     waits_armed: the move is loaded long before its start is asked for, which is to follow soon then: what counts is
     how late the start can be withdrawn, not how long unloading takes.
-    chunk: the move is the first chunk of a path.
+    chunk: the move is the first chunk of a path; of a member that moves no axis of it, its triggers are.
     triggers: outputs of the member that it switches on the way; it may also move no axis of the step.
     """
 
@@ -306,6 +321,9 @@ class Proposal(Reply):
     )
     triggers: dict[Id, list[BudgetTerm]] = Field(
         default={}, description="By output with a trigger: window of its edges relative to the instants asked for."
+    )
+    trigger_least_ns: dict[Id, Int53] = Field(
+        default={}, description="By output with a trigger: the shortest time from one instant to the next."
     )
     clock_ppm: float = Field(default=100.0, description="Guaranteed bound of the controller's rate error.")
     can_advance: bool = Field(default=False, description="Whether T0 can be brought forward after it was armed.")
@@ -417,18 +435,20 @@ class LoadChunkRequest(StepRequest):
     begin_s: float
     chunk: ChunkOptions
     profiles: dict[str, Profile]
+    triggers: list[ChunkTrigger] = Field(default=[])
 
 
 class ChunkReply(Reply):
     """The chunk is loaded. drift_ns: how far the member's clock had drifted from the plan, and is corrected on the way;
     left_ns: what of that remains at its end. bound_ns: guaranteed error of its clock mapping. stop_s: when it is at
-    rest, from T0, if no further chunk comes."""
+    rest, from T0, if no further chunk comes. triggers: as in the proposal, for the instants of the chunk."""
 
     stop_s: float = 0.0
     drift_ns: Int53 = 0
     left_ns: Int53 = 0
     bound_ns: Int53 = 0
     path_error_counts: dict[str, float] = Field(default={})
+    triggers: dict[Id, list[BudgetTerm]] = Field(default={})
 
 
 class ReleaseChunkRequest(StepRequest):
@@ -624,11 +644,17 @@ class LatchReply(Reply):
     latest_ns: Int53 = 0
 
 
+MAX_EDGES_PART = 5_000  # edges of an output in one answer: some 200 KB
+
+
 class TakeTriggers(FencedRequest):
-    """Fetch what the outputs with triggers did in a step; at rest, after its end."""
+    """Fetch what the outputs with triggers did in a step; at rest, after its end. first: the number of the first edge
+    of each output, from 0, of at most `limit`."""
 
     job: Label
     step: Int53
+    first: Int53 = Field(default=0, ge=0)
+    limit: int = Field(default=MAX_EDGES_PART, ge=1, le=MAX_EDGES_PART)
 
 
 class TriggerEdges(Model):
@@ -641,9 +667,10 @@ class TriggerEdges(Model):
 
 
 class TriggersTaken(Reply):
-    """By output."""
+    """By output. more: an output has further edges."""
 
     outputs: dict[Id, TriggerEdges] = Field(default={})
+    more: bool = False
 
 
 class RawRequest(Request):

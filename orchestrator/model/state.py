@@ -233,6 +233,15 @@ class RetargetAbility(Model):
     within_s: float
 
 
+class ChunkTriggers(Model):
+    """How a controller takes triggers with the chunks of a path. most: instants of a chunk, of all its outputs.
+    load_ns: by how much an instant makes loading a chunk longer. How close they may be depends on pulse and path: it
+    is in the proposal."""
+
+    most: int
+    load_ns: Int53 = 0
+
+
 class ControllerInfo(Model):
     """Identity and capabilities of a controller."""
 
@@ -251,6 +260,11 @@ class ControllerInfo(Model):
         default=0.0, description="Longest chunk of a path that it loads while it moves, s; 0: a path is loaded whole."
     )
     chunk_load_s: float = Field(default=0.0, description="How long loading it takes at most, s.")
+    chunk_triggers: ChunkTriggers | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How it takes triggers with the chunks of a path; left out: a path with triggers is loaded whole.",
+    )
     retarget: RetargetAbility | None = Field(
         default=None,
         exclude_if=lambda ability: ability is None,

@@ -11,6 +11,8 @@ import numpy as np
 
 from orchestrator.plan.path_profiles import Array
 
+HALVINGS = 50  # of a ramp, in which an instant is
+
 
 class RateRamp(NamedTuple):
     """From `begin_s` of the motion on, at `path_s` of the path, the rate goes from `before` to `after` within `ramp_s`,
@@ -86,6 +88,25 @@ class PathClock:
             np.where(is_inside, step * 6 * u * (1 - u) / length, 0.0),
             np.where(is_inside, step * (6 - 12 * u) / length**2, 0.0),
         )
+
+    def find_instants(self, places_s: Array) -> Array:
+        """When the motion reaches places of the path, all of which it does reach."""
+        begins = np.array([ramp.path_s for ramp in self.ramps])
+        k = np.clip(np.searchsorted(begins, places_s, side="right") - 1, 0, len(begins) - 1)
+        ends = np.array([ramp.end_path_s for ramp in self.ramps])[k]
+        begin_s, _, rate_before, rate_after, width = np.array(self.ramps)[k].T
+        is_inside = (places_s < ends) | (rate_after <= 0.0)
+        # Behind a ramp the rate is constant; in one the path time is a polynomial of the motion's.
+        constant = np.where(rate_after > 0.0, rate_after, 1.0)
+        instants: Array = begin_s + width + (places_s - ends) / constant
+        low, high = np.zeros(len(places_s)), np.ones(len(places_s))
+        for _ in range(HALVINGS):
+            u = (low + high) / 2
+            risen = width * (rate_before * u + (rate_after - rate_before) * u**3 * (1 - u / 2))
+            is_before = begins[k] + risen < places_s
+            low, high = np.where(is_before, u, low), np.where(is_before, high, u)
+        instants[is_inside] = (begin_s + width * high)[is_inside]
+        return instants
 
     def find_instant(self, path_s: float) -> float:
         """When the motion reaches `path_s` of the path, which lies behind the last ramp; infinite at rate 0."""

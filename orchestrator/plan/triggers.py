@@ -25,7 +25,8 @@ from orchestrator.plan.step import StepPlan
 
 Array = NDArray[np.float64]
 
-MAX_INSTANTS = 20_000  # of one trigger
+MAX_INSTANTS = 20_000  # of one trigger that is loaded as a whole
+MAX_CHUNKED_INSTANTS = 200_000  # of one that is loaded with the chunks of a path
 NEAR_COUNTS = 1.0  # a position this close behind the end of the way is the end: targets are rounded to counts
 HALVINGS = 60  # of the span in which a crossing is
 
@@ -55,25 +56,25 @@ class ResolvedTrigger:
         """The controller of the output."""
         return controller_of(self.output)
 
-    def find_instants_ns(self, plan: StepPlan) -> list[int]:
+    def find_instants_ns(self, plan: StepPlan, most: int = MAX_INSTANTS) -> list[int]:
         """The instants from T0 on, growing. Raises `Refusal` for positions that the plan does not reach, and if there
-        are none, or too many."""
+        are none, or more than `most`."""
         if self.axis is None:
-            instants = self._find_times_ns(round(plan.duration_s * NS_PER_S))
+            instants = self._find_times_ns(round(plan.duration_s * NS_PER_S), most)
         else:
             profile = plan.profiles.get(self.axis)
             if profile is None:
                 raise self._refuse("trigger-axis", f"axis {self.axis} does not move", "name an axis that moves")
-            levels = self._find_levels(profile)
+            levels = self._find_levels(profile, most)
             crossings = find_crossings(profile, np.array(sorted(set(levels))))
             instants = sorted({round(crossing_s * NS_PER_S) for crossing_s in crossings.tolist()})
         if not instants:
             raise self._refuse("trigger-never", "the step is over before the first one", "write a shorter `every`")
-        if len(instants) > MAX_INSTANTS:
-            raise self._too_many(len(instants))
+        if len(instants) > most:
+            raise self._too_many(len(instants), most)
         return instants
 
-    def _find_times_ns(self, duration_ns: int) -> list[int]:
+    def _find_times_ns(self, duration_ns: int, most: int) -> list[int]:
         if not self.period_ns:
             late = next((instant_ns for instant_ns in self.times_ns if instant_ns > duration_ns), None)
             if late is not None:
@@ -81,19 +82,19 @@ class ResolvedTrigger:
                 raise self._refuse("trigger-late", text, "remove it, or move slower")
             return list(self.times_ns)
         count = duration_ns // self.period_ns
-        if count > MAX_INSTANTS:
-            raise self._too_many(count)
+        if count > most:
+            raise self._too_many(count, most)
         return [number * self.period_ns for number in range(1, count + 1)]
 
-    def _find_levels(self, profile: Profile) -> list[float]:
+    def _find_levels(self, profile: Profile, most: int) -> list[float]:
         """The positions relative to the start of the axis, counts."""
         places = _find_nodes(profile)[:, 1]
         low, high = float(places.min()), float(places.max())
         if self.step_counts:
             first = ceil((low - NEAR_COUNTS / 2) / self.step_counts)
             last = floor((high + NEAR_COUNTS / 2) / self.step_counts)
-            if last - first > MAX_INSTANTS:
-                raise self._too_many(last - first)
+            if last - first > most:
+                raise self._too_many(last - first, most)
             return [min(max(number * self.step_counts, low), high) for number in range(first, last + 1)]
         levels: list[float] = []
         for counts, text in self.positions:
@@ -107,8 +108,8 @@ class ResolvedTrigger:
             levels.append(min(max(level, low), high))
         return levels
 
-    def _too_many(self, count: int) -> Refusal:
-        text = f"has {count} instants; the most of a step are {MAX_INSTANTS}"
+    def _too_many(self, count: int, most: int) -> Refusal:
+        text = f"has {count} instants; the most of a step are {most}"
         return self._refuse("trigger-count", text, "write a longer `every`, or divide the step")
 
     def _refuse(self, code: str, text: str, remedy: str) -> Refusal:

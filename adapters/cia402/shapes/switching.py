@@ -3,7 +3,8 @@ number of the SYNC that applies them, and an edge is known by when that SYNC was
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import ceil
 
 from adapters.contract import HostInterval, SwitchedOutput
 
@@ -24,10 +25,19 @@ class SyncPoint:
 @dataclass(frozen=True, slots=True)
 class SwitchedPoint(SyncPoint):
     """An output with the numbers of the SYNCs that switch it: growing, the first to active, the last to passive. edges:
-    those that were asked for."""
+    those that were asked for. pulse: how many periods each of them lasts; 0: it changes the level."""
 
     numbers: tuple[int, ...]
     edges: tuple[int, ...] = ()
+    pulse: int = 0
+
+    def with_edges(self, edges: tuple[int, ...], point_count: int) -> "SwitchedPoint":
+        """Return it with these edges. point_count: positions of the stream; a level is passive from the end on."""
+        if self.pulse:
+            numbers = tuple(number for edge in edges for number in (edge, edge + self.pulse))
+        else:
+            numbers = (*edges, max(point_count, edges[-1] + 1)) if len(edges) % 2 else edges
+        return replace(self, numbers=numbers, edges=edges)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +49,7 @@ class OutputSchedule:
     @property
     def last(self) -> int:
         """Return the number of the last SYNC that switches one; 0: none is switched."""
-        return max((point.numbers[-1] for point in self.points), default=0)
+        return max((number for point in self.points for number in point.numbers[-1:]), default=0)
 
     def outputs_at(self, outputs: int, number: int) -> int:
         """Return 60FEh from SYNC `number` on. outputs: what the other outputs are."""
@@ -47,12 +57,38 @@ class OutputSchedule:
             outputs = point.outputs_with(outputs, active=bool(bisect_right(point.numbers, number) % 2))
         return outputs
 
+    def find_change(self, other: "OutputSchedule") -> int | None:
+        """Return the number of the first SYNC that switches an output in one of the two only; None: there is none."""
+        differences = [
+            set(point.edges) ^ set(other_point.edges)
+            for point, other_point in zip(self.points, other.points, strict=True)
+        ]
+        return min((min(numbers) for numbers in differences if numbers), default=None)
+
     def find_active(self, outputs: int) -> SwitchedPoint | None:
         """Return one of its outputs that is active already."""
         return next((point for point in self.points if outputs != point.outputs_with(outputs, active=False)), None)
 
 
 NOTHING_SWITCHED = OutputSchedule()
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeGrid:
+    """Which SYNC switches an output for an instant: that whose effect is next to it. middle_ns: from SYNC to edge."""
+
+    period_ns: int = 1
+    middle_ns: int = 0
+
+    def find_edges(self, instants_ns: Sequence[int]) -> list[int]:
+        """Return the numbers of the SYNCs. The first SYNC is the start itself."""
+        return [max(1, round((instant_ns - self.middle_ns) / self.period_ns)) for instant_ns in instants_ns]
+
+    @property
+    def most_off_ns(self) -> list[int]:
+        """The SYNC of an instant behind the first one is between these distances from it."""
+        half_ns = ceil(self.period_ns / 2)
+        return [-half_ns - self.middle_ns, half_ns - self.middle_ns]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +115,12 @@ class EdgeLog:
     _numbers: frozenset[int] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._numbers = frozenset(number for point in self.schedule.points for number in point.edges)
+        self.follow_schedule(self.schedule)
+
+    def follow_schedule(self, schedule: OutputSchedule) -> None:
+        """Record the edges of another schedule, which is the same for all SYNCs that have been written."""
+        self.schedule = schedule
+        self._numbers = frozenset(number for point in schedule.points for number in point.edges)
 
     def record_write(self, number: int, at_ns: int) -> None:
         self.written = number

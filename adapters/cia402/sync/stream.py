@@ -252,9 +252,12 @@ class StreamedMove:
         """The first position that is not sent yet."""
         return self._sent + 1
 
-    def continue_with(self, trajectory: SetpointTrajectory, number: int) -> None:
-        """Take the positions from `number` on from another trajectory; none of them is sent yet."""
+    def continue_with(self, trajectory: SetpointTrajectory, number: int, switched: OutputSchedule) -> None:
+        """Take the positions from `number` on from another trajectory, and the outputs from another schedule; none of
+        what differs is sent yet."""
         self._earlier, self._later, self._from = self._later, trajectory.setpoint_function(), number
+        self._switched = switched
+        self.edges.follow_schedule(switched)
         self._set_count(trajectory)
 
     def change_outputs(self, outputs: int) -> int:

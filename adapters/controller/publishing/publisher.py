@@ -300,6 +300,7 @@ class StatePublisher:
             costs=capabilities.costs,
             chunk_s=capabilities.chunk_s,
             chunk_load_s=capabilities.chunk_load_s,
+            chunk_triggers=capabilities.chunk_triggers,
             retarget=capabilities.retarget,
             digest=self._config.digest,
             options_schema=_options_schema(self._context.make.options_model),

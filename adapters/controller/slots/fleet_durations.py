@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adapters.contract import Lowered
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.messages import BudgetTerm, OutputTrigger, StartOptions
 from orchestrator.model.profile import Profile
@@ -60,13 +61,13 @@ def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: M
     terms, edge = list(lowered.terms), list(lowered.edge)
     switch_terms = {output: list(terms) for output, terms in lowered.triggers.items()}
     if not scale.is_exact:
-        own = _make_term(scale, t0_host_ns)
+        own = make_fleet_time_term(scale, t0_host_ns)
         if lowered.start_class != "line":
             terms.append(own)
         if edge:
             edge.append(own)
         for output, output_terms in switch_terms.items():
-            output_terms.append(_make_term(scale, t0_host_ns + triggers[output]))
+            output_terms.append(make_fleet_time_term(scale, t0_host_ns + triggers[output]))
     return StatedMove(
         durations_s={axis: duration_s * (1.0 + scale.rate) for axis, duration_s in lowered.durations_s.items()},
         tick_ns=lowered.tick_ns * (1.0 + scale.rate),
@@ -77,11 +78,14 @@ def state_move(lowered: Lowered, scale: FleetScale, t0_host_ns: int, triggers: M
     )
 
 
-def _make_term(scale: FleetScale, host_ns: int) -> BudgetTerm:
+def make_fleet_time_term(scale: FleetScale, host_ns: int) -> BudgetTerm:
+    """What fleet time may be off at an instant."""
     bound_ns = scale.bound_at_ns(host_ns)
     return BudgetTerm(name="fleet-time", earliest_ns=-bound_ns, latest_ns=bound_ns)
 
 
 def find_last_instants(start: StartOptions) -> dict[str, int]:
-    """By output with triggers, the last of its instants, ns after T0."""
-    return {trigger.output: trigger.instants_ns[-1] for trigger in start.triggers}
+    """By output with triggers, the last of its instants, ns after T0; of a path in chunks the end of the first one,
+    which may have none."""
+    end_ns = 0 if start.chunk is None else round(start.chunk.end_s * NS_PER_S)
+    return {trigger.output: max([end_ns, *trigger.instants_ns[-1:]]) for trigger in start.triggers}

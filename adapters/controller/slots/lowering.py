@@ -49,6 +49,7 @@ class StepLowering:
             terms=statement.terms,
             edge=statement.edge,
             triggers=statement.triggers,
+            trigger_least_ns=dict(lowered_step.trigger_least_ns),
             clock_ppm=statement.clock_ppm,
             can_advance=lowered_step.can_advance,
             gap_ns=lowered_step.gap_ns if request.start.follows else None,

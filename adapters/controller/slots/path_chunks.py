@@ -3,13 +3,21 @@
 import asyncio
 
 from adapters.abilities import PathDriver
-from adapters.contract import PathChunk
+from adapters.contract import ChunkInstants, PathChunk
+from adapters.controller.slots.fleet_durations import make_fleet_time_term
 from adapters.controller.slots.present_motion import PresentMotion
 from adapters.controller.state.armed_step import ArmedStep, StepPhase
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import ChunkReply, LoadChunkRequest, ReleaseChunkRequest, Reply
+from orchestrator.model.messages import (
+    BudgetTerm,
+    ChunkReply,
+    ChunkTrigger,
+    LoadChunkRequest,
+    ReleaseChunkRequest,
+    Reply,
+)
 
 
 class PathChunks:
@@ -36,6 +44,7 @@ class PathChunks:
             _to_host_s(options.end_s, step, scale),
             options.last,
             profiles,
+            {trigger.output: _to_host_instants(trigger, step, scale) for trigger in request.triggers},
         )
         if self._loader is None:
             raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
@@ -48,6 +57,7 @@ class PathChunks:
             left_ns=fit.left_ns,
             bound_ns=fit.bound_ns + scale.bound_at_ns(step.t0_host_ns + round(fit.stop_s * NS_PER_S)),
             path_error_counts=dict(fit.path_error_counts),
+            triggers={output: _state_terms(terms, chunk, step, scale) for output, terms in fit.triggers.items()},
         )
 
     async def release(self, request: ReleaseChunkRequest) -> Reply:
@@ -71,6 +81,19 @@ class PathChunks:
         if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):
             raise Refusal("wrong-phase", f"the path is {step.phase.value}, not moving", "")
         return step
+
+
+def _to_host_instants(trigger: ChunkTrigger, step: ArmedStep, scale: FleetScale) -> ChunkInstants:
+    instants_ns = (round(_to_host_s(at_ns / NS_PER_S, step, scale) * NS_PER_S) for at_ns in trigger.instants_ns)
+    return ChunkInstants(trigger.first, tuple(instants_ns))
+
+
+def _state_terms(
+    terms: tuple[BudgetTerm, ...], chunk: PathChunk, step: ArmedStep, scale: FleetScale
+) -> list[BudgetTerm]:
+    if scale.is_exact:
+        return list(terms)
+    return [*terms, make_fleet_time_term(scale, step.t0_host_ns + round(chunk.end_s * NS_PER_S))]
 
 
 def _to_host_s(after_s: float, step: ArmedStep, scale: FleetScale) -> float:

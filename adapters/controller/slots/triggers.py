@@ -32,10 +32,20 @@ class TriggerCollection:
         self._clock = context.clock
         self._status = status
         self._steps = steps
+        self._edges: dict[str, TriggerEdges] = {}
 
     async def take(self, request: TakeTriggers) -> TriggersTaken:
-        """Fetch what happened in the last step. Raises `Refusal`."""
-        del request
+        """Fetch what happened in the last step, and return a part of it: the first one, or a later one of the same
+        step. Raises `Refusal`."""
+        if not request.first:
+            self._edges = await self._fetch()
+        end = request.first + request.limit
+        return TriggersTaken(
+            outputs={output: _cut_part(edges, request.first, end) for output, edges in self._edges.items()},
+            more=any(len(edges.earliest_ns) > end for edges in self._edges.values()),
+        )
+
+    async def _fetch(self) -> dict[str, TriggerEdges]:
         until_ns = self._clock.now_ns() + REST_NS
         while any(axis.moving for axis in self._status.require_online().axes.values()):
             if self._clock.now_ns() > until_ns:
@@ -47,9 +57,7 @@ class TriggerCollection:
         if self._driver is not None:
             switched_outputs = await self._driver.take_triggers()
         scale = self._context.require_scale()
-        return TriggersTaken(
-            outputs={output: _to_fleet(switched_output, scale) for output, switched_output in switched_outputs.items()}
-        )
+        return {output: _to_fleet(switched_output, scale) for output, switched_output in switched_outputs.items()}
 
 
 class LatchControl:
@@ -76,6 +84,12 @@ class LatchControl:
         latch, scale = await self._driver.latch_position(axis, point, request.within_ns), self._context.require_scale()
         earliest_ns, latest_ns = scale.to_fleet_span(latch.span.earliest_ns, latch.span.latest_ns)
         return LatchReply(counts=latch.counts, earliest_ns=earliest_ns, latest_ns=latest_ns)
+
+
+def _cut_part(edges: TriggerEdges, first: int, end: int) -> TriggerEdges:
+    return TriggerEdges(
+        earliest_ns=edges.earliest_ns[first:end], latest_ns=edges.latest_ns[first:end], unknown=edges.unknown
+    )
 
 
 def _to_fleet(switched: SwitchedOutput, scale: FleetScale) -> TriggerEdges:

@@ -8,20 +8,21 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from adapters.contract import ChunkFit, PathChunk
-from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.gate_start import GateStart
-from adapters.yaskawa.common.loaded import LoadedMove
+from adapters.yaskawa.common.lines import PartRelease
+from adapters.yaskawa.common.loaded import LoadedChunk, LoadedMove
 from adapters.yaskawa.common.loads import CourseLoad, RegisterLoad
 from adapters.yaskawa.common.lowering import stays_near_plan
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.shapes.course_records import BegunPath
+from adapters.yaskawa.shapes.course_records import BegunPath, ChunkRecords
 from adapters.yaskawa.shapes.trapezoid import braking_sample, extend_shape
 from adapters.yaskawa.wire.exchange import SmcCommandRefused
 from adapters.yaskawa.wire.record import AXIS_LETTERS
-from orchestrator.clock.base import Clock
+from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import BudgetTerm
 from orchestrator.model.profile import Profile
 
 # Before it brakes: the commands that decide and move farther, each behind one of every other thread.
@@ -32,35 +33,70 @@ EXTENSION_EXCHANGES = 4
 class PathContinuation:
     """The chunks of the present path of one controller."""
 
-    def __init__(self, present: GateStart, clock: Clock, options: YaskawaOptions, refill: ContourRefill) -> None:
+    def __init__(self, present: GateStart, device: SmcDevice, clock: Clock, options: YaskawaOptions) -> None:
         self._present = present
+        self._device = device
         self._clock = clock
         self._options = options
-        self._refill = refill
+        self._refill = present.refill
+        self._loads = 0
 
     async def load_chunk(self, chunk: PathChunk, mapping: TickMapping | None) -> ChunkFit:
-        """Load the next chunk of the present path. Raises `Refusal`."""
-        present, load = self._require_course()
+        """Load the next chunk of the present path, and its triggers. Raises `Refusal`."""
+        present = self._present.require_move()
         if mapping is None:
             raise Refusal("no-clock", "the controller's clock is not known", "wait a second")
+        self._loads += 1
+        load, end_ns, present.loaded = self._loads, round(chunk.end_s * NS_PER_S), None
+        records = await self._load_records(chunk, mapping) if chunk.profiles else None
+        triggers: dict[str, tuple[BudgetTerm, ...]] = {}
+        for output, instants in chunk.triggers.items():
+            clock_term = await self._present.player.load_part(instants, end_ns, mapping)
+            armed_terms = present.lowered.triggers[output]
+            triggers[output] = (clock_term, *(term for term in armed_terms if term.name != clock_term.name))
+        if load != self._loads:
+            raise Refusal("superseded", "another chunk is loaded in its place", "")
+        present.loaded = LoadedChunk(chunk.number, end_ns, records)
+        if records is not None:
+            return replace(records.fit, triggers=triggers)
+        return ChunkFit(chunk.stop_s, 0, 0, mapping.bound_at_ns(present.t0_ns + end_ns), {}, triggers)
+
+    async def _load_records(self, chunk: PathChunk, mapping: TickMapping) -> ChunkRecords:
+        present, load = self._require_course()
         first, _ = self._options.begin_ticks(present.mapping.tick_ns, interleaved=True)
         begun_path = BegunPath(present.ticks + first, present.t0_ns)
         records = load.maker.make_next(chunk, load.records, mapping, begun_path)
         played_count = max(0, round(mapping.to_ticks(self._clock.now_ns())) - begun_path.tick) >> load.maker.interval
-        present.loaded = None
         await self._refill.load(records, load.maker.room, played_count)
-        present.loaded = records
-        return records.fit
+        return records
 
     async def release_chunk(self, number: int) -> None:
-        """Change over to the loaded chunk. Raises `Refusal`."""
-        present, load = self._require_course()
-        records = present.loaded
-        if records is None or records.number != number:
+        """Change over to the loaded chunk, its triggers included. Raises `Refusal`."""
+        present = self._present.require_move()
+        chunk, switches = present.loaded, present.lowered.switches
+        if chunk is None or chunk.number != number:
             raise Refusal("not-loaded", f"chunk {number} of the path is not loaded", "load it first")
         present.loaded = None
-        await self._refill.release(records, load.records, load.maker.room)
-        present.lowered = load.follow_records(present.lowered, records)
+        release = None if switches is None else self._present.player.plan_release()
+        if chunk.records is not None:
+            _, load = self._require_course()
+            await self._refill.release(chunk.records, load, release)
+            present.lowered = load.follow_records(present.lowered, chunk.records)
+        elif switches is not None:
+            await self._release_triggers(present, min(switches.last_ns, chunk.end_ns), release)
+        if switches is not None:
+            self._present.player.take_part()
+            present.lowered = replace(present.lowered, switches=replace(switches, end_ns=chunk.end_ns))
+
+    async def _release_triggers(self, present: LoadedMove, by_ns: int, release: PartRelease | None) -> None:
+        """Release the triggers of a controller that executes no part of the path. by_ns: after T0, where they begin or
+        end. Raises `Refusal`."""
+        if self._clock.now_ns() >= present.t0_ns + by_ns:
+            raise Refusal("late", "the end of the triggers that are released is past", "")
+        if release is not None:
+            mapping = self._device.samples.current_mapping() or present.mapping
+            by_ticks = round(mapping.to_ticks(present.t0_ns + by_ns)) - release.ahead_ticks
+            await self._refill.release_triggers(release.place, by_ticks)
 
     def _require_course(self) -> tuple[LoadedMove, CourseLoad]:
         present = self._present.require_move()

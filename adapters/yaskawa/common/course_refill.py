@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.device import SmcDevice
+from adapters.yaskawa.common.lines import PartRelease
+from adapters.yaskawa.common.loads import CourseLoad
 from adapters.yaskawa.common.program import TAIL, TAIL_LENGTH, array_name
 from adapters.yaskawa.shapes.course_records import SPARE_RECORDS, ChunkRecords, RingRoom
 from orchestrator.model.errors import Refusal
@@ -64,29 +66,43 @@ class ContourRefill:
         if load != self._loads:
             raise Refusal("superseded", "another chunk is loaded in its place", "")
 
-    async def release(self, records: ChunkRecords, before: ChunkRecords, room: RingRoom) -> None:
-        """Change over to a loaded chunk, behind or inside the one before. Raises `Refusal`."""
+    async def release(self, records: ChunkRecords, load: CourseLoad, triggers: PartRelease | None) -> None:
+        """Change over to a loaded chunk, behind or inside that of `load`, and to its triggers. Raises `Refusal`."""
+        before, room = load.records, load.maker.room
         tail, old = records.tail_variables(room), before.tail_variables(room)
+        ahead = 0 if triggers is None else -(-triggers.ahead_ticks >> load.maker.interval) + 1
+        ahead = max(LEAST_AHEAD, ahead)
         if records.end > before.end:
-            await self._set_end(f"XN-{LEAST_AHEAD}", records.end)
+            await self._set_end(f"XN-{ahead}", records.end, triggers)
             # Its own end is a chunk away.
             await self._set_tail(tail)
             return
         await self._set_tail(tail)
         try:
-            await self._set_end(str(records.end - LEAST_AHEAD), records.end)
+            await self._set_end(str(records.end - ahead), records.end, triggers)
         except Refusal:
             await self._set_tail(old)
             raise
 
-    async def _set_end(self, latest: str, end: int) -> None:
-        """Set XN, if the controller finds that the next record is before `latest`. Operations are done from left to
-        right."""
-        session = self._device.session
-        await session.send_settings([f"XN=(({end}-XN)*(XI<({latest})))+XN"])
-        (held_end, played_count), _ = await session.read_numbers("XN", "XI")
+    async def _set_end(self, latest: str, end: int, triggers: PartRelease | None) -> None:
+        """Set XN, if the controller finds that the next record is before `latest`, and with it XRN. Operations are done
+        from left to right."""
+        session, places = self._device.session, [] if triggers is None else [triggers.place]
+        commands = [f"XN=(({end}-XN)*(XI<({latest})))+XN"]
+        await session.send_settings([*commands, *(f"XRN=(({place}-XRN)*(XN={end}))+XRN" for place in places)])
+        (held_end, played_count, held_place), _ = await session.read_numbers("XN", "XI", "XRN")
         if int(held_end) != end or played_count > end:
             raise Refusal("late", "the controller has passed the place where the path was to be continued", "")
+        if places and int(held_place) != places[0]:
+            raise Refusal("read-back", f"XRN reads back as {held_place:.0f}, not {places[0]}", "try again")
+
+    async def release_triggers(self, place: int, by_ticks: int) -> None:
+        """Set XRN, if the controller finds that it is before sample `by_ticks`. Raises `Refusal`."""
+        session = self._device.session
+        await session.send_settings([f"XRN=(({place}-XRN)*(TIME<{by_ticks}))+XRN"])
+        (held_place,), _ = await session.read_numbers("XRN")
+        if int(held_place) != place:
+            raise Refusal("late", "the triggers before the place where the path was to be continued are near", "")
 
     async def _set_tail(self, tail: dict[str, int]) -> None:
         session = self._device.session

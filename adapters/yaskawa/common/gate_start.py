@@ -28,7 +28,7 @@ class GateStart:
         self._clock = clock
         self._options = options
         self._watchdog = StepWatchdog(device, options)
-        self._refill = refill
+        self.refill = refill
         self.player = player
         self.move: LoadedMove | None = None
 
@@ -65,7 +65,7 @@ class GateStart:
         shut = ("XGO=0", "XARM=0", "XOK=0", "XLATE=0", "XLO=0", f"HX{WATCHDOG_THREAD}", "XDOG=0")
         gate = (*shut, f"XT0={ticks}", f"XLI={_wait_input_number(lowered)}", self._watchdog.extension_command(ticks))
         sample_place = SamplePlace(phase, mapping.tick_ns)
-        lowered = loaded_move.lowered = await lowered.load.upload(self._refill, lowered, sample_place)
+        lowered = loaded_move.lowered = await lowered.load.upload(self.refill, lowered, sample_place)
         self.move = loaded_move
         await self._load_registers(
             lowered,

@@ -4,9 +4,9 @@ values, and the guaranteed timing."""
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
-from adapters.contract import SwitchedOutput
+from adapters.contract import ChunkInstants, SwitchedOutput
 from adapters.toolkit.wired_points import find_driven_output, find_wait_input
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.clock.base import NS_PER_US
@@ -57,15 +57,18 @@ class ProgramOutput:
 @dataclass(frozen=True, slots=True)
 class ProgramTriggers:
     """An output that the program switches at instants after T0. turns: its level changes each time; otherwise it is a
-    pulse of `output.active_ticks`."""
+    pulse of `output.active_ticks`. end_ns: of a path in chunks, the end of what is released, after T0; the table is a
+    ring then."""
 
     output: ProgramOutput
     instants_ns: tuple[int, ...]
     turns: bool
+    end_ns: int | None = None
 
-    def make_table(self, ticks: int, first: int, t0_ns: int, mapping: TickMapping) -> list[int]:
-        """The samples after XT0, `ticks`. first: samples after XT0 at which a move begins."""
-        return [round(mapping.to_ticks(t0_ns + instant_ns)) - first - ticks for instant_ns in self.instants_ns]
+    @property
+    def last_ns(self) -> int:
+        """After T0, when it has nothing to switch any more."""
+        return self.instants_ns[-1] if self.end_ns is None else self.end_ns
 
     def level_of(self, number: int) -> int:
         """The level that the output is set to at an instant."""
@@ -85,6 +88,14 @@ class LoadedStep(Protocol):
     def mapping(self) -> TickMapping: ...
 
 
+class PartRelease(NamedTuple):
+    """What releases the triggers of a chunk: XRN is to be `place`, no later than `ahead_ticks` before the first one
+    that comes or goes with it."""
+
+    place: int
+    ahead_ticks: int
+
+
 class OutputPlayer(Protocol):
     """Plays the triggers of a step."""
 
@@ -97,7 +108,20 @@ class OutputPlayer(Protocol):
         ...
 
     async def is_playing(self) -> bool:
-        """Whether the program still plays the table."""
+        """Whether the program still plays the table, once no axis moves; a ring that is played to its end is ended."""
+        ...
+
+    async def load_part(self, instants: ChunkInstants, end_ns: int, mapping: TickMapping) -> BudgetTerm:
+        """Load the triggers of the next chunk of a path, which ends at `end_ns` after T0; return what the clock may be
+        off at them. Raises `Refusal`."""
+        ...
+
+    def plan_release(self) -> PartRelease | None:
+        """What releases them; None if nothing changes."""
+        ...
+
+    def take_part(self) -> None:
+        """They are released."""
         ...
 
     async def take(self) -> Mapping[str, SwitchedOutput]:

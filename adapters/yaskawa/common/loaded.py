@@ -1,6 +1,7 @@
 """A move that the resident program executes, or that waits behind it."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from adapters.contract import HostInterval
 from adapters.yaskawa.common.loads import YaskawaLowered
@@ -12,6 +13,15 @@ from orchestrator.clock.estimator import TickMapping
 TICKS_MAX = 2_147_483_647  # L10613
 EVIDENCE_WAIT_NS = 200 * NS_PER_MS  # time after its instant within which a start is proven or disproven
 SETTLE_NS = 5 * NS_PER_MS
+
+
+class LoadedChunk(NamedTuple):
+    """A chunk of a path that is loaded behind the released one. end_ns: after T0, where it leaves the path. records:
+    None for a controller that only switches outputs."""
+
+    number: int
+    end_ns: int
+    records: ChunkRecords | None
 
 
 @dataclass(slots=True)
@@ -31,13 +41,13 @@ class LoadedMove:
     released: bool = False
     taken: bool = True
     begun_ticks: int | None = None
-    loaded: ChunkRecords | None = None
+    loaded: LoadedChunk | None = None
 
     @property
     def switched_ns(self) -> int:
         """When its last trigger is due; T0 without any."""
         switches = self.lowered.switches
-        return self.t0_ns + (0 if switches is None else switches.instants_ns[-1])
+        return self.t0_ns + (0 if switches is None else switches.last_ns)
 
     @property
     def end_ticks(self) -> int:

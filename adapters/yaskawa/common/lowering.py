@@ -106,7 +106,7 @@ def lower_moves(
         for axis in profiles
         for scale in [float(config.axes[axis].scale)]
     }
-    if start.chunk is not None and start.wait is None and takes_chunks(context):
+    if start.chunk is not None and start.wait is None and profiles and takes_chunks(context):
         course = _lower_to_course(context, profiles, bounds, tick_ns, start.chunk)
         if course is not None:
             return _make_lowered(context, course, profiles, start, mapping)
@@ -224,13 +224,18 @@ def find_chunk_times(context: LoweringContext, tick_ns: float) -> tuple[float, f
     no room for one."""
     record_s = tick_ns * 1e-9 * (1 << find_interval(context, tick_ns))
     try:
-        room = find_room(context.options.array_elements - TAIL_LENGTH, len(context.motors), record_s)
+        room = find_room(_count_elements(context), len(context.motors), record_s)
     except Refusal:
         return 0.0, 0.0
     chunk_s = find_chunk_s(room, record_s)
     elements = len(context.motors) * (chunk_s / record_s + room.tail)
     # An element is assigned by one command, and its part in a command that reads it back and in the loop takes as long.
     return chunk_s, elements * 2 * context.options.decode_us * 1e-6
+
+
+def _count_elements(context: LoweringContext) -> int:
+    """The elements of all increments of a contour."""
+    return context.options.array_elements - TAIL_LENGTH - context.beside_elements
 
 
 def _lower_to_course(
@@ -248,7 +253,7 @@ def _lower_to_course(
         return None
     require_speed_range(profiles, tick_s, model)
     require_record_range(profiles, tick_s, interval, model)
-    room = find_room(context.options.array_elements - TAIL_LENGTH, len(profiles), record_s)
+    room = find_room(_count_elements(context), len(profiles), record_s)
     maker = RecordMaker({axis: context.motors[axis] for axis in profiles}, interval, room, model)
     chunk = PathChunk(0, 0.0, part.end_s, part.last, profiles)
     records = maker.make_first(chunk, 0.0, tick_ns)
@@ -283,7 +288,7 @@ def _lower_to_contour(
             "remove `jerk` from its limits, and move it from standstill to standstill",
         )
     room = ContourLimits(
-        options.array_elements - TAIL_LENGTH - context.beside_elements,
+        _count_elements(context),
         find_interval(context, tick_ns),
         options.contour_sag_counts,
     )

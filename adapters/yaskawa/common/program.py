@@ -48,6 +48,8 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XIN    counts to move farther           XIT    sample before which that is possible
     XRN    triggers of the table            XRI    the next one
     XRV    level that it sets the output to XRT    array: samples after XT0, then the stamps
+    XRM    mask of it as a ring             XRF    samples before which a trigger is far
+    XRE    1: the ring ends where it is
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
@@ -76,7 +78,10 @@ TAIL_LENGTH = 8  # a tail has at most one record of each length below the full o
 LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
 TABLE = "XRT"  # of triggers
 TABLE_VARIABLES = ("XRN", "XRI", "XRV")
+RING_VARIABLES = ("XRM", "XRF", "XRE")
 PULSE_LABEL, LEVEL_LABEL = "#PULSE", "#LEVEL"
+RING_PULSE_LABEL, RING_LEVEL_LABEL = "#RPULSE", "#RLEVEL"
+FAR_TICKS = 8  # from one look for the next trigger of a ring to another
 OUTPUT_PASSIVE = "OB XLO,1-XLV"  # of the trigger line; XLO is 0, and this command refused, while no line is driven
 CONTOUR_VARIABLES = ("XN", "XM", "XDT", "XI", "XW", "XTB", "XV", "XJ")
 REGISTER_VARIABLES = {"PA": "XP", "SP": "XS", "AC": "XU", "DC": "XW"}
@@ -84,7 +89,9 @@ BEGIN_VARIABLE = "XB"
 FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZT", "XZA")
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
-    *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *CONTOUR_VARIABLES, *FOLLOWING_VARIABLES),
+    *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *RING_VARIABLES),
+    *CONTOUR_VARIABLES,
+    *FOLLOWING_VARIABLES,
     *(f"{name}{number}" for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ") for number in range(1, 5)),
 )
 TAIL = "XTD"
@@ -139,6 +146,7 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
     lines += [
         *edge_lines(),
         *trigger_lines(),
+        *(ring_lines() if contours else ()),
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
         f"#HOLD;WT {STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{gate.decided_before})",
         f"XOK=XGO&((XT0-TIME)>{gate.wait_after_gate})",
@@ -300,6 +308,34 @@ def trigger_lines() -> tuple[str, ...]:
         f"#TURN;{wait};{TABLE}[XRI]=TIME;OB XLO,XRV",
         "XRV=1-XRV;XRI=XRI+1;JP #TURN,XRI<XRN",
         "OB XLO,1-XLV;XLO=0;EN",
+    )
+
+
+def ring_lines() -> tuple[str, ...]:
+    """Return the lines that play the table as a ring, up to element XRN, which changes while a path is executed.
+
+    A trigger that is far is not waited for by WT, because it may be withdrawn: the program looks again and again
+    whether the next one is near. XRN changes only for triggers that are far (`PartRelease`). After each wait come two
+    commands at most, or one with an expression, before other threads have their turn (L14633), as with the table.
+    """
+    ticks_left = f"(XT0+{TABLE}[XRI]-TIME)"
+    near = f"(XRI<>XRN)&({ticks_left}<XRF)"
+    wait = f"WT ({ticks_left}>0)*{ticks_left}"
+    return (
+        f"{RING_PULSE_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {RING_PULSE_LABEL},XOK=0",
+        f"#FAR;WT {FAR_TICKS};JP #NEAR,{near}",
+        "JP #FAR,XRE=0;OB XLO,1-XLV;XLO=0;EN",
+        f"#NEAR;{wait};{TABLE}[XRI]=TIME;OB XLO,XLV",
+        "WT XLH;OB XLO,1-XLV;XRI=(XRI+1)&XRM",
+        f"JP #NEAR,{near}",
+        "JP #FAR",
+        f"{RING_LEVEL_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {RING_LEVEL_LABEL},XOK=0",
+        f"#LFAR;WT {FAR_TICKS};JP #LNEAR,{near}",
+        "JP #LFAR,XRE=0;OB XLO,1-XLV;XLO=0;EN",
+        f"#LNEAR;{wait};{TABLE}[XRI]=TIME;OB XLO,XRV",
+        "XRV=1-XRV;XRI=(XRI+1)&XRM",
+        f"JP #LNEAR,{near}",
+        "JP #LFAR",
     )
 
 

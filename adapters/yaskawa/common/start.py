@@ -30,7 +30,7 @@ class SampleStart:
         self._device = device
         self._present = self.GATE_START(device, clock, options, refill, player)
         self._following = FollowingStart(device, clock, options)
-        self._path = PathContinuation(self._present, clock, options, refill)
+        self._path = PathContinuation(self._present, device, clock, options)
         self._end = self.SAMPLE_END(device, clock, options, self._following, player)
         self._extension = MoveExtension(device, clock)
         self.player = player

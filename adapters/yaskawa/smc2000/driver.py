@@ -131,7 +131,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
         )
         watch = SettingsWatch(device, motors, SMC2000_WATCHED, slow=True)
         self._triggers = _make_trigger_traits(len(motors), self._char_ns)
-        start = SerialStart(device, setup.clock, options, TriggerPlayer(device, options, self._triggers))
+        start = SerialStart(device, setup.clock, options, TriggerPlayer(device, setup.clock, options, self._triggers))
         super().__init__(setup, motors, device, start, watch)
         channels = SAMPLED_AXES[max(motors.values()) >= SAMPLED_AXES[0]]
         limits = SamplingLimits.of_link(channels, ARRAY_BACK, options.exchange_ns, self._char_ns)

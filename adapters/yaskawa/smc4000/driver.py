@@ -40,7 +40,7 @@ from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, Set
 from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.triggers.latch import PositionLatch
-from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_needs
+from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from adapters.yaskawa.wire.exchange import parse_reply
@@ -99,7 +99,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
         device = self.DEVICE(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
         serial = isinstance(setup.config.link, SerialLink)
         watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
-        start = SampleStart(device, setup.clock, options, TriggerPlayer(device, options, SMC4000_TRIGGERS))
+        start = SampleStart(device, setup.clock, options, TriggerPlayer(device, setup.clock, options, SMC4000_TRIGGERS))
         super().__init__(setup, motors, device, start, watch)
         char_ns = 10 * NS_PER_S // setup.config.link.baud if isinstance(setup.config.link, SerialLink) else NS_PER_US
         limits = SamplingLimits.of_link(SAMPLED_AXES, UPLOAD_ELEMENTS, options.exchange_ns, char_ns)
@@ -140,7 +140,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
         plain = 3 not in self.ORDERS or self._serial
-        chunk_s, load_s = (0.0, 0.0) if plain else find_chunk_times(self._context(costs), self._options.tick_ns)
+        context = self._context(costs)
+        chunk_s, load_s = (0.0, 0.0) if plain else find_chunk_times(context, self._options.tick_ns)
         return DriverCapabilities(
             start_classes=START_CLASSES,
             orders=self.ORDERS,
@@ -148,6 +149,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             costs=costs,
             chunk_s=chunk_s,
             chunk_load_s=load_s,
+            chunk_triggers=None if plain else find_chunk_triggers(context),
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS else 0.0,
             retarget_way="extend",
         )

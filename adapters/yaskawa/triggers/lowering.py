@@ -6,16 +6,17 @@ from itertools import pairwise
 
 from adapters.yaskawa.common import lines
 from adapters.yaskawa.common.loads import YaskawaLowered
-from adapters.yaskawa.common.lowering import LOOP_COMMANDS, LoweringContext
+from adapters.yaskawa.common.lowering import LOOP_COMMANDS, LoweringContext, find_chunk_times
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.common.program import TABLE
-from adapters.yaskawa.shapes.contour import Contour
+from adapters.yaskawa.triggers.ring import MOST_OF_CHUNK, RING
 from adapters.yaskawa.triggers.table import STAMP_DIGITS
 from adapters.yaskawa.triggers.traits import TriggerTraits
-from orchestrator.clock.base import NS_PER_MS, NS_PER_US
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import BudgetTerm, OutputTrigger, StartOptions, TriggerDrive
+from orchestrator.model.state import ChunkTriggers
 
 CONTOUR_COMMANDS = LOOP_COMMANDS + 1  # of one record, CD with its arrays counted twice
 LOAD_EXCHANGES = 10  # allocation, variables, formats
@@ -39,7 +40,17 @@ def find_needs(start: StartOptions, traits: TriggerTraits) -> TriggerNeeds:
     """What the triggers of a step take from a contour."""
     if not start.triggers:
         return NO_TRIGGERS
-    return TriggerNeeds(traits.contour_commands, sum(len(trigger.instants_ns) for trigger in start.triggers))
+    elements = sum(len(trigger.instants_ns) for trigger in start.triggers)
+    return TriggerNeeds(traits.contour_commands, elements if start.chunk is None else RING)
+
+
+def find_chunk_triggers(context: LoweringContext) -> ChunkTriggers | None:
+    """How the controller takes triggers with the chunks of a path of all its axes; None without room for both."""
+    chunk_s, _ = find_chunk_times(context, context.options.tick_ns)
+    if find_chunk_times(replace(context, beside_elements=RING), context.options.tick_ns)[0] < chunk_s:
+        return None
+    # An element is assigned, read back, and read again when it was played.
+    return ChunkTriggers(most=MOST_OF_CHUNK, load_ns=3 * context.options.decode_us * NS_PER_US)
 
 
 def add_triggers(
@@ -67,13 +78,18 @@ def add_triggers(
         text = f"output {trigger.output} is number {output.number}; triggers switch outputs 1 to {lines.LOCAL_POINTS}"
         raise Refusal("trigger-output", text, "connect the device to one of these outputs")
     _require_room(trigger, options)
-    pace = TriggerPace(options, traits, mapping.tick_ns, contour=lowered.load.contour)
+    contour, chunk = lowered.load.contour, start.chunk
+    interval = None if contour is None else contour.interval
+    pace = TriggerPace(options, traits, mapping.tick_ns, interval, is_ring=chunk is not None)
     _require_rate(trigger, pace)
     loading_ns = _find_loading_ns(trigger, options, traits)
-    entry = traits.pulse_label if trigger.pulse_ns else traits.level_label
+    end_ns = None if chunk is None else round(chunk.end_s * NS_PER_S)
+    turns = trigger.pulse_ns == 0
+    entry = traits.find_label(turns=turns, is_ring=chunk is not None)
     return replace(
         lowered,
-        switches=lines.ProgramTriggers(output, tuple(trigger.instants_ns), turns=trigger.pulse_ns == 0),
+        switches=lines.ProgramTriggers(output, tuple(trigger.instants_ns), turns, end_ns),
+        trigger_least_ns={trigger.output: pace.find_round_ns(trigger.pulse_ns)},
         triggers={trigger.output: _make_terms(trigger, pace, start, mapping)},
         gap_ns=None,
         costs=lowered.costs.model_copy(update={"arm_ns": lowered.costs.arm_ns + loading_ns}),
@@ -96,22 +112,25 @@ def _require_room(trigger: OutputTrigger, options: YaskawaOptions) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TriggerPace:
-    """How fast triggers can be played. contour: beside which they are, if any."""
+    """How fast triggers can be played. interval: of the contour beside which they are, if any. is_ring: they come with
+    the chunks of a path."""
 
     options: YaskawaOptions
     traits: TriggerTraits
     tick_ns: float
-    contour: Contour | None
+    interval: int | None
+    is_ring: bool = False
 
-    def find_round_ns(self, trigger: OutputTrigger) -> int:
+    def find_round_ns(self, active_ns: int) -> int:
         """The longest time from one instant to the next that is played in time: the commands of its own thread, and
-        those of the host, of the watchdog, of polls and of a contour meanwhile."""
+        those of the host, of the watchdog, of polls and of a contour meanwhile. active_ns: the pulse; 0: a level."""
         command_ns, traits = self.options.decode_us * NS_PER_US, self.traits
-        own = (traits.pulse_commands if trigger.pulse_ns else traits.level_commands) + traits.other_commands
-        pulse_ns = math.ceil(trigger.pulse_ns / self.tick_ns) * self.tick_ns
+        own = (traits.pulse_commands if active_ns else traits.level_commands) + traits.other_commands
+        own += traits.ring_commands if self.is_ring else 0
+        pulse_ns = math.ceil(active_ns / self.tick_ns) * self.tick_ns
         alone_ns = needs_ns = own * command_ns + pulse_ns
-        if self.contour is not None:
-            record_ns = self.tick_ns * (1 << self.contour.interval)
+        if self.interval is not None:
+            record_ns = self.tick_ns * (1 << self.interval)
             for _ in range(ROUNDS):
                 records = math.ceil(needs_ns / record_ns)
                 longer_ns = alone_ns + records * CONTOUR_COMMANDS * command_ns
@@ -123,10 +142,11 @@ class TriggerPace:
 
 def _require_rate(trigger: OutputTrigger, pace: TriggerPace) -> None:
     """Raise `Refusal` for instants that follow faster than the interpreter plays them."""
-    needs_ns = pace.find_round_ns(trigger)
-    gap_ns = min((next_ns - instant_ns for instant_ns, next_ns in pairwise(trigger.instants_ns)), default=needs_ns)
+    needs_ns = pace.find_round_ns(trigger.pulse_ns)
+    gaps_ns = [next_ns - instant_ns for instant_ns, next_ns in pairwise(trigger.instants_ns)]
+    gap_ns = trigger.least_ns or min(gaps_ns, default=needs_ns)
     if gap_ns < needs_ns:
-        contour_text = "" if pace.contour is None else " beside a contour"
+        contour_text = "" if pace.interval is None else " beside a contour"
         least_ms = math.ceil(needs_ns / NS_PER_MS * 10) / 10
         raise Refusal(
             "trigger-rate",
@@ -144,11 +164,12 @@ def _make_terms(
     wait ends, stamp and OB, and the output itself."""
     tick_ns, options = mapping.tick_ns, pace.options
     half_ns, ahead_ns = math.ceil(tick_ns / 2), round(options.begin_ticks(tick_ns, interleaved=True)[0] * tick_ns)
-    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns + trigger.instants_ns[-1])
+    last_ns = trigger.instants_ns[-1] if start.chunk is None else round(start.chunk.end_s * NS_PER_S)
+    bound_ns = mapping.bound_at_ns(mapping.host_at_ns + start.lead_ns + last_ns)
     # Before the stamp, and before OB.
     beside_us = 2 * pace.traits.beside * options.decode_us
     latest_us = options.begin_max_us + options.interleaved_us + options.decode_us + beside_us
-    if pace.contour is not None:
+    if pace.interval is not None:
         latest_us += CONTOUR_COMMANDS * options.decode_us
     delays_us = (options.output_on_us, options.output_off_us)
     return (
@@ -166,7 +187,7 @@ def _make_terms(
 def _find_loading_ns(trigger: OutputTrigger, options: YaskawaOptions, traits: TriggerTraits) -> int:
     """How much longer arming takes with the table."""
     count = len(trigger.instants_ns)
-    digits = len(str(round(trigger.instants_ns[-1] / options.tick_ns)))
+    digits = len(str(round(max(trigger.instants_ns, default=0) / options.tick_ns)))
     packets = -(-count // (traits.packet // (digits + SEPARATORS))) - (-count // traits.back)
     characters = count * (digits + STAMP_DIGITS + 2 * SEPARATORS)
     return (LOAD_EXCHANGES + packets) * options.exchange_ns + characters * traits.char_ns

@@ -21,7 +21,7 @@ from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.coordinator.motion.trigger import TriggerStart
-from orchestrator.coordinator.motion.triggers import StepTriggers
+from orchestrator.coordinator.switching.outputs import StepTriggers
 from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, TriggerWire
@@ -49,6 +49,7 @@ SAME_DURATION_S = 50e-6
 SPARE_LEAD_FACTOR = 2  # on the known need
 LEAD_FACTOR = 1.25  # on the need of the same members in their last step, so that a slower step needs no extra round
 READING_NS = 500 * NS_PER_MS  # maximum age of the last clock reading when arming begins
+TRIGGER_RATE = "trigger-rate"  # code of triggers that follow faster than the make plays them
 MAX_TOLERANCE_NS = 50 * NS_PER_MS
 """A start that is later than promised by more than this was not delayed by load: its host was suspended."""
 
@@ -199,6 +200,15 @@ class StartNegotiation:
         if self._present is not None:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
+        try:
+            return await self._agree_from_rest(chunk)
+        except Refusal as refusal:
+            # Loaded as a whole, triggers may be a little closer.
+            if chunk is None or refusal.code != TRIGGER_RATE:
+                raise
+        return await self._agree_from_rest(None)
+
+    async def _agree_from_rest(self, chunk: FirstChunk | None) -> StartAgreement:
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
         # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
@@ -229,17 +239,17 @@ class StartNegotiation:
         return best_agreement
 
     async def _plan_first_chunk(self) -> FirstChunk | None:
-        """The first chunk of a path, if members can execute it in chunks; a path with triggers is loaded as a whole,
-        because their instants are set before it begins. Raises `Refusal`."""
+        """The first chunk of a path, if members can execute it in chunks, its triggers included. Raises `Refusal`."""
         planned_step = self._planned
-        if planned_step.path is None or self._triggers.owners:
+        if planned_step.path is None:
             return None
-        members = dict.fromkeys(controller_of(axis) for axis in planned_step.plan.profiles)
+        movers = [controller_of(axis) for axis in planned_step.plan.profiles]
         try:
-            infos = {member: await self._view.require_info(member) for member in members}
-            return plan_first_chunk(
-                planned_step.path, planned_step.plan, infos, planned_step.begun_s, planned_step.rate
-            )
+            infos = {
+                member: await self._view.require_info(member)
+                for member in dict.fromkeys([*movers, *self._triggers.owners])
+            }
+            return plan_first_chunk(planned_step, infos)
         except PlanError as error:
             raise Refusal("plan", str(error)) from None
 
@@ -334,7 +344,7 @@ class StartNegotiation:
         }
         start_class = "auto" if wish == "line" else wish
         first = agreement.first
-        outputs = agreement.triggers.find_outputs(agreement.plan)
+        outputs = agreement.triggers.find_outputs(agreement.plan) if first is None else first.find_outputs()
         return {
             member: (
                 line.start_options(member, lead_ns)

@@ -9,12 +9,12 @@ from math import hypot
 
 import numpy as np
 
-from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.motion.budget import StartWindow
 from orchestrator.coordinator.motion.path_terms import make_time_terms
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import Proposal
-from orchestrator.model.report import PathBound, PathTerm, PathTermName
+from orchestrator.model.messages import ChunkReply, Proposal
+from orchestrator.model.report import PathBound, PathTerm, PathTermName, SyncBudget
 from orchestrator.plan.path_step import PlannedPath
 
 _REMEDIES: dict[PathTermName, str] = {
@@ -65,6 +65,29 @@ def require_tolerance(bound: PathBound, members: Sequence[str]) -> None:
         _REMEDIES[worst.name] + more,
         worst.member or members[0],
     )
+
+
+class ClockPromises:
+    """By how much the clocks of members may be off, as they have promised at the start. bound: of the path."""
+
+    def __init__(self, bound: PathBound | None, budget: SyncBudget | None) -> None:
+        self._bound = bound
+        self._promised_ns = {
+            name: max((term.latest_ns for term in member.terms if term.name == "clock"), default=0)
+            for name, member in (budget.members if budget is not None else {}).items()
+        }
+
+    def require_within(self, member: str, reply: ChunkReply, speed: float) -> None:
+        """Raise `Refusal` for a member whose clock is known less well than at the start, if that is too much for the
+        tolerance. speed: of its axes together at most, in the unit of the path per s."""
+        bound = self._bound
+        beyond_ns = abs(reply.left_ns) + max(0, reply.bound_ns - self._promised_ns.get(member, reply.bound_ns))
+        if bound is None or len(self._promised_ns) < 2 or not beyond_ns:
+            return
+        excess = beyond_ns / NS_PER_S * speed
+        if bound.predicted + excess > bound.tolerance:
+            text = f"its clock is off by {beyond_ns / NS_PER_MS:.2f} ms more than promised: {excess:.3g} {bound.unit}"
+            raise Refusal("path-error", text, "give the clocks time to settle, or allow a larger `tolerance`", member)
 
 
 def _round_up(value: float) -> str:

@@ -9,12 +9,14 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.motion.negotiation import StartAgreement
+from orchestrator.coordinator.motion.path_bound import ClockPromises
 from orchestrator.coordinator.motion.path_chunks import FirstChunk
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import StartState
+from orchestrator.coordinator.switching.chunked import FeedTriggers
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import (
     ChunkReply,
@@ -27,6 +29,7 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.profile import Profile
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_course import SWITCH_S, ChunkPlan
+from orchestrator.plan.path_profiles import Array
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
 
@@ -53,10 +56,12 @@ class PathFeed:
         self._first: FirstChunk = agreement.first
         self._state = state
         self._bound = agreement.path.bound if agreement.path is not None else None
-        self._promised_ns = _find_clock_promises(agreement)
+        self._proposals = agreement.proposals
+        self._clocks = ClockPromises(self._bound, agreement.budget)
         self._lock = asyncio.Lock()
         self._changed = asyncio.Event()
         self._clock: PathClock = self._first.clock
+        self.triggers = FeedTriggers(self._first.triggers, self._first.chunk)
         self.chunk: ChunkPlan = self._first.chunk
         self._numbers = 1
         self._revision = 0
@@ -102,6 +107,10 @@ class PathFeed:
             return None
         return now_s, max(0.0, ends_s - now_s)
 
+    def find_places_s(self, times_s: Array) -> Array:
+        """Where on the path the motion is at instants after T0, s of the path's time."""
+        return self.chunk.clock.evaluate(times_s).path_s
+
     def _now_s(self) -> float:
         return (self._services.leadership.fleet_now_ns() - self._state.t0_fleet_ns) / NS_PER_S
 
@@ -111,6 +120,11 @@ class PathFeed:
         """Continue the path until it is held, or a chunk cannot be loaded. A task in parallel with the supervision of
         the step, which ends it: an override may take the last chunk back."""
         while self.failure is None and self.held_by is None:
+            if (
+                self._lock.locked()
+            ):  # an override continues the path: loading beside it would take the place of its chunk
+                async with self._lock:
+                    continue
             due_s = self.chunk.end_s - self._first.load_s
             self._changed.clear()
             with suppress(TimeoutError):
@@ -166,12 +180,14 @@ class PathFeed:
         `Refusal`."""
         requests, number = self._services.fleet.requests, self._numbers
         self._numbers += 1
+        parts = self.triggers.find_parts(chunk)
         asked_requests = {
             member: LoadChunkRequest(
                 **self._reference(number),
                 begin_s=chunk.begin_s,
                 chunk=self._first.make_options(member, chunk),
                 profiles=profiles,
+                triggers=parts.get(member, []),
             )
             for member, profiles in self._share(chunk.profiles).items()
         }
@@ -180,23 +196,12 @@ class PathFeed:
         )
         raise_first_refusal(replies)
         for member, reply in replies.items():
-            self._require_clock(member, reply)
+            self._clocks.require_within(member, reply, self._first.course.find_speed(member) * max(1.0, self._wanted))
         if self._now_s() > latest_s:
             raise Refusal("late", "the chunk was loaded too late", "")
         self._stated_s = {member: reply.stop_s for member, reply in replies.items()}
+        self.triggers.note_promises(replies)
         return number
-
-    def _require_clock(self, member: str, reply: ChunkReply) -> None:
-        """Raise `Refusal` for a member whose clock is known less well than at the start, if that is too much for the
-        tolerance."""
-        bound = self._bound
-        beyond_ns = abs(reply.left_ns) + max(0, reply.bound_ns - self._promised_ns.get(member, reply.bound_ns))
-        if bound is None or len(self._promised_ns) < 2 or not beyond_ns:
-            return
-        excess = beyond_ns / NS_PER_S * self._first.course.find_speed(member) * max(1.0, self._wanted)
-        if bound.predicted + excess > bound.tolerance:
-            text = f"its clock is off by {beyond_ns / NS_PER_MS:.2f} ms more than promised: {excess:.3g} {bound.unit}"
-            raise Refusal("path-error", text, "give the clocks time to settle, or allow a larger `tolerance`", member)
 
     async def _release(self, chunk: ChunkPlan, number: int) -> None:
         """Have all members change over to a loaded chunk. Raises `Refusal`: some of them may have."""
@@ -213,6 +218,7 @@ class PathFeed:
         ):
             raise_first_refusal(replies)  # none has changed over
         self.chunk, self.ends_s = chunk, self._stated_s
+        self.triggers.take_chunk(chunk)
         if refused_replies:
             await self._services.fleet.stop_members(
                 list(asked_requests),
@@ -230,8 +236,8 @@ class PathFeed:
         return {**fields, "job": request.job_id, "step": request.index, "t0_fleet_ns": t0_ns, "number": number}
 
     def _share(self, profiles: Mapping[str, Profile]) -> dict[str, dict[str, Profile]]:
-        """The profiles by member and its own axis names."""
-        shares: dict[str, dict[str, Profile]] = {}
+        """The profiles by member and its own axis names; none for one that only switches outputs."""
+        shares: dict[str, dict[str, Profile]] = {owner: {} for owner in self.triggers.owners}
         for axis, profile in profiles.items():
             member, name = split_name(axis)
             if member in self._first.members:
@@ -310,6 +316,7 @@ class PathFeed:
         if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:
             text = f"at {rate:.0%} the axes may be {self._bound.predicted * rate:.3g} {self._bound.unit} off the path"
             raise Refusal("path-error", text, f"the tolerance is {self._bound.tolerance:.3g}; choose a lower speed")
+        self.triggers.require_rate(rate, self._proposals)
         course.require_rate(self._clock.find_path_s(self._now_s()), rate)
         self._revision += 1
         self._wanted = rate
@@ -342,15 +349,6 @@ class PathFeed:
             self.failure = refusal
             raise
         self._clock = changed_rate
-
-
-def _find_clock_promises(agreement: StartAgreement) -> dict[str, int]:
-    """By member, the bound of its clock at the start, ns."""
-    members = agreement.budget.members if agreement.budget is not None else {}
-    return {
-        name: max((term.latest_ns for term in member.terms if term.name == "clock"), default=0)
-        for name, member in members.items()
-    }
 
 
 def _is_late(reply: Reply) -> bool:

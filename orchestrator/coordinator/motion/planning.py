@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from orchestrator.bus.base import BusError
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
@@ -19,6 +20,7 @@ from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.flying.path import FlightPath, plan_flight_step
+from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
@@ -88,8 +90,8 @@ class PlannedStep:
 
     ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
-    motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. triggers: of the
-    step.
+    motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. elapsed_ns: how long
+    it was moved along before. triggers: of the step.
     """
 
     request: StepRequest
@@ -101,6 +103,7 @@ class PlannedStep:
     path: PlannedPath | None = None
     begun_s: float = 0.0
     rate: float = 1.0
+    elapsed_ns: int = 0
     triggers: Sequence[ResolvedTrigger] = ()
 
 
@@ -127,13 +130,20 @@ async def plan_request(
 
 @dataclass(frozen=True, slots=True)
 class PathRest:
-    """Where a path was braked: at `path_s` of its own time. planned: the step as it was planned. rate: its feed
-    override."""
+    """Where a path was braked: at `path_s` of its own time, `moved_ns` after T0. planned: the step as it was planned.
+    rate: its feed override."""
 
     planned: PlannedStep
     path_s: float
+    moved_ns: int
     counts: Mapping[str, int]
     rate: float
+
+    @classmethod
+    def behind(cls, planned: PlannedStep, chunk: ChunkPlan, rate: float) -> "PathRest":
+        """Where the tail of a chunk ends. rate: the feed override."""
+        counts = {axis: profile.end_counts for axis, profile in chunk.profiles.items()}
+        return cls(planned, chunk.stop_path_s, round(chunk.stop_s * NS_PER_S), counts, rate)
 
 
 async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
@@ -153,7 +163,10 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
             raise Refusal("other-start", text, "submit the job again", controller_of(axis))
     course = planned_step.path.course.restart(rest.path_s, counts)
     path = replace(planned_step.path, course=course)
-    return replace(planned_step, instances=instances, path=path, begun_s=rest.path_s, rate=rest.rate)
+    elapsed_ns = planned_step.elapsed_ns + rest.moved_ns
+    return replace(
+        planned_step, instances=instances, path=path, begun_s=rest.path_s, rate=rest.rate, elapsed_ns=elapsed_ns
+    )
 
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:

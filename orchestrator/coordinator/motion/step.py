@@ -23,6 +23,7 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, StateCallback
 from orchestrator.coordinator.motion.trigger_rows import TriggerRows
 from orchestrator.coordinator.motion.watch import StepWatch
+from orchestrator.coordinator.switching.totals import TriggerTotals
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import PathStop, StepReport
@@ -164,6 +165,7 @@ class MotionStep:
         self._motion: PlannedMotion | None = None
         self._rest: PathRest | None = None
         self._stops: list[PathStop] = []
+        self._triggers: dict[str, TriggerTotals] = {}
 
     @property
     def request(self) -> StepRequest:
@@ -254,7 +256,9 @@ class MotionStep:
             raise
         report = await self._watch_motion(motion, observer, recorder)
         report = report.model_copy(update={"sampling": await sampler.take()})
-        return await TriggerRows(services, request, motion.agreement, motion.start.state).add_to(report)
+        is_as_planned = report.state == "done" or (self._rest is not None and self._rest.planned is motion.planned)
+        rows = TriggerRows(services, motion.planned, motion.agreement, motion.start.state, motion.feed, self._triggers)
+        return await rows.add_to(report, is_as_planned=is_as_planned)
 
     async def run_released(self, motion: PlannedMotion, observer: StepObserver) -> StepReport:
         """Watch a step that was released behind the one before it, to its end; otherwise like `run`."""
@@ -354,9 +358,9 @@ class MotionStep:
     def _rest_on_path(self, motion: PlannedMotion, feed: PathFeed) -> StepReport:
         """The report of a path that was braked along it, by a feed hold or because a chunk came too late: the next run
         goes on from there."""
-        start, chunk = motion.start, feed.chunk
-        counts = {axis: profile.end_counts for axis, profile in chunk.profiles.items()}
-        self._rest = PathRest(motion.planned, chunk.stop_path_s, counts, feed.rate)
+        chunk = feed.chunk
+        feed.triggers.skip_tail(chunk)
+        self._rest = PathRest.behind(motion.planned, chunk, feed.rate)
         code, reason = FEED_HOLD, f"paused by {feed.held_by}"
         if feed.held_by is None:
             cause = feed.failure or Refusal("late", "the next chunk was not released in time")
@@ -364,9 +368,8 @@ class MotionStep:
             self._stops.append(
                 PathStop(at_s=round(chunk.stop_path_s, 3), member=cause.controller or "", reason=str(cause))
             )
-        report = make_step_report(
-            self._request, motion.agreement, start.state, motion.watch.reports, ("stopped", reason)
-        )
+        outcome = ("stopped", reason)
+        report = make_step_report(self._request, motion.agreement, motion.start.state, motion.watch.reports, outcome)
         return report.model_copy(update={"refused": RefusalDetails(code=code, text=reason)})
 
     async def _handle_failure(self, motion: PlannedMotion, observer: StepObserver) -> None:

@@ -1,159 +1,185 @@
 """What triggers did in a step: fetched from the owners of their outputs after it, a row for each instant.
 
 A row states the interval promised for the edge, and the one in which it happened by evidence of its controller. Where
-the axes were is what their plans make of that interval and of the evidence of their starts; of a step that was not done
-as planned nothing is claimed about that.
+the axes were is what their plans make of that interval; of a motion that was not done as planned nothing is claimed
+about that.
 """
 
-from collections.abc import Callable, Mapping
+import asyncio
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.motion.negotiation import StartAgreement
-from orchestrator.coordinator.motion.planning import StepRequest
+from orchestrator.coordinator.motion.path_feed import PathFeed
+from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import StartState
-from orchestrator.model.messages import OutputTrigger, TakeTriggers, TriggerEdges, TriggersTaken, sum_terms
+from orchestrator.coordinator.motion.trigger_places import FindPlaces, PlaceFinder, know_no_places
+from orchestrator.coordinator.switching.totals import TriggerTotals, judge_triggers
+from orchestrator.model.errors import Refusal
+from orchestrator.model.messages import (
+    MAX_EDGES_PART,
+    BudgetTerm,
+    TakeTriggers,
+    TriggerEdges,
+    TriggersTaken,
+    sum_terms,
+)
+from orchestrator.model.names import split_name
 from orchestrator.model.operation.recording import RecordedTriggers
-from orchestrator.model.report import AxisPlace, StepReport, TriggerReport, TriggerRow
+from orchestrator.model.report import StepReport, TriggerRow
 from orchestrator.model.state import TimeInterval
-from orchestrator.plan.triggers import make_range_finder
+from orchestrator.plan.triggers import MAX_INSTANTS
 
-REPORTED_ROWS = 20
 ROWS_AT_ONCE = 500  # in a message
 FETCH_S = 0.02  # for each instant, at the slowest
 REST_S = 6.0  # for a controller that still brakes
 
-FindPlaces = Callable[[TimeInterval], dict[str, AxisPlace]]
+
+@dataclass(frozen=True, slots=True)
+class AskedOutput:
+    """An output and its instants, ns from T0. find_terms: what its owner has promised for one of them later than for
+    the start. skipped_ns: instants that are passed without switching. left: instants of the plan that follow."""
+
+    name: str
+    instants_ns: Sequence[int]
+    find_terms: Callable[[int], list[BudgetTerm]] = lambda _: []
+    skipped_ns: Sequence[int] = ()
+    left: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class TriggerRows:
-    """Fetches and judges what the triggers of one step did."""
+    """Fetches and judges what the triggers of one motion did. feed: of a path in chunks. totals: by output, of the
+    step so far; the rows of a motion are added."""
 
     services: MotionServices
-    request: StepRequest
+    planned: PlannedStep
     agreement: StartAgreement
     state: StartState
+    feed: PathFeed | None
+    totals: dict[str, TriggerTotals]
 
-    async def add_to(self, report: StepReport) -> StepReport:
-        """The report of the step with what its triggers did; the rows are published. Raises nothing."""
-        asked_outputs = self.agreement.triggers.find_outputs(self.agreement.plan)
+    async def add_to(self, report: StepReport, *, is_as_planned: bool) -> StepReport:
+        """The report of the step with what its triggers did; the rows are published. Raises nothing.
+
+        is_as_planned: as far as the motion came, it was; only then places of axes are stated."""
+        asked_outputs = self._list_outputs()
         if not asked_outputs:
             return report
-        replies = await self._fetch(asked_outputs)
-        places = self._make_place_finder(report)
-        reports: list[TriggerReport] = []
-        for owner, triggers in asked_outputs.items():
-            refused_details, outputs = replies[owner].refused, replies[owner].outputs
-            for trigger in triggers:
-                edges = outputs.get(trigger.output, TriggerEdges())
-                rows = self._make_rows(owner, trigger, edges, places)
-                self._publish(f"{owner}.{trigger.output}", rows)
-                summary = _sum_up(f"{owner}.{trigger.output}", rows, unknown=edges.unknown)
-                reports.append(
-                    summary if refused_details is None else summary.model_copy(update={"problem": refused_details.text})
-                )
-        return _judge(report, reports)
-
-    async def _fetch(self, asked: Mapping[str, list[OutputTrigger]]) -> Mapping[str, TriggersTaken]:
-        requests = {
-            owner: TakeTriggers(
-                **self.services.fleet.requests.request_fields(self.request.job.actor),
-                job=self.request.job_id,
-                step=self.request.index,
-            )
-            for owner in asked
-        }
-        most = max(len(trigger.instants_ns) for triggers in asked.values() for trigger in triggers)
-        timeout_s = ANSWER_S + REST_S + most * FETCH_S
-        return await self.services.fleet.requests.request_all("take-triggers", requests, TriggersTaken, timeout_s)
-
-    def _make_rows(
-        self, owner: str, trigger: OutputTrigger, edges: TriggerEdges, places: FindPlaces
-    ) -> list[TriggerRow]:
-        armed_reply, t0_ns = self.state.armed.get(owner), self.state.t0_fleet_ns
-        terms = [] if armed_reply is None else armed_reply.triggers.get(trigger.output, [])
-        early_ns, late_ns = sum_terms(terms or self.agreement.proposals[owner].triggers.get(trigger.output, []))
-        residual_ns = self.agreement.tick_residual_ns
-        rows: list[TriggerRow] = []
-        for number, instant_ns in enumerate(trigger.instants_ns):
-            planned_ns, interval = t0_ns + instant_ns, None
-            if number < len(edges.earliest_ns):
-                interval = TimeInterval(earliest_ns=edges.earliest_ns[number], latest_ns=edges.latest_ns[number])
-            rows.append(
-                TriggerRow(
-                    number=number + 1,
-                    planned_ns=planned_ns,
-                    earliest_ns=planned_ns + early_ns - residual_ns,
-                    latest_ns=planned_ns + late_ns + residual_ns,
-                    seen=interval,
-                    positions={} if interval is None else places(interval),
-                )
-            )
-        return rows
+        edges, refusals = await self._fetch(asked_outputs)
+        places = self._make_place_finder(report) if is_as_planned else know_no_places
+        for output in asked_outputs:
+            owner = split_name(output.name)[0]
+            totals = self.totals.setdefault(output.name, TriggerTotals(output.name))
+            output_edges = edges.get(output.name, TriggerEdges())
+            for rows in self._make_parts(output, output_edges, places, totals.rows):
+                self._publish(output.name, rows)
+                for row in rows:
+                    totals.add_row(row)
+                await asyncio.sleep(0)  # other tasks have their turn
+            totals.skipped += len(output.skipped_ns)
+            totals.left, totals.unknown = output.left, totals.unknown or output_edges.unknown
+            totals.refused = str(refusals[owner].text) if owner in refusals else ""
+        return judge_triggers(report, [self.totals[output.name].make_report() for output in asked_outputs])
 
     def _make_place_finder(self, report: StepReport) -> FindPlaces:
-        """A function that tells where the axes were in an interval of fleet time."""
-        finders: dict[str, Callable[[TimeInterval], AxisPlace]] = {}
-        for member, member_report in report.members.items() if report.state == "done" else ():
-            proposal = self.agreement.proposals[member]
-            for name, evidence in member_report.evidence.items():
-                axis = f"{member}.{name}"
-                error = proposal.path_error_counts.get(name, 0.0) + 1.0  # a count of rounding
-                finders[axis] = self._make_axis_finder(axis, evidence.start_for_verdict, error, proposal.clock_ppm)
-        return lambda interval: {axis: find(interval) for axis, find in finders.items()}
+        whole_plan = (self.agreement if self.feed is None else self.planned).plan
+        view = self.services.fleet.view
+        return PlaceFinder(view, self.agreement, whole_plan.profiles, self.feed).make_finder(report.members)
 
-    def _make_axis_finder(
-        self, axis: str, start: TimeInterval, error_counts: float, ppm: float
-    ) -> Callable[[TimeInterval], AxisPlace]:
-        config = self.services.fleet.view.fleet.axis(axis)
-        find_range = make_range_finder(self.agreement.plan.profiles[axis])
+    def _list_outputs(self) -> list[AskedOutput]:
+        if self.feed is not None:
+            return [
+                AskedOutput(
+                    output.given.trigger.resolved.output,
+                    output.given.instants_ns,
+                    output.find_terms,
+                    output.given.skipped_ns,
+                    output.given.remaining_count,
+                )
+                for output in self.feed.triggers.outputs
+            ]
+        triggers_by_owner = self.agreement.triggers.find_outputs(self.agreement.plan)
+        return [
+            AskedOutput(f"{owner}.{trigger.output}", trigger.instants_ns)
+            for owner, triggers in triggers_by_owner.items()
+            for trigger in triggers
+        ]
 
-        def find_place(seen: TimeInterval) -> AxisPlace:
-            early_s = max(0, seen.earliest_ns - start.latest_ns) / NS_PER_S * (1 - ppm * 1e-6)
-            late_s = max(0, seen.latest_ns - start.earliest_ns) / NS_PER_S * (1 + ppm * 1e-6)
-            low, high = find_range(early_s, late_s)
-            ends = sorted(count / float(config.counts_per_unit) for count in (low - error_counts, high + error_counts))
-            return AxisPlace(least=ends[0], most=ends[1])
+    async def _fetch(self, outputs: Sequence[AskedOutput]) -> tuple[dict[str, TriggerEdges], dict[str, Refusal]]:
+        """What the outputs did, by their names, in several parts; and by owner why it cannot be fetched."""
+        edges: dict[str, TriggerEdges] = {}
+        refusals: dict[str, Refusal] = {}
+        owners = list(dict.fromkeys(split_name(output.name)[0] for output in outputs))
+        most = min(MAX_INSTANTS, max(len(output.instants_ns) for output in outputs))
+        first, timeout_s = 0, ANSWER_S + REST_S + most * FETCH_S
+        while owners:
+            replies = await self._fetch_part(owners, first, timeout_s)
+            for owner, reply in replies.items():
+                if reply.refused is not None:
+                    refusals[owner] = reply.refused.as_error()
+                for name, part in reply.outputs.items():
+                    all_edges = edges.setdefault(f"{owner}.{name}", TriggerEdges(unknown=part.unknown))
+                    all_edges.earliest_ns.extend(part.earliest_ns)
+                    all_edges.latest_ns.extend(part.latest_ns)
+            owners = [owner for owner, reply in replies.items() if reply.more and reply.refused is None]
+            first, timeout_s = first + MAX_EDGES_PART, ANSWER_S
+        return edges, refusals
 
-        return find_place
+    async def _fetch_part(self, owners: Sequence[str], first: int, timeout_s: float) -> Mapping[str, TriggersTaken]:
+        request = self.planned.request
+        fields = self.services.fleet.requests.request_fields(request.job.actor)
+        requests = {
+            owner: TakeTriggers(**fields, job=request.job_id, step=request.index, first=first) for owner in owners
+        }
+        return await self.services.fleet.requests.request_all("take-triggers", requests, TriggersTaken, timeout_s)
+
+    def _make_parts(
+        self, output: AskedOutput, edges: TriggerEdges, places: FindPlaces, before: int
+    ) -> Iterator[list[TriggerRow]]:
+        """The rows, in parts of one message each. before: how many rows the output has already."""
+        instants_ns = [*output.instants_ns, *output.skipped_ns]
+        spans = [
+            TimeInterval(earliest_ns=earliest_ns, latest_ns=latest_ns)
+            for earliest_ns, latest_ns in zip(edges.earliest_ns, edges.latest_ns, strict=True)
+        ][: len(output.instants_ns)]
+        windows = self._find_windows(output)
+        for first in range(0, len(instants_ns), ROWS_AT_ONCE):
+            end = min(first + ROWS_AT_ONCE, len(instants_ns))
+            positions = places(spans[first:end])
+            rows: list[TriggerRow] = []
+            for number in range(first, end):
+                planned_ns = self.state.t0_fleet_ns + instants_ns[number]
+                early_ns, late_ns = windows(number)
+                is_seen = number < len(spans)
+                rows.append(
+                    TriggerRow(
+                        number=before + number + 1,
+                        planned_ns=planned_ns,
+                        earliest_ns=planned_ns + early_ns,
+                        latest_ns=planned_ns + late_ns,
+                        seen=spans[number] if is_seen else None,
+                        positions=positions[number - first] if is_seen else {},
+                    )
+                )
+            yield rows
+
+    def _find_windows(self, output: AskedOutput) -> Callable[[int], tuple[int, int]]:
+        """The promised window of an edge around its instant, by its number."""
+        owner, name = split_name(output.name)
+        armed_reply, residual_ns = self.state.armed.get(owner), self.agreement.tick_residual_ns
+        armed_terms = [] if armed_reply is None else armed_reply.triggers.get(name, [])
+        armed_terms = armed_terms or self.agreement.proposals[owner].triggers.get(name, [])
+
+        def find_window(number: int) -> tuple[int, int]:
+            early_ns, late_ns = sum_terms(output.find_terms(number) or armed_terms)
+            return early_ns - residual_ns, late_ns + residual_ns
+
+        return find_window
 
     def _publish(self, output: str, rows: list[TriggerRow]) -> None:
-        for first in range(0, len(rows), ROWS_AT_ONCE):
-            part = rows[first : first + ROWS_AT_ONCE]
-            message = RecordedTriggers(job_id=self.request.job_id, step=self.request.index, output=output, rows=part)
-            self.services.publisher.publish_triggers(message)
-
-
-def _sum_up(output: str, rows: list[TriggerRow], *, unknown: bool) -> TriggerReport:
-    row_spans = [(row, row.seen) for row in rows if row.seen is not None]
-    rows_outside = [
-        row for row, span in row_spans if span.latest_ns < row.earliest_ns or span.earliest_ns > row.latest_ns
-    ]
-    return TriggerReport(
-        output=output,
-        planned=len(rows),
-        seen=len(row_spans),
-        outside=len(rows_outside),
-        widest_ns=max((span.latest_ns - span.earliest_ns for _, span in row_spans), default=0),
-        rows=rows[:REPORTED_ROWS],
-        problem="of one more edge it is not known whether it happened" if unknown else "",
-    )
-
-
-def _judge(report: StepReport, triggers: list[TriggerReport]) -> StepReport:
-    """The report with its triggers. A step that is done although triggers were missed differs from its plan."""
-    deviations = list(report.deviations)
-    for trigger in triggers if report.state == "done" else ():
-        if trigger.seen < trigger.planned:
-            text = f"{trigger.output}: {trigger.seen} of {trigger.planned} triggers are known to have happened"
-            deviations.append(text + (f" ({trigger.problem})" if trigger.problem else ""))
-        if trigger.outside:
-            deviations.append(
-                f"{trigger.output}: {trigger.outside} of {trigger.planned} triggers were not within the promise"
-            )
-    worse = deviations != report.deviations and report.verdict != "none"
-    update = {"triggers": triggers, "deviations": deviations, "verdict": "red" if worse else report.verdict}
-    return report.model_copy(update=update)
+        request = self.planned.request
+        message = RecordedTriggers(job_id=request.job_id, step=request.index, output=output, rows=rows)
+        self.services.publisher.publish_triggers(message)

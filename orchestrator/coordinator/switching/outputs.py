@@ -27,7 +27,7 @@ class StepTriggers:
                 owner: [
                     OutputTrigger(
                         output=split_name(trigger.output)[1],
-                        axis=_find_own_axis(trigger),
+                        axis=find_own_axis(trigger),
                         instants_ns=trigger.find_instants_ns(plan),
                         pulse_ns=trigger.pulse_ns,
                     )
@@ -39,7 +39,7 @@ class StepTriggers:
         return self._found[1]
 
 
-def _find_own_axis(trigger: ResolvedTrigger) -> str | None:
+def find_own_axis(trigger: ResolvedTrigger) -> str | None:
     """The axis of a trigger, if it belongs to the owner of the output."""
     if trigger.axis is None:
         return None
