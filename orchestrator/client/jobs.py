@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping
+from contextlib import aclosing
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -9,6 +10,7 @@ from typing import Self
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
+from orchestrator.client.point_follow import PointFollower
 from orchestrator.client.progress import show_bar
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobQueue, JobResult, shorten_repr
@@ -193,6 +195,25 @@ class JobRequests(RetargetRequests):
                     break
         return JobResult.of(report, [recording for recording in recordings if recording is not None], points)
 
+    async def follow_points(self, job_id: str, step: int | None = None) -> AsyncGenerator[PointRecord]:
+        """What is recorded at the points of the scans of a job, each once and in order, as soon as it is final: first
+        those so far. Ends with the job. step: only of the scan that begins with this step; ends with it.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        async with aclosing(self.follow_point_batches(job_id, step)) as batches:
+            async for points in batches:
+                for point in points:
+                    yield point
+
+    def follow_point_batches(self, job_id: str, step: int | None = None) -> AsyncGenerator[list[PointRecord]]:
+        """`follow_points`, with those together that become known together: for what is written to a file."""
+
+        async def has_ended() -> bool:
+            return (await self.show_job_when_available(job_id)).report is not None
+
+        return PointFollower(self, job_id, has_ended, step).iterate_batches()
+
     async def cancel_job(self, job_id: str) -> None:
         """Cancel a queued or running job. Raises `Refusal`."""
         await self.request_service("cancel", JobReference(**self.request_fields(), job_id=job_id), Reply)
@@ -365,6 +386,14 @@ class SubmittedJob(str):
                 progress = await _next_progress(samples)
         finally:
             await subscription.undeclare()
+
+    def follow_points(self, step: int | None = None) -> AsyncGenerator[PointRecord]:
+        """What is recorded at the points of its scans, each once and in order, as soon as it is final: first those so
+        far. Ends with the job. step: only of the scan that begins with this step; ends with it.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        return self._requests.follow_points(self, step)
 
     async def result(self, *, progress: bool = False) -> JobResult:
         """Wait for the job's end and return its report. progress: show a bar, on a terminal or in a notebook. Raises

@@ -179,8 +179,13 @@ class UserRequests:
     async def _read_points(self, request: ReadPoints) -> PointsRead:
         services = self._services
         cursor = request.after_step, request.after_point
+        # Taken before: a row that is written meanwhile is found in one of the two.
+        unwritten = self._scheduler.run_requests.list_unwritten_points(request.job_id)
         load = services.journal.point_rows.load_points
-        return PointsRead(points=await services.execute(load, request.job_id, cursor, request.limit))
+        points = await services.execute(load, request.job_id, cursor, request.limit)
+        last = (points[-1].step, points[-1].point) if points else cursor
+        points += [point for point in unwritten if (point.step, point.point) > last]
+        return PointsRead(points=points[: request.limit])
 
     async def _list_jobs(self, request: ListJobs) -> QueueState:
         services = self._services

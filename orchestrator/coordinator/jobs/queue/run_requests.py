@@ -5,7 +5,7 @@ from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import GoJob, JobGone, JobRetargeted, OverrideJob, RetargetJob
 from orchestrator.model.messages import Reply
-from orchestrator.model.report import JobProgress, StepReport
+from orchestrator.model.report import JobProgress, PointRecord, StepReport
 
 OVERRIDE_PERCENT = 10, 120
 
@@ -75,6 +75,11 @@ class RunRequests:
         """The progress of a job while it runs."""
         run = self._register.running.get(job_id)
         return None if run is None else run.make_progress()
+
+    def list_unwritten_points(self, job_id: str) -> list[PointRecord]:
+        """The rows of points of a running job that are not in the journal yet."""
+        run = self._register.running.get(job_id)
+        return [] if run is None else run.unwritten_points
 
     def find_last_motion(self, job_id: str) -> StepReport | None:
         """The last motion step of a running job that has ended."""
