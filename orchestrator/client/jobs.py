@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import AsyncGenerator, Callable, Mapping
-from contextlib import aclosing
 from functools import partial
 from pathlib import Path
 from typing import Self
@@ -10,7 +9,6 @@ from typing import Self
 from orchestrator.bus.base import BusSample
 from orchestrator.client.attendance import Attendance
 from orchestrator.client.connection import ANSWER_S
-from orchestrator.client.point_follow import PointFollower
 from orchestrator.client.progress import show_bar
 from orchestrator.client.ready import ReadyCallback, ReadyToBegin, ask_callback
 from orchestrator.client.results import JobQueue, JobResult, shorten_repr
@@ -163,20 +161,6 @@ class JobRequests(RetargetRequests):
         request = ListJobs(**self.request_fields(), limit=limit, state=state, name=name, since=since)
         return await self.request_service("list", request, JobQueue)
 
-    async def show_job(self, job_id: str) -> JobShown:
-        """All that the journal has of a job. Raises `Refusal`."""
-        return await self.request_service("show", JobReference(**self.request_fields(), job_id=job_id), JobShown)
-
-    async def show_job_when_available(self, job_id: str, poll_s: float = 0.5) -> JobShown:
-        """`show_job`, repeated while the coordinator is away. Raises `Refusal` for a job that does not exist."""
-        while True:
-            try:
-                return await self.show_job(job_id)
-            except Refusal as error:
-                if error.code not in ("no-coordinator", "no-answer"):
-                    raise
-            await asyncio.sleep(poll_s)
-
     async def load_recording(self, job_id: str, step: int) -> StepRecording | None:
         """The plan and the polled samples of a motion step; None if there is no recording."""
         request = RecordingReference(**self.request_fields(), job_id=job_id, step=step)
@@ -194,25 +178,6 @@ class JobRequests(RetargetRequests):
                 if len(points) == MAX_RESULT_POINTS:
                     break
         return JobResult.of(report, [recording for recording in recordings if recording is not None], points)
-
-    async def follow_points(self, job_id: str, step: int | None = None) -> AsyncGenerator[PointRecord]:
-        """What is recorded at the points of the scans of a job, each once and in order, as soon as it is final: first
-        those so far. Ends with the job. step: only of the scan that begins with this step; ends with it.
-
-        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
-        """
-        async with aclosing(self.follow_point_batches(job_id, step)) as batches:
-            async for points in batches:
-                for point in points:
-                    yield point
-
-    def follow_point_batches(self, job_id: str, step: int | None = None) -> AsyncGenerator[list[PointRecord]]:
-        """`follow_points`, with those together that become known together: for what is written to a file."""
-
-        async def has_ended() -> bool:
-            return (await self.show_job_when_available(job_id)).report is not None
-
-        return PointFollower(self, job_id, has_ended, step).iterate_batches()
 
     async def cancel_job(self, job_id: str) -> None:
         """Cancel a queued or running job. Raises `Refusal`."""

@@ -95,11 +95,17 @@ class PointRequests(FleetConnection):
 
         step: only of the scan that begins with this step.
         """
-        async for points in self.read_point_parts(job_id, (-1, 0) if step is None else (step, 0)):
+        async for points in self.iterate_point_batches(job_id, step):
             for point in points:
-                if step is not None and point.step != step:
-                    return
                 yield point
+
+    async def iterate_point_batches(self, job_id: str, step: int | None = None) -> AsyncGenerator[list[PointRecord]]:
+        """`iterate_points`, many at a time: for what is written to a file."""
+        async for points in self.read_point_parts(job_id, (-1, 0) if step is None else (step, 0)):
+            wanted_points = [point for point in points if step in (None, point.step)]
+            yield wanted_points
+            if len(wanted_points) < len(points):
+                return
 
     async def read_point_parts(self, job_id: str, after: tuple[int, int]) -> AsyncGenerator[list[PointRecord]]:
         """What was recorded so far behind a point, in parts of up to `RECORDS_AT_ONCE`. after: the step with which its
