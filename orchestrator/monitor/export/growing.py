@@ -59,13 +59,12 @@ class GrowingTable:
         self._path = path
         self._columns = columns
         self._values: list[h5py.Dataset] = []
-        new_path = path.with_name(f"{path.name}.new") if force else path
-        flags = os.O_CREAT | os.O_RDWR | (os.O_TRUNC if force else os.O_EXCL)
-        self._descriptor = os.open(new_path, flags, 0o666)
+        # Under its name it is there only once it can be read: readers wait for it.
+        new_path = path.with_name(f"{path.name}.new")
+        _require_absence(path, force=force)
+        self._descriptor = os.open(new_path, os.O_CREAT | os.O_RDWR, 0o666)
         try:
-            self._create(new_path, attributes)
-            if force:
-                new_path.replace(path)
+            self._create(new_path, attributes, force=force)
         except BaseException:
             os.close(self._descriptor)
             new_path.unlink(missing_ok=True)
@@ -101,7 +100,7 @@ class GrowingTable:
             self._give_back_room()
         os.close(self._descriptor)
 
-    def _create(self, new_path: Path, attributes: Mapping[str, str]) -> None:
+    def _create(self, new_path: Path, attributes: Mapping[str, str], *, force: bool) -> None:
         try:
             self._file = h5py.File(new_path, "w", libver=FORMAT)
         except BlockingIOError:
@@ -115,6 +114,8 @@ class GrowingTable:
             self._rows = _create_number(self._file, "rows", np.int64, "number of rows that are complete in all columns")
             self._status = _create_number(self._file, "status", np.int8, STATUS_MEANING)
             self._file.swmr_mode = True
+            _require_absence(self._path, force=force)
+            new_path.replace(self._path)
         except BaseException:
             self._file.close()
             raise
@@ -135,6 +136,11 @@ class GrowingTable:
         (end,) = struct.unpack("<Q", os.pread(self._descriptor, END_ADDRESS.stop, 0)[END_ADDRESS])
         if end <= os.fstat(self._descriptor).st_size:
             os.ftruncate(self._descriptor, end)
+
+
+def _require_absence(path: Path, *, force: bool) -> None:
+    if path.exists() and not force:
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 def _create_column(group: h5py.Group, column: PointColumn) -> h5py.Dataset:

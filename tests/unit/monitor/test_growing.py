@@ -206,3 +206,27 @@ def test_points_are_a_data_frame(library: str) -> None:
     frame = make_dataframe(make_points_table([stepped(1), flown(2)], UNITS), library)
     assert list(frame["point"]) == [1, 2] and list(frame["window_middle_latest_ns"])[1] == WINDOW.middle.latest_ns
     assert next(iter(frame["gantry.x measured"])) == 1.001
+
+
+def test_the_example_prints_points_as_they_come_and_ends_with_the_file(tmp_path: Path) -> None:
+    example = Path(__file__).parents[3] / "deploy" / "examples" / "read_growing_hdf5.py"
+    path = tmp_path / "p.h5"
+    table = open_table(path)
+    command = [sys.executable, str(example), str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as reader:
+        assert reader.stdout is not None and reader.stderr is not None
+        head = reader.stdout.readline().split(",")
+        assert head[0] == "point" and set(head[1:3]) == {"gantry.x target", "gantry.x measured"}
+        for point in (1, 2, 3):
+            table.add_rows(values(stepped(point)))
+            # It shows each one before the next is written.
+            assert reader.stdout.readline().startswith(f"{point},")
+        table.add_rows(values(*map(stepped, range(4, 1001))))
+        table.close(complete=True)
+        lines = reader.stdout.read().splitlines()
+        assert len(lines) == 997 and lines[-1].startswith("1000,") and lines[-1].endswith(",green")
+        assert reader.stderr.read() == "1000 points; complete\n" and reader.wait() == 0
+    late = subprocess.run([*command, "0.1"], capture_output=True, text=True, check=True)
+    assert len(late.stdout.splitlines()) == 1001
+    none = subprocess.run([*command[:2], str(tmp_path / "q.h5"), "0.1"], capture_output=True, text=True, check=False)
+    assert none.returncode == 1 and "has not come within 0.1 s" in none.stderr and "Traceback" not in none.stderr
