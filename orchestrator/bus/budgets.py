@@ -98,6 +98,9 @@ COMMAND_BUDGETS: dict[str, WorkBudget] = {
 BATCH = NAMES
 """Of `host/{host}/cmd/{verb}`, unless one part of it may have more."""
 
+POINT_BYTES = 1 * MB
+"""Of rows of points: 500 of them have some 200 kB, and with the longest names of 32 axes more than this."""
+
 _SMALL, _STATE = 16 * KB, 256 * KB
 SAMPLE_BYTES: dict[str, int] = {
     "ctl/state": _STATE,
@@ -112,6 +115,7 @@ SAMPLE_BYTES: dict[str, int] = {
     "alarm": _SMALL,
     "alarm-request": _SMALL,
     "job/state": 64 * KB,
+    "job/points": POINT_BYTES,
     "queue": 4 * MB,
     "log": 64 * KB,
 }

@@ -128,6 +128,10 @@ class FleetKeys:
         """What became of each step that a live job was asked for; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/live"
 
+    def job_points(self, job: str | None = None) -> str:
+        """Rows of the points of a job's scans, each once; published by the coordinator."""
+        return f"{self.prefix}/job/{_make_chunk(job, 'job')}/points"
+
     def job_triggers(self, job: str | None = None) -> str:
         """What outputs did on the way of a step; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/triggers"

@@ -81,6 +81,14 @@ class BlockingJob(BlockingObject[SubmittedJob]):
         """
         return self._iterate(self._wrapped.events())
 
+    def follow_points(self, step: int | None = None) -> Iterator[PointRecord]:
+        """What is recorded at the points of its scans, each once and in order, as soon as it is final: first those so
+        far. Ends with the job. step: only of the scan that begins with this step; ends with it.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        return self._iterate(self._wrapped.follow_points(step))
+
     def result(self, *, progress: bool = False) -> JobResult:
         """Wait for the job's end and return its report. progress: show a bar, on a terminal or in a notebook. Raises
         `Refusal` for a job that does not exist."""
@@ -578,10 +586,6 @@ class BlockingTutti(BlockingObject[Tutti]):
         """
         return self._run(self._wrapped.list_jobs(limit, state, name, since))
 
-    def show_job(self, job_id: str) -> JobShown:
-        """All that the journal has of a job. Raises `Refusal`."""
-        return self._run(self._wrapped.show_job(job_id))
-
     def load_recording(self, job_id: str, step: int) -> StepRecording | None:
         """The plan and the polled samples of a motion step; None if there is no recording."""
         return self._run(self._wrapped.load_recording(job_id, step))
@@ -703,6 +707,22 @@ class BlockingTutti(BlockingObject[Tutti]):
         it, as soon as all controllers can."""
         return self._run(self._wrapped.go_job(job_id, at_fleet_ns))
 
+    def show_job(self, job_id: str) -> JobShown:
+        """All that the journal has of a job. Raises `Refusal`."""
+        return self._run(self._wrapped.show_job(job_id))
+
+    def follow_points(self, job_id: str, step: int | None = None) -> Iterator[PointRecord]:
+        """What is recorded at the points of the scans of a job, each once and in order, as soon as it is final: first
+        those so far. Ends with the job. step: only of the scan that begins with this step; ends with it.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        return self._iterate(self._wrapped.follow_points(job_id, step))
+
+    def follow_point_batches(self, job_id: str, step: int | None = None) -> Iterator[list[PointRecord]]:
+        """`follow_points`, with those together that become known together: for what is written to a file."""
+        return self._iterate(self._wrapped.follow_point_batches(job_id, step))
+
     def send_points(self, job: Job, on_points: OnPoints | None = None) -> Job:
         """Read the points of all scans that are in files or specs, and send them; return the job that names what is
         stored. Points that are stored already are not sent again.
@@ -713,11 +733,15 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._run(self._wrapped.send_points(job, on_points))
 
     def iterate_points(self, job_id: str, step: int | None = None) -> Iterator[PointRecord]:
-        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`.
+        """What was recorded at the points of the scans of a job so far, in their order. Raises `Refusal`.
 
         step: only of the scan that begins with this step.
         """
         return self._iterate(self._wrapped.iterate_points(job_id, step))
+
+    def iterate_point_batches(self, job_id: str, step: int | None = None) -> Iterator[list[PointRecord]]:
+        """`iterate_points`, many at a time: for what is written to a file."""
+        return self._iterate(self._wrapped.iterate_point_batches(job_id, step))
 
     def load_points(self, job_id: str) -> list[PointRecord]:
         """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises

@@ -161,20 +161,6 @@ class JobRequests(RetargetRequests):
         request = ListJobs(**self.request_fields(), limit=limit, state=state, name=name, since=since)
         return await self.request_service("list", request, JobQueue)
 
-    async def show_job(self, job_id: str) -> JobShown:
-        """All that the journal has of a job. Raises `Refusal`."""
-        return await self.request_service("show", JobReference(**self.request_fields(), job_id=job_id), JobShown)
-
-    async def show_job_when_available(self, job_id: str, poll_s: float = 0.5) -> JobShown:
-        """`show_job`, repeated while the coordinator is away. Raises `Refusal` for a job that does not exist."""
-        while True:
-            try:
-                return await self.show_job(job_id)
-            except Refusal as error:
-                if error.code not in ("no-coordinator", "no-answer"):
-                    raise
-            await asyncio.sleep(poll_s)
-
     async def load_recording(self, job_id: str, step: int) -> StepRecording | None:
         """The plan and the polled samples of a motion step; None if there is no recording."""
         request = RecordingReference(**self.request_fields(), job_id=job_id, step=step)
@@ -365,6 +351,14 @@ class SubmittedJob(str):
                 progress = await _next_progress(samples)
         finally:
             await subscription.undeclare()
+
+    def follow_points(self, step: int | None = None) -> AsyncGenerator[PointRecord]:
+        """What is recorded at the points of its scans, each once and in order, as soon as it is final: first those so
+        far. Ends with the job. step: only of the scan that begins with this step; ends with it.
+
+        Raises `Refusal` for a job that does not exist. Waits on while the coordinator is away.
+        """
+        return self._requests.follow_points(self, step)
 
     async def result(self, *, progress: bool = False) -> JobResult:
         """Wait for the job's end and return its report. progress: show a bar, on a terminal or in a notebook. Raises

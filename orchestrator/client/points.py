@@ -91,23 +91,35 @@ class PointRequests(FleetConnection):
                     raise Refusal("bad-points", "the points cannot be stored: their size has changed", "submit again")
 
     async def iterate_points(self, job_id: str, step: int | None = None) -> AsyncGenerator[PointRecord]:
-        """What was recorded at the points of the scans of a job, in their order. Raises `Refusal`.
+        """What was recorded at the points of the scans of a job so far, in their order. Raises `Refusal`.
 
         step: only of the scan that begins with this step.
         """
-        last = (-1, 0) if step is None else (step, 0)
+        async for points in self.iterate_point_batches(job_id, step):
+            for point in points:
+                yield point
+
+    async def iterate_point_batches(self, job_id: str, step: int | None = None) -> AsyncGenerator[list[PointRecord]]:
+        """`iterate_points`, many at a time: for what is written to a file."""
+        async for points in self.read_point_parts(job_id, (-1, 0) if step is None else (step, 0)):
+            wanted_points = [point for point in points if step in (None, point.step)]
+            yield wanted_points
+            if len(wanted_points) < len(points):
+                return
+
+    async def read_point_parts(self, job_id: str, after: tuple[int, int]) -> AsyncGenerator[list[PointRecord]]:
+        """What was recorded so far behind a point, in parts of up to `RECORDS_AT_ONCE`. after: the step with which its
+        scan begins, and its number. Raises `Refusal`."""
         while True:
             request = ReadPoints(
-                **self.request_fields(), job_id=job_id, limit=RECORDS_AT_ONCE, after_step=last[0], after_point=last[1]
+                **self.request_fields(), job_id=job_id, limit=RECORDS_AT_ONCE, after_step=after[0], after_point=after[1]
             )
             points = (await self.request_service("points", request, PointsRead)).points
-            for point in points:
-                if step is not None and point.step != step:
-                    return
-                yield point
+            if points:
+                yield points
             if len(points) < RECORDS_AT_ONCE:
                 return
-            last = points[-1].step, points[-1].point
+            after = points[-1].step, points[-1].point
 
     async def load_points(self, job_id: str) -> list[PointRecord]:
         """What was recorded at the points of the scans of a job. Of a long scan take `iterate_points`. Raises

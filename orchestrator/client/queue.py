@@ -1,6 +1,6 @@
 """Requests about the queue as a whole, about jobs that wait in it, and about one that waits armed."""
 
-from orchestrator.client.points import PointRequests
+from orchestrator.client.point_follow import FollowRequests
 from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPreview, StartQueue
 from orchestrator.model.jobs.service import (
     GoJob,
@@ -18,7 +18,7 @@ PRUNE_S = 60.0
 GO_S = 20.0  # for the answer to `go`, which waits where the controllers are just being loaded anew
 
 
-class QueueRequests(PointRequests):
+class QueueRequests(FollowRequests):
     """Start and stop the queue, and change what waits in it."""
 
     async def preview_start(self, *job_ids: str) -> StartPreview:

@@ -112,6 +112,14 @@ class JobResult(JobReport):
 
         return make_dataframe(make_moves_table(self), library)
 
+    def points_to_dataframe(self, library: str | None = None) -> Any:
+        """Its `points` as a data frame, with the columns of `tutti job points --csv`. library: as in `to_dataframe`.
+        Raises `NoDataFrames`."""
+        from orchestrator.monitor.export.dataframe import make_dataframe
+        from orchestrator.monitor.export.points import make_points_table
+
+        return make_dataframe(make_points_table(self.points, {}), library)
+
     def __str__(self) -> str:
         return _render_text(self._make_table())
 

@@ -42,9 +42,7 @@ from orchestrator.model.jobs.service import (
     JobsPruned,
     ListJobs,
     PauseJob,
-    PointsRead,
     PruneJobs,
-    ReadPoints,
     RecordingReference,
     RecordingReply,
     ReleaseAxes,
@@ -89,7 +87,7 @@ class UserRequests:
             "list": self._list_jobs,
             "find": self._find_job,
             "show": self._show_job,
-            "points": self._read_points,
+            "points": scheduler.run_requests.read_points,
             "put-points": intake.points.put_points,
             "recording": self._load_recording,
             "cancel": self._cancel_job,
@@ -175,12 +173,6 @@ class UserRequests:
         job = await self._intake.points.resolve_points(request.job)
         job = await split_paths(self._services, job)
         return await self._rehearsal.dry_run(request.model_copy(update={"job": job}))
-
-    async def _read_points(self, request: ReadPoints) -> PointsRead:
-        services = self._services
-        cursor = request.after_step, request.after_point
-        load = services.journal.point_rows.load_points
-        return PointsRead(points=await services.execute(load, request.job_id, cursor, request.limit))
 
     async def _list_jobs(self, request: ListJobs) -> QueueState:
         services = self._services

@@ -71,11 +71,12 @@ def _find_own(keys: FleetKeys, role: Role, id: str | None) -> Rights:
 def _make_coordinator(keys: FleetKeys, name: str, _: Mapping[str, Sequence[str]]) -> Rights:
     # Its ids on the bus are new with each start, so that they cannot stand here.
     jobs = (keys.job_state(), keys.job_report(), keys.job_begun(), keys.job_plan(), keys.job_samples())
+    jobs += (keys.job_points(), keys.job_triggers(), keys.job_live())
     return (
         _find_reading(keys)
         + _find_own(keys, "coordinator", None)
         + Rights(
-            puts=(keys.leader, keys.queue, keys.leases, keys.alarm(), *jobs, keys.job_triggers(), keys.job_live()),
+            puts=(keys.leader, keys.queue, keys.leases, keys.alarm(), *jobs),
             serves=(
                 keys.service(),
                 keys.time,

@@ -1,4 +1,4 @@
-"""The recorded points of a scan: as a table, and as a picture of planned and measured positions."""
+"""The recorded points of a scan as a picture of planned and measured positions."""
 
 # Matplotlib types its keyword arguments only in part.
 # pyright: reportUnknownMemberType=false
@@ -9,36 +9,16 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from rich.console import RenderableType
 
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.errors import Refusal
 from orchestrator.model.report import PointRecord
-from orchestrator.model.steps.numbers import number_step
 from orchestrator.model.steps.points import MAX_SCAN_AXES
 from orchestrator.monitor.job_plot import COLOUR_PLAN, COLOUR_SEEN, COLOURS_TIMING, DPI
-from orchestrator.monitor.tables import make_plain_table
 
 WIDTH, HEIGHT = 9.0, 4.6
 MAX_JOINED = 300  # points with lines between their differences
 MAX_MARKED = 2000  # points with a circle for each planned position
-
-
-def make_point_table(records: Sequence[PointRecord]) -> RenderableType:
-    """A row a point: targets, measured positions, verdict, start skew, time."""
-    table = make_plain_table(["step>", "point>", "target", "measured", "verdict", "start skew>", "took>"])
-    for record in records:
-        skew = "" if record.start_skew is None else f"≤ {record.start_skew.at_most_ns / 1e6:.1f} ms"
-        table.add_row(
-            str(number_step(record.step)),
-            str(record.point),
-            " ".join(f"{axis}={value:g}" for axis, value in record.target.items()),
-            " ".join(f"{axis}={'-' if value is None else f'{value:g}'}" for axis, value in record.measured.items()),
-            record.verdict if record.state == "done" else record.state,
-            skew,
-            "" if record.took_s is None else f"{record.took_s:.3f} s",
-        )
-    return table
 
 
 def plot_points(records: Sequence[PointRecord], title: str, path: Path | None = None) -> Figure:

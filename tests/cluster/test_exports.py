@@ -17,7 +17,7 @@ from cluster.worlds import PREPARE, demo_job, job, run_fleet
 from orchestrator.bus.base import BusSample
 from orchestrator.cli.main import main as command
 from orchestrator.client.results import JobResult
-from orchestrator.model.report import JobReport
+from orchestrator.model.report import JobReport, PointRecord
 from orchestrator.model.state import ControllerState
 from orchestrator.monitor.export.dataframe import NoDataFrames, make_dataframe
 from orchestrator.monitor.export.moves import make_moves_table
@@ -33,12 +33,14 @@ SCAN = job(
 
 
 class Run:
-    """One recorded run. published: (axis, read_fleet_ns) → position, as it was on the bus. reports: of its jobs."""
+    """One recorded run. published: (axis, read_fleet_ns) → position, as it was on the bus. reports: of its jobs. points:
+    of the last one."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.published: dict[tuple[str, int], float] = {}
         self.reports: list[JobReport] = []
+        self.points: list[PointRecord] = []
         run_fleet(self._record)
 
     async def _record(self, virtual: VirtualFleet) -> None:
@@ -49,6 +51,7 @@ class Run:
         await virtual.net.join_process("listener").subscribe(virtual.keys.state(), self._note)
         for each in (PREPARE, demo_job(), SCAN):
             self.reports.append(await tutti.wait_for_job(await tutti.submit(each)))
+        self.points = await tutti.load_points(self.reports[-1].job_id)
         await asyncio.sleep(4)
         running.cancel()
         await recorded.recorder.close()
@@ -141,6 +144,25 @@ def test_moves_have_the_intervals_of_the_evidence_and_points_of_scans_have_rows(
 
 
 @pytest.mark.parametrize("kind", ["parquet", "csv", "hdf5"])
+def test_points_of_scans_are_a_table_of_the_recording(run: Run, tmp_path: Path, kind: str) -> None:
+    assert len(run.points) == 3 and run.load(2).points == run.points
+    output = tmp_path / f"scan{ {'parquet': '.parquet', 'csv': '.csv', 'hdf5': '.h5'}[kind] }"
+    result = CliRunner().invoke(
+        command, ["export", "test", "--folder", str(run.folder), "--to", kind, "-o", str(output), "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.output)["rows"]["points"] == 3
+    rows = read_table(kind, output, "points")
+    assert [int(row["point"]) for row in rows] == [1, 2, 3]
+    assert [float(row["gantry.x target"]) for row in rows] == [0, 2, 4]
+    assert [row["verdict"] for row in rows] == [point.verdict for point in run.points]
+    if kind == "hdf5":
+        with h5py.File(output) as file:
+            opened: Any = file
+            assert opened["points/gantry.x measured"].attrs["units"] == "mm"
+
+
+@pytest.mark.parametrize("kind", ["parquet", "csv", "hdf5"])
 def test_files_have_the_numbers_of_the_bus_with_units_and_verdicts(run: Run, tmp_path: Path, kind: str) -> None:
     output = tmp_path / f"demo{ {'parquet': '.parquet', 'csv': '.csv', 'hdf5': '.h5'}[kind] }"
     arguments = ["export", "demo", "--folder", str(run.folder), "--to", kind, "-o", str(output), "--json"]
@@ -199,6 +221,12 @@ def test_a_report_is_a_data_frame_with_the_uncertainty_as_columns(run: Run, libr
     columns = {name: list(frame[name]) for name in ("axis", "step", "start_t_lo_ns", "start_t_hi_ns", "verdict")}
     assert len(columns["axis"]) == sum(len(m.axes) for step in run.reports[1].steps for m in step.members.values())
     assert all(low <= high for low, high in zip(columns["start_t_lo_ns"], columns["start_t_hi_ns"], strict=True))
+
+
+def test_the_points_of_a_result_are_a_data_frame(run: Run) -> None:
+    frame = JobResult.of(run.reports[-1], (), run.points).points_to_dataframe("polars")
+    assert list(frame["point"]) == [1, 2, 3] and list(frame["gantry.x target"]) == [0, 2, 4]
+    assert list(JobResult.of(run.reports[1], ()).points_to_dataframe()["point"]) == []
 
 
 def test_a_missing_library_is_named_with_the_remedy(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

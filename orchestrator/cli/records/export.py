@@ -51,6 +51,7 @@ def export(
              and end, and the step's verdict
     device   positions that controllers have recorded by themselves (`record`)
     triggers each edge of outputs that were switched on the way (`triggers`)
+    points   each point of scans
 
     Units, job and verdicts are metadata of the files. HDF5 has the tables in one file; of CSV, metadata are in a JSON
     file beside.
@@ -110,6 +111,7 @@ def _make_tables(
 ) -> "tuple[list[DataTable], list[str]]":
     """The tables of a recording, and what is to be said about it."""
     from orchestrator.monitor.export.moves import make_moves_table
+    from orchestrator.monitor.export.points import make_points_table
     from orchestrator.monitor.export.recorded import load_run
     from orchestrator.monitor.export.samples import make_device_table, make_grid_table, make_samples_table
     from orchestrator.monitor.export.triggers import make_triggers_table
@@ -121,6 +123,8 @@ def _make_tables(
         tables.append(make_device_table(run))
     if run.triggers:
         tables.append(make_triggers_table(run))
+    if run.points:
+        tables.append(make_points_table(run.points, run.units))
     if run.report is not None:
         tables.append(make_moves_table(run.report, run.events))
     elif summary.job_id:

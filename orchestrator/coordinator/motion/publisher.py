@@ -1,4 +1,4 @@
-"""What the steps of a job publish for those that record it: plans, and positions that controllers have sampled."""
+"""What the steps of a job publish for those that record it: plans, positions that controllers have sampled, edges."""
 
 from dataclasses import dataclass
 

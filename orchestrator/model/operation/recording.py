@@ -6,7 +6,7 @@ from pydantic import Field
 
 from orchestrator.model.base import HostNs, Int53, Model
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.report import TriggerRow
+from orchestrator.model.report import PointRecord, TriggerRow
 from orchestrator.model.state import TimeInterval
 
 
@@ -90,6 +90,20 @@ class RecordedTriggers(Model):
     step: Int53
     output: str
     rows: list[TriggerRow]
+
+
+class JobPoints(Model):
+    """Rows of the points of a job's scans, on `job/{id}/points`: each once, in order, as soon as it is final.
+
+    after_step, after_point: the row before the first one of these, as in `svc/points`; -1 and 0: there is none. A
+    reader whose last row is another one has missed rows, and asks for them.
+    """
+
+    schema_: Literal["tutti.points/1"] = Field(default="tutti.points/1", alias="schema")
+    job_id: str
+    after_step: Int53
+    after_point: Int53
+    rows: list[PointRecord]
 
 
 class MessagesDropped(Model):

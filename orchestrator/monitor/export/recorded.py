@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from pydantic import ValidationError
 
-from orchestrator.model.operation.recording import RecordedTriggers, StepSamples
-from orchestrator.model.report import JobReport, StepRecording
+from orchestrator.model.operation.recording import JobPoints, RecordedTriggers, StepSamples
+from orchestrator.model.report import JobReport, PointRecord, StepRecording
 from orchestrator.model.state import ControllerEvent, ControllerState
 from orchestrator.monitor.recording.reader import Recording
 
@@ -39,8 +39,14 @@ class RecordedRun:
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
     samples: list[StepSamples] = field(default_factory=list[StepSamples])
     triggers: list[RecordedTriggers] = field(default_factory=list[RecordedTriggers])
+    points: list[PointRecord] = field(default_factory=list[PointRecord])
     report: JobReport | None = None
     unread: int = 0
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The units of the axes that were read."""
+        return {axis: readings[-1].unit for axis, readings in self.readings.items() if readings}
 
     @property
     def utc_offset_ns(self) -> int:
@@ -67,6 +73,8 @@ def load_run(recording: Recording) -> RecordedRun:
                 run.samples.append(StepSamples.read_message(message.payload))
             elif (kind, leaf) == ("job", "triggers"):
                 run.triggers.append(RecordedTriggers.read_message(message.payload))
+            elif (kind, leaf) == ("job", "points"):
+                run.points += JobPoints.read_message(message.payload).rows
             elif (kind, leaf) == ("job", "report"):
                 run.report = JobReport.read_message(message.payload)
         except ValidationError:  # of another version

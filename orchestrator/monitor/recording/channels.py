@@ -15,6 +15,7 @@ from orchestrator.model.messages import EstopMessage, EstopReset, LeaderHeartbea
 from orchestrator.model.operation.alarms import AlarmRecord, AlarmRequest
 from orchestrator.model.operation.recording import (
     JobBegun,
+    JobPoints,
     MessagesDropped,
     RecordedTriggers,
     StepSamples,
@@ -43,6 +44,7 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("job", "plan"): StepRecording,
         ("job", "samples"): StepSamples,
         ("job", "triggers"): RecordedTriggers,
+        ("job", "points"): JobPoints,
         ("job", "live"): LiveResult,
         ("queue", "queue"): QueueState,
         ("leader", "leader"): LeaderHeartbeat,

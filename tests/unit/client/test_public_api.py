@@ -18,7 +18,7 @@ HEAVY = (
     *("orchestrator.coordinator", "orchestrator.monitor", "orchestrator.runtime", "orchestrator.plan"),
 )
 NOT_OF_USERS = {"bus", "keys", "open", "request_fields", "request_service", "request_controller", "subscribe_samples"}
-INTERNAL = {"find_absence", "show_job_when_available", "load_result"}
+INTERNAL = {"find_absence", "show_job_when_available", "load_result", "read_point_parts"}
 
 
 def test_importing_it_loads_nothing_heavy() -> None:

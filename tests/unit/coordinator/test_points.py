@@ -15,6 +15,7 @@ import pytest
 
 from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
+from orchestrator.coordinator.jobs.run.point_feed import PointFeed
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
@@ -165,7 +166,7 @@ def run_scan(points: int, fail_at: int | None = None) -> tuple[list[StepReport],
 
     async def main(clock: VirtualClock) -> list[StepReport]:
         sequence = StepSequence(StepOrder(given.steps), FLEET, journal.points, run_inline)
-        collector = ReportCollector(clock, store, Readings())
+        collector = ReportCollector(clock, PointFeed(clock, lambda _: None, store), Readings())
         for index in range(len(sequence)):
             place, step = sequence.locate(index), await sequence.read_step(index)
             assert isinstance(step, Move)

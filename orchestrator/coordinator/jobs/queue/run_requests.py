@@ -3,7 +3,15 @@
 from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.model.errors import Refusal
-from orchestrator.model.jobs.service import GoJob, JobGone, JobRetargeted, OverrideJob, RetargetJob
+from orchestrator.model.jobs.service import (
+    GoJob,
+    JobGone,
+    JobRetargeted,
+    OverrideJob,
+    PointsRead,
+    ReadPoints,
+    RetargetJob,
+)
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobProgress, StepReport
 
@@ -75,6 +83,19 @@ class RunRequests:
         """The progress of a job while it runs."""
         run = self._register.running.get(job_id)
         return None if run is None else run.make_progress()
+
+    async def read_points(self, request: ReadPoints) -> PointsRead:
+        """What was recorded at points of a job, of one that runs also what is not in the journal yet. Raises
+        `JournalError`."""
+        journal, cursor = self._services.journal, (request.after_step, request.after_point)
+        # Taken before: a row that is written meanwhile is found in one of the two.
+        run = self._register.running.get(request.job_id)
+        unwritten_points = [] if run is None else run.unwritten_points
+        load = journal.point_rows.load_points
+        points = await self._services.execute(load, request.job_id, cursor, request.limit)
+        last = (points[-1].step, points[-1].point) if points else cursor
+        points += [point for point in unwritten_points if (point.step, point.point) > last]
+        return PointsRead(points=points[: request.limit])
 
     def find_last_motion(self, job_id: str) -> StepReport | None:
         """The last motion step of a running job that has ended."""

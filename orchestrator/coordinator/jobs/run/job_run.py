@@ -13,6 +13,7 @@ from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence, make_s
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.motors import JobMotors
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
+from orchestrator.coordinator.jobs.run.point_feed import PointFeed, PointPublisher
 from orchestrator.coordinator.jobs.run.point_readings import PointReadings
 from orchestrator.coordinator.jobs.run.preparation import JobPreparation, PlanDeviates, SettingsDiffer
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
@@ -57,7 +58,9 @@ class JobRun:
         self._over = False
         self._report = report
         self._readings = PointReadings(services.view)
-        self._reports = ReportCollector(services.clock, self._store_points, self._readings)
+        publisher = PointPublisher(services.bus, services.keys, row.id)
+        self._points = PointFeed(services.clock, publisher.publish_rows, self._store_points)
+        self._reports = ReportCollector(services.clock, self._points, self._readings)
 
     @property
     def state(self) -> JobState:
@@ -83,6 +86,11 @@ class JobRun:
     def live_steps(self) -> LiveSequence | None:
         """The steps that it was asked for, if it is a live job."""
         return self._steps if isinstance(self._steps, LiveSequence) else None
+
+    @property
+    def unwritten_points(self) -> list[PointRecord]:
+        """The rows of points that are not in the journal yet."""
+        return self._points.unwritten
 
     @property
     def last_motion(self) -> StepReport | None:

@@ -1,14 +1,15 @@
 """The reports of a running job: one for each step, and one for each scan, or live step, whose points it sums up.
 
-The points themselves are rows in the journal, written in batches. Memory does not grow with the points.
+The points themselves are rows, which are handed on as soon as they are final. Memory does not grow with the points.
 """
 
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_S, Clock, ClockTimer
 from orchestrator.coordinator.jobs.run.flown_rows import make_line_rows
+from orchestrator.coordinator.jobs.run.point_feed import PointFeed
 from orchestrator.coordinator.motion.budget import worse_verdict
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
@@ -18,10 +19,7 @@ from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines
 
 MAX_FINDINGS = 10  # points that are not green and stand in the report
-ROWS_AT_ONCE = 100  # in a transaction
-ROWS_AFTER_NS = NS_PER_S  # a row is written at the latest with the first point after this time
-
-StoreRows = Callable[[Sequence[PointRecord]], Awaitable[None]]
+LAST_READING_NS = NS_PER_S  # a row is final at the latest this time after its point: its axes may stand there for long
 
 
 class PositionReader(Protocol):
@@ -55,11 +53,11 @@ class _ScanProgress:
 
 
 class ReportCollector:
-    """Takes the report of every step. store_rows: writes rows of points."""
+    """Takes the report of every step. feed: takes the rows of points."""
 
-    def __init__(self, clock: Clock, store_rows: StoreRows, readings: PositionReader) -> None:
+    def __init__(self, clock: Clock, feed: PointFeed, readings: PositionReader) -> None:
         self._clock = clock
-        self._store_rows = store_rows
+        self._feed = feed
         self._readings = readings
         self._reports: list[StepReport] = []
         self._scan: _ScanProgress | None = None
@@ -67,7 +65,7 @@ class ReportCollector:
         self._last_motion: StepReport | None = None
         self._last_row: PointRecord | None = None
         """Of the last point, for which readings still come."""
-        self._written_ns = clock.now_ns()
+        self._close_timer: ClockTimer | None = None
 
     @property
     def reports(self) -> list[StepReport]:
@@ -97,10 +95,12 @@ class ReportCollector:
             self._last_motion = report
         if scan is None:
             self._reports.append(report)
+            self._close_row()
+            await self._write_rows_in_turn()
             return
         if place.part == 0:
             scan.moved = report
-            self._close_row()
+            self._hand_on_last_row()
             self._readings.begin_point(target)
         scan.steps_done += report.state == "done"
         if report.state != "done":
@@ -113,6 +113,7 @@ class ReportCollector:
         """Take the report of a step of a line that is flown. lines: of its scan. Raises `JournalError`."""
         scan = self._scan
         assert scan is not None
+        self._hand_on_last_row()
         if report.t0_fleet_ns is not None:
             self._last_motion = report
         scan.steps_done += report.state == "done"
@@ -147,25 +148,32 @@ class ReportCollector:
         await self._write_rows()
 
     async def finish(self) -> None:
-        """Write what was recorded until now. Raises `JournalError`."""
+        """Hand on and write what was recorded until now. Raises `JournalError`."""
         self._close_row()
-        await self._write_rows()
+        self._hand_on_rows()
+        await self._feed.finish()
 
     def _close_row(self) -> None:
+        """The row of the last point is final: its axes have left, or have stood there for long enough."""
+        if self._close_timer is not None:
+            self._close_timer.cancel()
+            self._close_timer = None
         if self._last_row is not None:
             self._rows.append(self._last_row.model_copy(update={"measured": self._readings.read_positions()}))
             self._last_row = None
 
-    async def _write_rows_in_turn(self) -> None:
-        """Write the rows so far, if they are many, or have waited."""
-        waited_ns = self._clock.now_ns() - self._written_ns
-        if len(self._rows) >= ROWS_AT_ONCE or waited_ns >= ROWS_AFTER_NS:
-            await self._write_rows()
+    def _hand_on_rows(self) -> None:
+        rows, self._rows = self._rows, []
+        self._feed.add_rows(rows)
 
-    async def _write_rows(self) -> None:
-        rows, self._rows, self._written_ns = self._rows, [], self._clock.now_ns()
-        if rows:
-            await self._store_rows(rows)
+    async def _write_rows_in_turn(self) -> None:
+        """Hand on the rows so far; they are written if they are many, or have waited."""
+        self._hand_on_rows()
+        await self._feed.write_in_turn()
+
+    def _hand_on_last_row(self) -> None:
+        self._close_row()
+        self._hand_on_rows()
 
     def _end_point(self, now: _ScanProgress, place: StepPlace, report: StepReport, target: Mapping[str, float]) -> None:
         assert place.point is not None
@@ -196,6 +204,7 @@ class ReportCollector:
             target=dict(target),
             measured={},
         )
+        self._close_timer = self._clock.call_at_ns(self._clock.now_ns() + LAST_READING_NS, self._hand_on_last_row)
         now.moved = None
 
     def _end_line(self, now: _ScanProgress, place: StepPlace, report: StepReport, lines: FlownLines) -> None:
