@@ -7,13 +7,14 @@ anew with each chunk. As with single lines, an axis that is off its plan by a di
 the speed.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil, floor, inf
 from typing import Literal
 
+import numpy as np
+
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.jobs.run.flown_rows import find_error
+from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error
 from orchestrator.coordinator.motion.path_proof import narrow_start
 from orchestrator.coordinator.motion.report import judge_starts
 from orchestrator.coordinator.motion.services import MotionServices
@@ -25,6 +26,10 @@ from orchestrator.model.state import TimeInterval
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.plan.flying.flight import FlightLine
 from orchestrator.plan.flying.path import FlownPart
+from orchestrator.plan.path_clock import PathClock
+
+LEAST_RATE = 0.01
+"""Of the planned speed: an axis that is slower passes no place at an instant that is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,35 +115,49 @@ class FlightRows:
     def take(self) -> list[PointRecord]:
         """The rows of lines that have become certain."""
         verdict = self._judge_starts()
-        if verdict is None:
-            return []
-        certain_s = min(self._confirmed_s, self._find_undisturbed_s())
-        return list(self._take_until(certain_s, verdict))
-
-    def _take_until(self, certain_s: float, verdict: Verdict) -> Iterator[PointRecord]:
-        while self._waiting and self._waiting[0].end_s <= certain_s:
-            line = self._waiting.pop(0)
-            yield from self._make_rows(line, line.points, verdict)
+        return [] if verdict is None else self._take_until(self._confirmed_s, verdict)
 
     def finish(self, report: StepReport) -> FlightEnd:
         """The rows that were not given out, and where the scan goes on."""
         code = "" if report.refused is None else report.refused.code
         if report.state == "done":
-            rows = list(self._take_until(inf, report.verdict))
-            return FlightEnd(rows, self._part.end)
+            return FlightEnd(self._take_until(inf, report.verdict), self._part.end)
         if code not in (FEED_HOLD, BRAKED):
             return FlightEnd(self._list_broken(report.state), self._part.first)
-        is_late = code == BRAKED
-        undisturbed_s, verdict = self._find_undisturbed_s(), self._judge_starts()
-        rows = [] if verdict is None else list(self._take_until(undisturbed_s, verdict))
+        is_late, verdict = code == BRAKED, self._judge_starts()
+        rows = [] if verdict is None else self._take_until(inf, verdict)
         if not self._waiting:
             return FlightEnd(rows, self._part.end, late=is_late, is_interrupted=True)
         line, flown = self._waiting[0], 0
-        if verdict is not None and undisturbed_s > line.begin_s:
-            flown = min(line.points, floor((undisturbed_s - line.begin_s) / line.window_s))
+        if verdict is not None:
+            edges = line.begin_s + line.window_s * np.arange(1, line.points + 1)
+            flown = int(np.searchsorted(edges, self._find_released_s(), side="right"))
             rows += self._make_rows(line, flown, verdict)
         broken = self._find_broken(line, flown)
         return FlightEnd(rows, line.first + flown, late=is_late, broken=broken, is_interrupted=True)
+
+    def _take_until(self, certain_s: float, verdict: Verdict) -> list[PointRecord]:
+        """The rows of lines that are over at an instant of the motion. verdict: on what is known of it."""
+        rows: list[PointRecord] = []
+        released_s, clock = self._find_released_s(), self._clock
+        while self._waiting and clock is not None and (line := self._waiting[0]).end_s <= released_s:
+            if float(clock.find_instants(np.array([line.end_s]))[0]) > certain_s:
+                break
+            rows += self._make_rows(self._waiting.pop(0), line.points, verdict)
+        return rows
+
+    @property
+    def _clock(self) -> PathClock | None:
+        """The time of the flight in the time of its motion, as far as it is released."""
+        feed = None if self._motion is None else self._motion.feed
+        return None if feed is None else feed.chunk.clock
+
+    def _find_released_s(self) -> float:
+        """How far the flight is released, in its own time, without its stopping tail."""
+        feed = None if self._motion is None else self._motion.feed
+        if feed is None:
+            return -inf
+        return inf if feed.chunk.last else feed.chunk.clock.find_path_s(feed.chunk.end_s)
 
     def _find_broken(self, line: FlightLine, flown: int) -> range:
         """The points behind the first `flown` ones of a line whose windows have begun when the flight was at rest."""
@@ -147,38 +166,30 @@ class FlightRows:
         begun = max(flown, min(line.points, ceil((stop_s - line.begin_s) / line.window_s)))
         return range(line.first + flown, line.first + begun)
 
-    def _find_undisturbed_s(self) -> float:
-        """Until when what is released is played at the planned speed, in the time of the flight."""
-        feed = None if self._motion is None else self._motion.feed
-        if feed is None:
-            return -inf
-        ramps = feed.chunk.clock.ramps
-        if ramps[0].after != 1.0:
-            return -inf
-        return ramps[1].begin_s if len(ramps) > 1 else inf
-
     def _judge_starts(self) -> Verdict | None:
         """The verdict on the starts of all members; None as long as one is not known."""
         motion = self._motion
         return None if motion is None else judge_starts(motion.agreement, motion.watch.reports)
 
     def _make_rows(self, line: FlightLine, count: int, verdict: Verdict) -> list[PointRecord]:
-        motion, lines = self._motion, self._part.lines
-        assert motion is not None
-        return [
-            self._make_row(
-                line.first + number,
-                "done",
-                verdict=verdict,
-                window=PointWindow(
-                    lower=self._find_interval(line, number),
-                    middle=self._find_interval(line, number + 0.5),
-                    upper=self._find_interval(line, number + 1),
-                ),
-                took_s=lines.window_s,
+        """The rows of the first points of a line. A window at another speed than planned is not good."""
+        assert self._clock is not None
+        parts = line.begin_s + line.window_s * np.arange(2 * count + 1) / 2
+        at_s = self._clock.find_instants(parts)
+        rates = self._clock.evaluate(at_s).rates
+        rows: list[PointRecord] = []
+        for number in range(count):
+            part = slice(2 * number, 2 * number + 3)
+            lower, middle, upper = (
+                self._find_interval(instant_s, rate)
+                for instant_s, rate in zip(at_s[part].tolist(), rates[part].tolist(), strict=True)
             )
-            for number in range(count)
-        ]
+            took_s = float(at_s[part][-1] - at_s[part][0])
+            window = PointWindow(lower=lower, middle=middle, upper=upper)
+            row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
+            is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
+            rows.append(row if is_at_speed else row.model_copy(update={"good": False}))
+        return rows
 
     def _make_row(
         self,
@@ -217,16 +228,15 @@ class FlightRows:
         points = range(begun_lines[0].first, begun_lines[-1].first + begun_lines[-1].points)
         return [self._make_row(point, words) for point in points]
 
-    def _find_interval(self, line: FlightLine, windows: float) -> TimeInterval:
-        """When the axis was so many windows behind the beginning of a line."""
+    def _find_interval(self, at_s: float, rate: float) -> TimeInterval:
+        """When the axis was where its plan has it so long after T0, at a rate of its planned speed."""
         motion, lines = self._motion, self._part.lines
         assert motion is not None and motion.agreement.first is not None and motion.agreement.path is not None
         agreement, first = motion.agreement, motion.agreement.first
         t0_ns, member = motion.start.state.t0_fleet_ns, controller_of(lines.axis)
-        at_s = line.begin_s + windows * line.window_s
         early_ns, late_ns = narrow_start(agreement, member, motion.watch.reports[member], t0_ns)
         age_s = min(at_s, first.most_s + first.load_s)
-        error_s = find_error(motion.agreement.path, lines) * line.window_s / abs(float(lines.spacing))
+        error_s = find_error(motion.agreement.path, lines) / lines.speed / max(rate, LEAST_RATE)
         beside_ns = (agreement.proposals[member].clock_ppm * 1e-6 * age_s + error_s) * NS_PER_S
         planned_ns = t0_ns + at_s * NS_PER_S
         return TimeInterval(

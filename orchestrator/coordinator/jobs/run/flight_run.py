@@ -1,5 +1,9 @@
 """A flight of a job while it flies: its rows are given out, and a pause brakes it between two lines."""
 
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
@@ -22,11 +26,24 @@ class FlightRun:
         self._state = state
         self._reports = reports
         self._flight = flight
+        self._is_over = self._is_busy = False
 
-    async def run(self) -> None:
-        """Give out rows, and brake behind the present line when a pause is asked for, until it is cancelled."""
-        while True:
+    @asynccontextmanager
+    async def running(self) -> AsyncGenerator[None]:
+        """Give out rows, and brake behind the present line when a pause is asked for, in parallel with the context."""
+        task = asyncio.get_running_loop().create_task(self._run())
+        try:
+            yield
+        finally:
+            self._is_over = True
+            if not self._is_busy:  # what is being written or released is not cut short
+                task.cancel()
+            await asyncio.wait([task])
+
+    async def _run(self) -> None:
+        while not self._is_over:
             await sleep_ns(self._services.clock, LOOK_NS)
+            self._is_busy = True
             step = self._state.motion_step
             self._flight.observe(None if step is None else step.motion)
             try:
@@ -34,6 +51,7 @@ class FlightRun:
             except JournalError as error:  # the rows are kept, and written again with those that follow
                 self._services.log.warning(f"rows are not written yet: {error}")
             await self._follow_pause()
+            self._is_busy = False
 
     async def _follow_pause(self) -> None:
         motion, pause = self._flight.motion, self._state.pause

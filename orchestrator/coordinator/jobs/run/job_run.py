@@ -245,7 +245,7 @@ class JobRun:
         self._state.flight = flight
         following = FlightRun(self._services, self._state, self._reports, flight)
         try:
-            async with running(following.run()):
+            async with following.running():
                 report = await self._step_run.run_step(place.index, step)
         finally:
             self._state.flight = None

@@ -3,7 +3,7 @@
 The points themselves are rows, which are handed on as soon as they are final. Memory does not grow with the points.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -145,7 +145,7 @@ class ReportCollector:
         scan.steps_done += steps
         if report.state not in ("done", "stopped"):
             scan.ended = place, report
-        await self._write_rows()
+        await self._feed.finish()
 
     async def finish(self) -> None:
         """Hand on and write what was recorded until now. Raises `JournalError`."""
@@ -220,7 +220,7 @@ class ReportCollector:
     def _take_rows(self, now: _ScanProgress, rows: Sequence[PointRecord], text: str) -> None:
         """Take rows of points that were flown, whose verdicts are alike. text: what is wrong, if the verdict says
         so."""
-        self._rows += rows
+        self._feed.add_rows(rows)
         verdict = rows[0].verdict
         now.worst = worse_verdict(now.worst, verdict)
         now.verdicts[verdict] = now.verdicts.get(verdict, 0) + len(rows)
