@@ -39,7 +39,7 @@ class ResolvedTrigger:
     """A trigger in counts. place: in the step. axis: None: it is one in time.
 
     times_ns, period_ns: from the start. positions: absolute counts, with their text. step_counts: between positions,
-    from the start of the axis on, 0 without.
+    from the start of the axis on, 0 without. places_s: of a flight, instants of its plan instead of positions.
     """
 
     place: int
@@ -50,6 +50,7 @@ class ResolvedTrigger:
     period_ns: int = 0
     positions: tuple[tuple[float, str], ...] = ()
     step_counts: float = 0.0
+    places_s: tuple[float, ...] = ()
 
     @property
     def owner(self) -> str:
@@ -59,7 +60,9 @@ class ResolvedTrigger:
     def find_instants_ns(self, plan: StepPlan, most: int = MAX_INSTANTS) -> list[int]:
         """The instants from T0 on, growing. Raises `Refusal` for positions that the plan does not reach, and if there
         are none, or more than `most`."""
-        if self.axis is None:
+        if self.places_s:
+            instants = [round(place_s * NS_PER_S) for place_s in self.places_s]
+        elif self.axis is None:
             instants = self._find_times_ns(round(plan.duration_s * NS_PER_S), most)
         else:
             profile = plan.profiles.get(self.axis)

@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 from cluster.test_contour import two_gantries
-from cluster.test_flying_scans import Truth, fly, path_fleet, prepare
+from cluster.test_flying_scans import Truth, fly, path_fleet, prepare, wait_for_state
 from cluster.test_paths import delay_chunks
+from cluster.test_triggers import TrueEdges
 from cluster.worlds import job, outcome, run_fleet, wait_for_point
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
@@ -140,3 +141,60 @@ def test_chunks_that_are_late_too_often_end_the_scan(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(scan_flights, "MOST_STOPS", 1)
     delay_chunks(monkeypatch, "y", 1000)
     run_fleet(main, two_gantries())
+
+
+def with_camera(fleet: Fleet, controller: str) -> Fleet:
+    """A fleet whose controller has an output."""
+    plain = fleet.to_plain()
+    plain["controllers"][controller]["outputs"] = {"camera": {"number": 1}}
+    return Fleet.model_validate(plain)
+
+
+@pytest.mark.parametrize(
+    ("make", "outer", "flown", "camera", "window_ms"),
+    [
+        (two_gantries, "gantry.x", "gantry.y", "gantry", 20),
+        (two_gantries, "portal.x", "gantry.y", "portal", 20),
+        (path_fleet, "gantry.x", "slide.y", "slide", 30),
+    ],
+)
+def test_a_pulse_comes_in_each_window_of_a_flight(
+    make: Callable[[], Fleet], outer: str, flown: str, camera: str, window_ms: int
+) -> None:
+    fleet_file = with_camera(make(), camera)
+    trigger = f", trigger: {{output: {camera}.camera, pulse: {1 if camera != 'slide' else 10} ms}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        motor = fleet.fleet.axis(flown).motors[0]
+        true = TrueEdges(fleet, camera, ((flown, flown.partition(".")[0], motor),), 1)
+        steps = f"[{raster(15, 41, f'{window_ms} ms', outer, flown, trigger)}]"
+        report, rows, _ = await fly(fleet, steps, flown)
+        assert report.state == "done" and report.verdict == "green", (report.reason, report.steps[0].scan)
+        rises = true.rises()
+        assert len(rows) == len(rises) == 15 * 41
+        for row, at_ns in zip(rows, rises, strict=True):
+            assert row.good and row.window is not None
+            assert row.window.lower.earliest_ns < at_ns < row.window.upper.latest_ns
+
+    run_fleet(main, fleet_file)
+
+
+def test_a_pause_in_a_flight_with_triggers_loses_no_window() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        true = TrueEdges(fleet, "gantry", (("gantry.y", "gantry", "Y"),), 1)
+        trigger = ", trigger: {output: gantry.camera}"
+        job_id = await begin_flight(fleet, raster(12, 41, "20 ms", more=trigger), 60)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        stored = [row.point for row in await client.load_points(job_id)]
+        assert stored == list(range(1, len(stored) + 1)) and 41 <= len(stored) < 12 * 41
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        rows = await client.load_points(job_id)
+        assert [row.point for row in rows if row.good] == list(range(1, 12 * 41 + 1))
+        # What was switched in a window that was broken is switched again.
+        assert len(rows) <= len(true.rises()) <= len(rows) + 41
+
+    run_fleet(main, with_camera(two_gantries(), "gantry"))

@@ -19,7 +19,7 @@ from orchestrator.model.state import AxisState, ControllerInfo, ControllerState,
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
-from orchestrator.plan.flying.path import FlightPath, plan_flight_step
+from orchestrator.plan.flying.path import FlightPath, place_triggers, plan_flight_step
 from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
@@ -208,7 +208,7 @@ async def _plan_from(
             starts = make_path_starts(move, context)
             plan_elsewhere = services.plan_long if find_long_paths([move]) else services.plan
             if isinstance(move, FlightPath):
-                path = plan_flight_step(move, starts)
+                path, triggers = plan_flight_step(move, starts), place_triggers(move.part, triggers)
             else:
                 path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.frames)
             resolved_move = ResolvedMove(path.moves, dict(path.exact))

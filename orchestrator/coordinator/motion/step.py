@@ -273,6 +273,11 @@ class MotionStep:
             await self._motion.feed_hold(self._services.fleet, actor)
 
     @property
+    def trigger_totals(self) -> Mapping[str, TriggerTotals]:
+        """What its outputs did so far, by their names; at the end of a motion, and only then, of all of it."""
+        return self._triggers
+
+    @property
     def armed_start(self) -> ArmedStart | None:
         """Its start, if it waits armed, or did."""
         start = None if self._motion is None else self._motion.start

@@ -11,7 +11,8 @@ UNKNOWN = "of one more edge it is not known whether it happened"
 @dataclass(slots=True)
 class TriggerTotals:
     """The rows of one output so far. skipped: of those that are not seen, how many a stopping tail of a path has
-    passed. left: instants of the plan that have no row yet. refused: why nothing is known of the last part."""
+    passed. left: instants of the plan that have no row yet. refused: why nothing is known of the last part. wrong:
+    numbers of rows, from 1, whose edges were not seen, or not within the promise."""
 
     output: str
     rows: int = 0
@@ -22,6 +23,7 @@ class TriggerTotals:
     left: int = 0
     unknown: bool = False
     refused: str = ""
+    wrong: set[int] = field(default_factory=set[int])
     first_rows: list[TriggerRow] = field(default_factory=list[TriggerRow])
 
     def add_row(self, row: TriggerRow) -> None:
@@ -30,9 +32,12 @@ class TriggerTotals:
         if len(self.first_rows) < REPORTED_ROWS:
             self.first_rows.append(row)
         if row.seen is None:
+            self.wrong.add(row.number)
             return
         self.seen += 1
-        self.outside += row.seen.latest_ns < row.earliest_ns or row.seen.earliest_ns > row.latest_ns
+        if row.seen.latest_ns < row.earliest_ns or row.seen.earliest_ns > row.latest_ns:
+            self.outside += 1
+            self.wrong.add(row.number)
         self.widest_ns = max(self.widest_ns, row.seen.latest_ns - row.seen.earliest_ns)
 
     def make_report(self) -> TriggerReport:

@@ -24,6 +24,18 @@ class FlyTrigger(ScriptModel):
     pulse: Annotated[Duration, Field(gt=0)] | None = Field(
         default=None, description="How long the output is active each time, at least; 1 ms without it."
     )
+    gate: bool = Field(
+        default=False,
+        description="true: active from the start of each window on, for its time without the detector's `dead_time`.",
+    )
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.gate and self.pulse is not None:
+            raise ValueError("has `gate` and `pulse`; remove one of them")
+        if self.gate and "at" in self.model_fields_set and self.at != "start":
+            raise ValueError(f"a `gate` begins with each window; remove `at: {self.at}`")
+        return self
 
     @field_validator("output")
     @classmethod
@@ -32,11 +44,35 @@ class FlyTrigger(ScriptModel):
         return value
 
 
+class FlyDetector(ScriptModel):
+    """What a detector needs: windows of points are no shorter."""
+
+    dead_time: Duration = Field(default=0, description="After each point, in which it takes nothing.")
+    max_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
+        default=None, description="Points per second that it takes at most."
+    )
+
+    @model_validator(mode="after")
+    def _states_something(self) -> Self:
+        if self.max_rate is None and not self.dead_time:
+            raise ValueError("`detector` needs `dead_time`, `max_rate` or both")
+        return self
+
+    @property
+    def least_window_s(self) -> float:
+        """The shortest window that it takes, s."""
+        return max(1.0 / self.max_rate if self.max_rate else 0.0, self.dead_time / 1e9)
+
+
 class FlyOptions(ScriptModel):
     """How fast a scan flies through the window of each point: from half of the way from the point before to half of
     the way to the next one."""
 
-    duration: Duration | None = Field(default=None, description="The time in the window of each point.")
+    duration: Duration | None = Field(
+        default=None,
+        description="The time in the window of each point; without it and without `speed` the shortest that the axis "
+        "and the `detector` allow.",
+    )
     speed: Rate | None = Field(
         default=None, description="Instead of `duration`: the speed of the innermost axis, in units/s or with a unit."
     )
@@ -45,7 +81,8 @@ class FlyOptions(ScriptModel):
         description="How far the axis may be off its plan; a quarter of a window without it. A line that cannot be "
         "promised within it is refused.",
     )
-    trigger: FlyTrigger | None = Field(default=None, description="A pulse in the window of each point.")
+    trigger: FlyTrigger | None = Field(default=None, description="A pulse, or a gate, in the window of each point.")
+    detector: FlyDetector | None = Field(default=None, description="What is to take the points.")
     repeat_disturbed: int = Field(
         default=0,
         ge=0,
@@ -56,8 +93,17 @@ class FlyOptions(ScriptModel):
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        if (self.duration is None) == (self.speed is None):
-            raise ValueError("`fly` needs either `duration`, the time at each point, or `speed`")
+        if self.duration is not None and self.speed is not None:
+            raise ValueError("`fly` has `duration`, the time at each point, and `speed`; remove one of them")
+        detector = self.detector
+        is_fastest, has_rate = self.duration is None and self.speed is None, bool(detector and detector.max_rate)
+        if is_fastest and self.trigger is not None and not has_rate:
+            raise ValueError(
+                "`fly`: how fast the output can be switched is known to its controller alone; write `duration`, "
+                "`speed`, or `detector: {max_rate: …}`"
+            )
+        if self.trigger is not None and self.trigger.gate and not (detector and detector.dead_time):
+            raise ValueError("`fly`: a `gate` needs `detector: {dead_time: …}`; without it, it would not end in a line")
         if self.duration is not None and self.duration < LEAST_WINDOW_NS:
             raise ValueError(f"`fly`: a `duration` of {self.duration / 1e6:g} ms is too short; the least is 1 ms")
         return self
@@ -66,7 +112,12 @@ class FlyOptions(ScriptModel):
         """In words: `flown, 20 ms a point`."""
         if self.duration is not None:
             words = f"flown, {self.duration / 1e6:g} ms a point"
+        elif self.speed is None:
+            words = "flown, as fast as its axis and the detector allow"
         else:
             words = f"flown, at {self.speed}" + ("" if isinstance(self.speed, str) else " units/s")
         trigger = self.trigger
-        return words if trigger is None else f"{words}, {trigger.output} at the {trigger.at} of each"
+        if trigger is None:
+            return words
+        place = "in the window" if trigger.gate else f"at the {trigger.at}"
+        return f"{words}, {trigger.output} {place} of each"

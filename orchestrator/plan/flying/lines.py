@@ -11,7 +11,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.paths.pieces import LinePiece
-from orchestrator.model.steps.fly import FlyOptions, WindowPlace
+from orchestrator.model.steps.fly import LEAST_WINDOW_NS, FlyOptions, FlyTrigger, WindowPlace
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.points import GridPoints, ScanAxis
@@ -65,6 +65,24 @@ class FlownLines:
     def axis(self) -> str:
         """The axis that flies."""
         return self.scan.flown_axis
+
+    @property
+    def trigger(self) -> FlyTrigger | None:
+        """What is switched in each window."""
+        return None if self.scan.fly is None else self.scan.fly.trigger
+
+    @property
+    def trigger_place(self) -> WindowPlace:
+        """Where in each window that is."""
+        return "middle" if self.trigger is None else "start" if self.trigger.gate else self.trigger.at
+
+    @property
+    def pulse_ns(self) -> int | None:
+        """How long the output is active each time; None: as long as one is without more."""
+        if self.trigger is None or not self.trigger.gate:
+            return None if self.trigger is None else self.trigger.pulse
+        detector = None if self.scan.fly is None else self.scan.fly.detector
+        return round(self.window_s * NS_PER_S) - (0 if detector is None else detector.dead_time)
 
     @property
     def line_count(self) -> int:
@@ -128,15 +146,15 @@ class FlownLines:
             pieces=[LinePiece(piece="line", to=[ends.end])],
             speed=self.speed,
             tolerance=self.tolerance,
-            triggers=self._make_triggers(point),
+            triggers=self.make_triggers(point),
         )
 
-    def _make_triggers(self, point: int) -> list[Trigger]:
-        trigger = None if self.scan.fly is None else self.scan.fly.trigger
+    def make_triggers(self, point: int) -> list[Trigger]:
+        trigger = self.trigger
         if trigger is None:
             return []
-        positions = [float(position) for position in self.list_positions(point, trigger.at)]
-        pulse = {} if trigger.pulse is None else {"pulse": f"{trigger.pulse} ns"}
+        positions = [float(position) for position in self.list_positions(point, self.trigger_place)]
+        pulse = {} if self.pulse_ns is None else {"pulse": f"{self.pulse_ns} ns"}
         return [Trigger.model_validate({"output": trigger.output, "at": positions, "of": self.axis, **pulse})]
 
     def make_move(self, point: int) -> Move:
@@ -168,7 +186,7 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
     try:
         first, spacing, count = _find_spacing(scan, axis.unit)
         tolerance = _parse_tolerance(scan.fly, axis.unit, name, spacing)
-        speed = _find_speed(scan.fly, axis.unit, spacing)
+        speed = _find_speed(scan.fly, axis, spacing)
     except UnitError as error:
         raise Refusal("bad-unit", f"`fly`: {error}", "correct the unit", owner) from None
     window = abs(float(spacing))
@@ -184,6 +202,7 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
         fitting_ms = window / axis.limits.velocity * 1e3
         remedy = f"`duration: {fitting_ms * 1.0005:.4g} ms` or longer fits, or points that are closer together"
         raise Refusal("fly-speed", text, remedy, owner)
+    _require_detector(scan.fly, name, window / speed)
     ramp_s = axis.limits.acceleration / find_jerk(axis)
     run_up_s = speed / axis.limits.acceleration + ramp_s
     run_up = speed * run_up_s / 2 + MARGIN_COUNTS / float(counts_per_unit)
@@ -257,10 +276,27 @@ def _find_spacing(scan: Scan, unit: Unit | str) -> tuple[Fraction, Fraction, int
     return positions[0], spacing, count
 
 
-def _find_speed(fly: FlyOptions, unit: Unit | str, spacing: Fraction) -> float:
+def _require_detector(fly: FlyOptions, axis: str, window_s: float) -> None:
+    """Raise `Refusal` for windows that are shorter than the detector takes."""
+    detector, trigger = fly.detector, fly.trigger
+    least_s = 0.0 if detector is None else detector.least_window_s
+    if window_s < least_s * (1 - EVEN):
+        text = f"the windows of {axis} last {window_s * 1e3:.4g} ms; the detector takes one in {least_s * 1e3:.4g} ms"
+        remedy = f"`duration: {least_s * 1e3:.4g} ms` or longer fits, or leave `duration` and `speed` out"
+        raise Refusal("fly-detector", text, remedy, controller_of(axis))
+    if trigger is not None and trigger.gate and detector is not None and detector.dead_time >= window_s * NS_PER_S:
+        text = f"a gate in windows of {window_s * 1e3:.4g} ms has no time beside a dead time as long"
+        raise Refusal("fly-detector", text, "write a longer `duration`", controller_of(axis))
+
+
+def _find_speed(fly: FlyOptions, axis: Axis, spacing: Fraction) -> float:
     """The speed in the windows, in the unit of the axis per s. Raises `Refusal`, `UnitError`."""
+    unit = axis.unit
     if fly.duration is not None:
         return abs(float(spacing)) / (fly.duration / NS_PER_S)
+    if fly.speed is None:
+        least_s = max(LEAST_WINDOW_NS / NS_PER_S, 0.0 if fly.detector is None else fly.detector.least_window_s)
+        return min(axis.limits.velocity, abs(float(spacing)) / least_s)
     value = fly.speed
     if isinstance(value, str) and value.strip().endswith("%"):
         raise Refusal("bad-unit", f"`fly`: a speed of {value} says no time for a point", 'write e.g. "5 mm/s"')

@@ -1,7 +1,7 @@
 """Several lines of a scan as one step of a job: a path whose motion is that of a flight."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,6 +11,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathReport, PathStretch
+from orchestrator.model.steps.fly import WindowPlace
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.flying.flight import Flight, plan_flight
 from orchestrator.plan.flying.lines import FlownLines
@@ -27,12 +28,17 @@ from orchestrator.plan.path_step import (
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.targets import make_axis_move
+from orchestrator.plan.triggers import ResolvedTrigger
 
 USES = (1.0, 0.8, 0.6)
 """Of the acceleration and jerk of the axes in turn-arounds: the first that leaves room to brake along the path."""
 
 FLIGHT_MOST_S = 600.0  # a longer scan is flown in several motions of whole lines
 FLIGHT_MOST_LINES = 1000
+TRIGGERED_MOST_S = 60.0
+"""The same for one with triggers: what its outputs did is fetched at its end, and its rows are certain then."""
+
+_PLACES: dict[WindowPlace, float] = {"start": 0.0, "middle": 0.5, "end": 1.0}
 RAMP_SHARE = 0.05  # of the tolerance: how far a stopping tail may be off its path
 
 
@@ -67,9 +73,18 @@ class FlightPath(FollowPath):
             start=ends[0],
             pieces=[LinePiece(piece="line", to=ends[1])],
             tolerance=part.lines.tolerance,
+            triggers=part.lines.make_triggers(part.first),
         )
         path._part = part
         return path
+
+
+def place_triggers(part: FlownPart, triggers: Sequence[ResolvedTrigger]) -> list[ResolvedTrigger]:
+    """The triggers of a flight, at their place in each of its windows."""
+    share = _PLACES[part.lines.trigger_place]
+    places = [line.begin_s + line.window_s * (np.arange(line.points) + share) for line in part.flight.lines]
+    places_s = tuple(np.concatenate(places).tolist())
+    return [replace(trigger, positions=(), places_s=places_s) for trigger in triggers]
 
 
 def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_points: int, most_s: float) -> FlownPart:
@@ -77,7 +92,8 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_points: int, mos
     most_s: the longest chunk that its members load. Raises `PlanError` for lines that cannot be joined so."""
     rest = lines.count - first % lines.count
     line_s = lines.count * lines.window_s + 2 * lines.run_up_s
-    more = min(int(FLIGHT_MOST_S / line_s), FLIGHT_MOST_LINES, (most_points - rest) // lines.count)
+    most_flown_s = FLIGHT_MOST_S if lines.trigger is None else TRIGGERED_MOST_S
+    more = min(int(most_flown_s / line_s), FLIGHT_MOST_LINES, (most_points - rest) // lines.count)
     end = min(first + rest + max(0, more) * lines.count, lines.scan.point_count)
     axes = [fleet.axis(name) for name in lines.scan.axes]
     starts = [

@@ -119,8 +119,17 @@ def test_soft_limits_are_those_of_shifted_positions() -> None:
 
 
 WRONG = [
-    (f"axes: {{{LINE}}}, fly: {{}}", "needs either `duration`"),
-    (f"axes: {{{LINE}}}, fly: {{duration: 1 ms, speed: 1}}", "needs either `duration`"),
+    (f"axes: {{{LINE}}}, fly: {{trigger: {{output: gantry.a}}}}", "known to its controller alone"),
+    (f"axes: {{{LINE}}}, fly: {{duration: 1 ms, speed: 1}}", "remove one of them"),
+    (f"axes: {{{LINE}}}, fly: {{detector: {{}}}}", "needs `dead_time`, `max_rate` or both"),
+    (
+        f"axes: {{{LINE}}}, fly: {{duration: 9 ms, trigger: {{output: gantry.a, gate: true}}}}",
+        "would not end in a line",
+    ),
+    (
+        f"axes: {{{LINE}}}, fly: {{duration: 9 ms, trigger: {{output: gantry.a, gate: true, pulse: 1 ms}}}}",
+        "`gate` and `pulse`",
+    ),
     (f"axes: {{{LINE}}}, fly: {{duration: 0 ms}}", "the least is 1 ms"),
     (
         f"axes: {{{LINE}}}, fly: {{duration: 10 ms}}, at_each: [{{do: dwell, duration: 1 ms}}]",
@@ -158,3 +167,20 @@ def test_an_axis_that_wraps_is_refused() -> None:
     scan = Scan(axes={"gantry.x": {"from": 0, "to": 10, "points": 21}}, fly={"duration": "10 ms"})
     with pytest.raises(Refusal, match="wraps"):
         plan_lines(scan, Fleet.model_validate(plain))
+
+
+def test_windows_are_as_short_as_the_axis_and_the_detector_allow() -> None:
+    way = {"from": 0, "to": 10, "step": 0.5}
+    limit = FLEET.axis("gantry.x").limits.velocity
+    assert lines({}, gantry_x=way).speed == pytest.approx(min(limit, 500.0))
+    assert lines({"detector": {"max_rate": 50}}, gantry_x=way).window_s == pytest.approx(0.02)
+    assert lines({"detector": {"dead_time": "30 ms"}}, gantry_x=way).window_s == pytest.approx(0.03)
+    with pytest.raises(Refusal, match="last 10 ms; the detector takes one in 20 ms"):
+        lines({"duration": "10 ms", "detector": {"max_rate": 50}}, gantry_x=way)
+
+
+def test_a_gate_ends_before_the_next_window_by_the_dead_time() -> None:
+    fly = {"duration": "40 ms", "trigger": {"output": "gantry.camera", "gate": True}, "detector": {"dead_time": "5 ms"}}
+    found = lines(fly, gantry_x={"from": 0, "to": 10, "step": 0.5})
+    (trigger,) = found.make_triggers(0)
+    assert trigger.pulse == 35_000_000 and trigger.at is not None and trigger.at[:2] == [-0.25, 0.25]

@@ -19,7 +19,7 @@ from orchestrator.coordinator.motion.path_proof import narrow_start
 from orchestrator.coordinator.motion.report import judge_starts
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD
-from orchestrator.coordinator.motion.step import BRAKED, PlannedMotion
+from orchestrator.coordinator.motion.step import BRAKED, MotionStep, PlannedMotion
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import PointRecord, PointWindow, StepReport, Verdict
 from orchestrator.model.state import TimeInterval
@@ -56,6 +56,7 @@ class FlightRows:
         self._waiting = list(part.flight.lines)
         self._confirmed_s = -inf
         self._motion: PlannedMotion | None = None
+        self._step: MotionStep | None = None
 
     @property
     def motion(self) -> PlannedMotion | None:
@@ -85,11 +86,12 @@ class FlightRows:
         t0_ns = 0 if self._motion is None else self._motion.start.state.t0_fleet_ns
         return (self._now_ns() - t0_ns) / NS_PER_S if t0_ns else -inf
 
-    def observe(self, motion: PlannedMotion | None) -> None:
+    def observe(self, step: MotionStep | None) -> None:
         """Take the present motion of the step, and what its members have published meanwhile."""
+        motion = None if step is None else step.motion
         if motion is None:
             return
-        self._motion = motion
+        self._step, self._motion = step, motion
         t0_ns = motion.start.state.t0_fleet_ns
         if t0_ns and motion.watch.failure is None:
             readings_ns = [self._find_reading_ns(member) for member in motion.agreement.proposals]
@@ -113,18 +115,25 @@ class FlightRows:
     # Rows
 
     def take(self) -> list[PointRecord]:
-        """The rows of lines that have become certain."""
+        """The rows of lines that have become certain; with triggers, none is before the end of the flight."""
         verdict = self._judge_starts()
-        return [] if verdict is None else self._take_until(self._confirmed_s, verdict)
+        if verdict is None or self._outputs:
+            return []
+        return self._take_until(self._confirmed_s, verdict)
 
     def finish(self, report: StepReport) -> FlightEnd:
         """The rows that were not given out, and where the scan goes on."""
         code = "" if report.refused is None else report.refused.code
+        verdict = self._judge_starts()
         if report.state == "done":
-            return FlightEnd(self._take_until(inf, report.verdict), self._part.end)
+            # What a trigger missed concerns the row of its point alone.
+            others = [text for text in report.deviations if not text.startswith(tuple(self._outputs))]
+            row_verdict = report.verdict if others or verdict is None else verdict
+            return FlightEnd(self._take_until(inf, row_verdict), self._part.end)
         if code not in (FEED_HOLD, BRAKED):
-            return FlightEnd(self._list_broken(report.state), self._part.first)
-        is_late, verdict = code == BRAKED, self._judge_starts()
+            rows = [] if verdict is None else self._take_until(self._confirmed_s, verdict)
+            return FlightEnd([*rows, *self._list_broken(report.state)], self._part.first)
+        is_late = code == BRAKED
         rows = [] if verdict is None else self._take_until(inf, verdict)
         if not self._waiting:
             return FlightEnd(rows, self._part.end, late=is_late, is_interrupted=True)
@@ -188,8 +197,21 @@ class FlightRows:
             window = PointWindow(lower=lower, middle=middle, upper=upper)
             row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
             is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
-            rows.append(row if is_at_speed else row.model_copy(update={"good": False}))
+            is_good = row.good and is_at_speed and self._is_switched(line.first + number)
+            rows.append(row.model_copy(update={"good": is_good}))
         return rows
+
+    @property
+    def _outputs(self) -> list[str]:
+        """What is switched in each window."""
+        return [] if self._part.lines.trigger is None else [self._part.lines.trigger.output]
+
+    def _is_switched(self, point: int) -> bool:
+        """Whether the outputs are known to have been switched in the window of a point, within what was promised."""
+        if not self._outputs or self._step is None:
+            return not self._outputs
+        number, totals = point - self._part.first + 1, self._step.trigger_totals.get(self._outputs[0])
+        return totals is not None and number <= totals.rows and number not in totals.wrong
 
     def _make_row(
         self,

@@ -44,8 +44,7 @@ class FlightRun:
         while not self._is_over:
             await sleep_ns(self._services.clock, LOOK_NS)
             self._is_busy = True
-            step = self._state.motion_step
-            self._flight.observe(None if step is None else step.motion)
+            self._flight.observe(self._state.motion_step)
             try:
                 await self._reports.add_flown_rows(self._flight.take())
             except JournalError as error:  # the rows are kept, and written again with those that follow

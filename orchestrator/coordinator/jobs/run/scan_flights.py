@@ -11,6 +11,7 @@ from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines, plan_lines
 from orchestrator.plan.flying.path import FlightPath, FlownPart, plan_part
 from orchestrator.plan.shape import PlanError
+from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS
 
 MOST_STOPS = 3
 """Of one scan, because chunks came too late, after which it ends."""
@@ -81,7 +82,7 @@ class ScanFlights:
         most_s = await self._find_chunk_s(lines)
         if most_s is None:
             return None
-        most_points = lines.scan.point_count
+        most_points = lines.scan.point_count if lines.trigger is None else MAX_CHUNKED_INSTANTS
         try:
             return await self._services.plan(plan_part, lines, self._fleet, first, most_points, most_s)
         except PlanError as error:
@@ -92,12 +93,12 @@ class ScanFlights:
         """The longest chunk that all members of a flight load, s; None where one of them cannot play it. Raises
         `Refusal` for an absent one."""
         axes = [self._fleet.axis(name) for name in lines.scan.axes]
-        if lines.scan.trigger_outputs or len({axis.unit for axis in axes}) > 1 or lines.line_count < 2:
+        if len({axis.unit for axis in axes}) > 1 or lines.line_count < 2:
             return None
-        most_s = LONGEST_CHUNK_S
-        for controller in dict.fromkeys(map(controller_of, lines.scan.axes)):
+        most_s, owners = LONGEST_CHUNK_S, [controller_of(output) for output in lines.scan.trigger_outputs]
+        for controller in dict.fromkeys([*map(controller_of, lines.scan.axes), *owners]):
             info = await self._services.fleet.view.require_info(controller)
-            if not info.chunk_s or max(info.orders) < 3:
+            if not info.chunk_s or max(info.orders) < 3 or (controller in owners and info.chunk_triggers is None):
                 return None
             most_s = min(most_s, info.chunk_s)
         return most_s
