@@ -19,7 +19,9 @@ from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import plan_lines
+from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.forecast.job import JobForecaster
+from orchestrator.plan.forecast.line import find_first_path
 from orchestrator.plan.forecast.ways import ForecastMotion
 
 MAX_STEPS = 1000  # that are drawn
@@ -46,12 +48,19 @@ def draw_job(
     except Refusal as error:
         drawing.note_gap(0, error.text)
         return drawing.finish()
-    for index in range(min(len(order), MAX_STEPS)):
+    index = 0
+    while index < min(len(order), MAX_STEPS):
         location = order.locate(index)
+        stands_for = 1
         try:
-            drawing.take(index, location.choose_step(partial(_find_motion, fleet, location)))
+            step = location.choose_step(partial(_find_motion, fleet, location))
+            drawing.take(index, step)
+            if isinstance(step, FlightPath) and location.scan is not None:
+                lines = (step.part.end - step.part.first) // location.scan.points_together
+                stands_for = (lines - 1) * location.scan.points_steps + 1
         except Refusal as error:
             drawing.note_gap(index, error.text)
+        index += stands_for
     if len(order) > MAX_STEPS:
         drawing.note_gap(MAX_STEPS, f"only the first {MAX_STEPS} of {len(order)} steps are drawn")
     return drawing.finish()
@@ -79,7 +88,7 @@ def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
     units = [fleet.axis(name).unit for name in scan.axis_names]
     if scan.fly is not None:
         lines = plan_lines(scan, fleet)
-        return lines.make_path(place.point) if place.part else lines.make_move(place.point)
+        return find_first_path(fleet, lines, place.point) if place.part else lines.make_move(place.point)
     position = GridPoints(scan.axes).find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
 

@@ -9,6 +9,7 @@ from orchestrator.coordinator.switching.outputs import find_own_axis
 from orchestrator.model.messages import ChunkOptions, OutputTrigger
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import ChunkTriggers, ControllerInfo
+from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_course import ChunkPlan, PathCourse
 from orchestrator.plan.path_triggers import GivenTrigger, PathTrigger
@@ -67,6 +68,12 @@ class FirstChunk:
     def covers_all(self) -> bool:
         """Whether all members can be continued, and so braked along the path."""
         return all(controller_of(axis) in self.members for axis in self.plan.profiles)
+
+
+def make_chunk_ability(info: ControllerInfo) -> ChunkAbility:
+    """How a controller takes paths in chunks."""
+    most_s = min(info.chunk_s, LONGEST_CHUNK_S) if max(info.orders) > 2 else 0.0
+    return ChunkAbility(most_s, info.chunk_triggers is not None)
 
 
 def plan_first_chunk(planned: PlannedStep, infos: Mapping[str, ControllerInfo]) -> FirstChunk | None:

@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import PrivateAttr
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.frame import FrameSpec
+from orchestrator.model.names import controller_of
 from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathReport, PathStretch
 from orchestrator.model.steps.fly import WindowPlace
@@ -28,7 +30,7 @@ from orchestrator.plan.path_step import (
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.targets import make_axis_move
-from orchestrator.plan.triggers import ResolvedTrigger
+from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, ResolvedTrigger
 
 USES = (1.0, 0.8, 0.6)
 """Of the acceleration and jerk of the axes in turn-arounds: the first that leaves room to brake along the path."""
@@ -79,6 +81,34 @@ class FlightPath(FollowPath):
         return path
 
 
+class ChunkAbility(NamedTuple):
+    """How a controller takes paths in chunks. most_s: the longest one; 0: none. switches: outputs with them."""
+
+    most_s: float
+    switches: bool
+
+
+def list_members(lines: FlownLines) -> list[str]:
+    """The controllers of a scan's axes and of the output that is switched in its windows."""
+    return list(dict.fromkeys(map(controller_of, [*lines.scan.axes, *lines.scan.trigger_outputs])))
+
+
+def explain_single_lines(lines: FlownLines, fleet: Fleet, abilities: Mapping[str, ChunkAbility]) -> str:
+    """Why the lines of a scan are flown one by one; empty if several are one motion. abilities: by controller, of
+    those of the axes and outputs of the scan."""
+    if lines.line_count < 2:
+        return "it has one line"
+    units = {fleet.axis(name).unit for name in lines.scan.axes}
+    if len(units) > 1:
+        return f"its axes have several units ({', '.join(sorted(units))}), and a motion along a path has one"
+    for member in list_members(lines):
+        if not abilities[member].most_s:
+            return f"{member} loads no path in chunks"
+    owners = [controller_of(output) for output in lines.scan.trigger_outputs]
+    slow_owner = next((owner for owner in owners if not abilities[owner].switches), None)
+    return "" if slow_owner is None else f"{slow_owner} switches no outputs on a path in chunks"
+
+
 def place_triggers(part: FlownPart, triggers: Sequence[ResolvedTrigger]) -> list[ResolvedTrigger]:
     """The triggers of a flight, at their place in each of its windows."""
     share = _PLACES[part.lines.trigger_place]
@@ -87,9 +117,10 @@ def place_triggers(part: FlownPart, triggers: Sequence[ResolvedTrigger]) -> list
     return [replace(trigger, positions=(), places_s=places_s) for trigger in triggers]
 
 
-def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_points: int, most_s: float) -> FlownPart:
-    """The longest part of a scan from a point on that is flown in one motion. most_points: in it, but a line at least.
-    most_s: the longest chunk that its members load. Raises `PlanError` for lines that cannot be joined so."""
+def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> FlownPart:
+    """The longest part of a scan from a point on that is flown in one motion, a line at least. most_s: the longest
+    chunk that its members load. Raises `PlanError` for lines that cannot be joined so."""
+    most_points = lines.scan.point_count if lines.trigger is None else MAX_CHUNKED_INSTANTS
     rest = lines.count - first % lines.count
     line_s = lines.count * lines.window_s + 2 * lines.run_up_s
     most_flown_s = FLIGHT_MOST_S if lines.trigger is None else TRIGGERED_MOST_S

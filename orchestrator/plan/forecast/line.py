@@ -2,19 +2,25 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from math import ceil
 
 import numpy as np
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import StepProblem
 from orchestrator.model.names import controller_of
+from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines, check_room, plan_lines
+from orchestrator.plan.flying.path import ChunkAbility, FlightPath, explain_single_lines, list_members, plan_part
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.shape import PlanError
 
+USUAL_CHUNKS = ChunkAbility(7.5, switches=True)  # of the makes that load paths in chunks
 SLOWER = 0.002  # of the speed, by which a plan may be slower in a window
 
 
@@ -31,26 +37,77 @@ def take_lines(state: ForecastState, at: ForecastContext, step: Scan) -> FlownLi
     return lines
 
 
-def forecast_line(state: ForecastState, at: ForecastContext, lines: FlownLines) -> Span:
-    """Run the first line forward, and say how it is flown; the axis is left where all lines leave it."""
-    name = lines.axis
-    axis_after, problems = state.find_state(at, name), len(state.problems)
-    begin = Fraction(str(lines.ends.begin)) - axis_after.offset
-    state.axes[name] = axis_after.model_copy(update={"motor": begin, "known": True})
-    path = lines.make_path(0)
-    span = forecast_path(state, at, path)
-    state.axes[name] = axis_after
-    state.problems[problems:] = map(_name_trigger, state.problems[problems:])
-    if state.motion is None or state.motion.path is None or len(state.problems) > problems:
-        return span
-    _check_speed(state, at, lines)
-    unit = lines.units[-1]
-    words = (
-        f"{name} flies through {lines.count} points at {lines.speed:g} {unit}/s, {lines.window_s * 1e3:g} ms each, "
-        f"with a run-up and a run-down of {lines.run_up:.4g} {unit}; a line takes {span.least:.3f} s"
+def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines, between: Span) -> Span:
+    """Run the first motion of a scan that flies forward, of all its lines or the first one, and say how they are flown;
+    the axes are left where all lines leave them. between: the moves between lines that are flown one by one."""
+    abilities = {name: state.chunks.get(name, USUAL_CHUNKS) for name in list_members(lines)}
+    why, part = explain_single_lines(lines, state.fleet, abilities), None
+    if not why:
+        try:
+            part = plan_part(lines, state.fleet, 0, min(ability.most_s for ability in abilities.values()))
+        except PlanError as error:
+            why = str(error)
+    problems = len(state.problems)
+    line = _forecast_motion(state, at, lines, lines.make_path(0))
+    singly = line.followed_by(line, lines.line_count - 1).followed_by(between)
+    if len(state.problems) > problems:
+        return singly
+    if part is None:
+        _note_words(
+            state, lines, f"a line takes {line.least:.3f} s" + f"; line by line: {why}" * (lines.line_count > 1)
+        )
+        return singly
+    flown = _forecast_motion(state, at, lines, FlightPath.make(part))
+    parts = lines.scan.point_count / (part.end - part.first)
+    together_s = flown.least * parts
+    words = f"{lines.line_count} lines are one motion of {together_s:.3f} s, with rounded turn-arounds"
+    if part.end < lines.scan.point_count:
+        words = f"{lines.line_count} lines are {ceil(parts)} motions of {flown.least:.1f} s, with rounded turn-arounds"
+    if all(name in state.chunks for name in abilities):
+        _note_words(state, lines, words)
+        return Span(together_s, together_s)
+    _note_words(
+        state, lines, f"{words}; line by line where a controller loads no path in chunks, {line.least:.3f} s each"
     )
-    state.motion = replace(state.motion, line=path, line_words=words)
+    most_s = None if singly.most is None else max(together_s, singly.most)
+    return Span(min(together_s, singly.least), most_s)
+
+
+def find_first_path(fleet: Fleet, lines: FlownLines, point: int) -> FollowPath:
+    """The motion through lines of a scan from a point on, as far as the fleet file says."""
+    if explain_single_lines(lines, fleet, dict.fromkeys(list_members(lines), USUAL_CHUNKS)):
+        return lines.make_path(point)
+    try:
+        return FlightPath.make(plan_part(lines, fleet, point, USUAL_CHUNKS.most_s))
+    except PlanError:
+        return lines.make_path(point)
+
+
+def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLines, path: FollowPath) -> Span:
+    """Run a motion through lines forward from where it begins; the axes are left where they were."""
+    axes_after = {name: state.find_state(at, name) for name in path.axes}
+    for (name, after), begin in zip(axes_after.items(), path.start, strict=True):
+        motor = Fraction(str(begin)) - after.offset
+        state.axes[name] = after.model_copy(update={"motor": motor, "known": True})
+    problems = len(state.problems)
+    span = forecast_path(state, at, path)
+    state.axes |= axes_after
+    state.problems[problems:] = map(_name_trigger, state.problems[problems:])
+    if state.motion is not None and state.motion.path is not None and len(state.problems) == problems:
+        if state.motion.path.flight is None:
+            _check_speed(state, at, lines)
+        state.motion = replace(state.motion, line=path)
     return span
+
+
+def _note_words(state: ForecastState, lines: FlownLines, how: str) -> None:
+    """Say how lines are flown."""
+    words = (
+        f"{lines.axis} flies through {lines.count} points at {lines.speed:g} {lines.units[-1]}/s, "
+        f"{lines.window_s * 1e3:g} ms each, with a run-up and a run-down of {lines.run_up:.4g} {lines.units[-1]}; {how}"
+    )
+    assert state.motion is not None
+    state.motion = replace(state.motion, line_words=words)
 
 
 def _name_trigger(problem: StepProblem) -> StepProblem:

@@ -5,13 +5,14 @@ from dataclasses import replace
 from orchestrator.model.errors import Refusal
 from orchestrator.model.steps.base import MotionOptions
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.plan.flying.path import FlightPath, place_triggers
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
-from orchestrator.plan.triggers import resolve_triggers
+from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, MAX_INSTANTS, resolve_triggers
 
 
 def plan_ways(state: ForecastState, at: ForecastContext, step: MotionOptions, ways: MoveWays) -> Span:
@@ -38,8 +39,11 @@ def check_triggers(state: ForecastState, at: ForecastContext, step: Motion) -> N
     try:
         resolved_triggers = resolve_triggers(state.fleet, step.triggers, lambda axis: state.find_state(at, axis).offset)
         if state.motion is not None:
+            if isinstance(step, FlightPath):
+                resolved_triggers = place_triggers(step.part, resolved_triggers)
+            most = MAX_CHUNKED_INSTANTS if step.follows_path else MAX_INSTANTS
             for trigger in resolved_triggers:
-                trigger.find_instants_ns(state.motion.plan)
+                trigger.find_instants_ns(state.motion.plan, most)
             state.motion = replace(state.motion, triggers=resolved_triggers)
     except Refusal as error:
         state.add_problem(at, ("triggers",), Refusal(error.code, error.text, error.remedy))

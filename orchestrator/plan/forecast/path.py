@@ -6,6 +6,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.names import controller_of
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.plan.flying.path import FlightPath, plan_flight_step
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.motion import check_record, check_triggers
 from orchestrator.plan.forecast.span import Span
@@ -26,7 +27,11 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
     if len(axes) < len(named_axes):
         return Span()
     try:
-        path = plan_path_step(step, _find_starts(state, at, step, axes), state.fleet.frames)
+        starts = _find_starts(state, at, step, axes)
+        if isinstance(step, FlightPath):
+            path = plan_flight_step(step, starts)
+        else:
+            path = plan_path_step(step, starts, state.fleet.frames)
     except (Refusal, PlanError) as error:
         code, text, remedy = ("plan", str(error), "")
         if isinstance(error, Refusal):

@@ -9,7 +9,7 @@ from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import UnitError
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
-from orchestrator.plan.forecast.line import forecast_line, take_lines
+from orchestrator.plan.forecast.line import forecast_lines, take_lines
 from orchestrator.plan.forecast.motion import plan_ways
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
@@ -45,10 +45,11 @@ def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span
         _take_corners(state, at, first, field, _describe_corners(corners[name], step.point_count))
     span = plan_ways(state, at, step, first)
     if lines is not None:
-        line_kind = kinds.pop()  # the innermost axis moves
-        span = span.followed_by(forecast_line(state, at, lines), line_kind.often)
+        kinds.pop()  # the innermost axis moves
+    between = Span()
     for kind in kinds:
-        span = span.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
+        between = between.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
+    span = span.followed_by(between if lines is None else forecast_lines(state, at, lines, between))
     state.lose_positions(at, unknown)
     return Span(span.least, None) if unknown else span
 

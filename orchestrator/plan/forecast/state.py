@@ -12,6 +12,7 @@ from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.ways import ForecastMotion
 from orchestrator.plan.triggers import find_brake_outputs
@@ -28,10 +29,16 @@ class ForecastState:
     """
 
     def __init__(
-        self, fleet: Fleet, axes: Mapping[str, AxisForecast] | None = None, orders: Mapping[str, Order] | None = None
+        self,
+        fleet: Fleet,
+        axes: Mapping[str, AxisForecast] | None = None,
+        orders: Mapping[str, Order] | None = None,
+        chunks: Mapping[str, ChunkAbility] | None = None,
     ) -> None:
-        """axes: their states now; others are unknown. orders: of the profiles that each controller executes."""
+        """axes: their states now; others are unknown. orders: of the profiles that each controller executes; chunks:
+        how it takes paths in chunks."""
         self.fleet = fleet
+        self.chunks = chunks or {}
         self.orders = orders or {}
         self.axes: dict[str, AxisForecast] = dict(axes or {})
         self.problems: list[StepProblem] = []

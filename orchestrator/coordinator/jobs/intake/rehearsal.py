@@ -9,6 +9,7 @@ from orchestrator.bus.base import BusError
 from orchestrator.coordinator.jobs.check import forecast_at_once, forecast_step
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
 from orchestrator.coordinator.jobs.services import JobServices
+from orchestrator.coordinator.motion.path_chunks import make_chunk_ability
 from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
 from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
@@ -17,6 +18,7 @@ from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.jobs.service import DryRun, DryRunDone
 from orchestrator.model.steps.tree import as_motion
+from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.job import JobForecaster
 
 REHEARSALS_AT_ONCE = 3
@@ -38,11 +40,13 @@ class JobRehearsal:
         view = self._services.view
         axes = request.begin if request.begin is not None else self._look_at_axes()
         orders: dict[str, Literal[2, 3]] = {}
+        chunks: dict[str, ChunkAbility] = {}
         for name in view.fleet.controllers:
             # A controller that does not answer is planned by the fleet file.
             with suppress(BusError):
-                orders[name] = max((await view.query_info(name)).orders)
-        forecaster = JobForecaster(view.fleet, axes, orders)
+                info = await view.query_info(name)
+                orders[name], chunks[name] = max(info.orders), make_chunk_ability(info)
+        forecaster = JobForecaster(view.fleet, axes, orders, chunks)
         steps: list[StepForecast] = []
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):

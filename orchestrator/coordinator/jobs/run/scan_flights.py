@@ -2,16 +2,14 @@
 
 from dataclasses import dataclass
 
-from orchestrator.coordinator.motion.path_chunks import LONGEST_CHUNK_S
+from orchestrator.coordinator.motion.path_chunks import make_chunk_ability
 from orchestrator.coordinator.motion.services import MotionServices
-from orchestrator.model.names import controller_of
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines, plan_lines
-from orchestrator.plan.flying.path import FlightPath, FlownPart, plan_part
+from orchestrator.plan.flying.path import FlightPath, FlownPart, explain_single_lines, list_members, plan_part
 from orchestrator.plan.shape import PlanError
-from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS
 
 MOST_STOPS = 3
 """Of one scan, because chunks came too late, after which it ends."""
@@ -78,30 +76,18 @@ class ScanFlights:
         return FlightPath.make(part) if place.part else lines.make_move(part.first)
 
     async def _plan_part(self, lines: FlownLines, first: int) -> FlownPart | None:
-        """The lines from a point on that are flown in one motion; None where they are flown one by one."""
-        most_s = await self._find_chunk_s(lines)
-        if most_s is None:
+        """The lines from a point on that are flown in one motion; None where they are flown one by one. Raises
+        `Refusal` for an absent member."""
+        view = self._services.fleet.view
+        abilities = {name: make_chunk_ability(await view.require_info(name)) for name in list_members(lines)}
+        if explain_single_lines(lines, self._fleet, abilities):
             return None
-        most_points = lines.scan.point_count if lines.trigger is None else MAX_CHUNKED_INSTANTS
+        most_s = min(ability.most_s for ability in abilities.values())
         try:
-            return await self._services.plan(plan_part, lines, self._fleet, first, most_points, most_s)
+            return await self._services.plan(plan_part, lines, self._fleet, first, most_s)
         except PlanError as error:
             self._services.fleet.log.info(f"flown line by line: {error}")
             return None
-
-    async def _find_chunk_s(self, lines: FlownLines) -> float | None:
-        """The longest chunk that all members of a flight load, s; None where one of them cannot play it. Raises
-        `Refusal` for an absent one."""
-        axes = [self._fleet.axis(name) for name in lines.scan.axes]
-        if len({axis.unit for axis in axes}) > 1 or lines.line_count < 2:
-            return None
-        most_s, owners = LONGEST_CHUNK_S, [controller_of(output) for output in lines.scan.trigger_outputs]
-        for controller in dict.fromkeys([*map(controller_of, lines.scan.axes), *owners]):
-            info = await self._services.fleet.view.require_info(controller)
-            if not info.chunk_s or max(info.orders) < 3 or (controller in owners and info.chunk_triggers is None):
-                return None
-            most_s = min(most_s, info.chunk_s)
-        return most_s
 
     # Ends
 
