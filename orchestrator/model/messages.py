@@ -644,7 +644,7 @@ class LatchReply(Reply):
     latest_ns: Int53 = 0
 
 
-MAX_EDGES_PART = 5_000  # edges of an output in one answer: some 200 KB
+MAX_EDGES_PART = 2_000  # edges of an output in one answer: some 60 KB
 
 
 class TakeTriggers(FencedRequest):

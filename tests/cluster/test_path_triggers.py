@@ -153,6 +153,45 @@ def test_an_override_moves_the_instants_with_the_path(switched: Switched) -> Non
     run_fleet(main, switched.fleet)
 
 
+def test_an_override_while_a_chunk_is_loaded_takes_its_place() -> None:
+    switched = with_lamp("portal", TWO)
+
+    async def main(virtual: VirtualFleet) -> None:
+        true = await switched.prepare(virtual)
+        client = virtual.make_client()
+        # The next chunk is loaded from 3.7 s on, which takes a second.
+        job_id = await begin(virtual, switched.path, switched.axes, 4.0)
+        await client.override_job(job_id, 120)
+        report = await finish(virtual, job_id)
+        (step,) = report.steps
+        assert report.state == "done" and step.path is not None and not step.path.stops, report.reason
+        assert (step.triggers[0].planned, step.triggers[0].seen, step.triggers[0].outside) == (COUNT, COUNT, 0)
+        switched.check_seen(true)
+
+    run_fleet(main, switched.fleet)
+
+
+@pytest.mark.parametrize(("speed", "is_held"), [("35 mm/s", True), ("36.5 mm/s", False)])
+def test_triggers_that_are_too_close_for_chunks_are_loaded_as_a_whole(speed: str, is_held: bool) -> None:
+    """14 ms from one to the next in chunks, 13.5 as a whole: then there is no hold on the way."""
+    switched = with_lamp("gantry", TWO)
+    switched.speed, switched.turns = speed, 1
+
+    async def main(virtual: VirtualFleet) -> None:
+        true = await switched.prepare(virtual)
+        client = virtual.make_client()
+        job_id = await begin(virtual, switched.path, switched.axes, 3.0)
+        await client.pause_job(job_id, now=is_held)
+        await client.resume_job(job_id)
+        report = await finish(virtual, job_id)
+        (step,) = report.steps
+        assert report.state == "done" and bool(step.feed_holds) == is_held, report.reason
+        assert step.triggers[0].outside == 0
+        switched.check_seen(true)
+
+    run_fleet(main, switched.fleet)
+
+
 def test_a_late_chunk_misses_what_its_tail_passes_and_nothing_twice(
     switched: Switched, monkeypatch: pytest.MonkeyPatch
 ) -> None:

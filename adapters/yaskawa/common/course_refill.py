@@ -68,20 +68,20 @@ class ContourRefill:
 
     async def release(self, records: ChunkRecords, load: CourseLoad, triggers: PartRelease | None) -> None:
         """Change over to a loaded chunk, behind or inside that of `load`, and to its triggers. Raises `Refusal`."""
-        before, room = load.records, load.maker.room
-        tail, old = records.tail_variables(room), before.tail_variables(room)
-        ahead = 0 if triggers is None else -(-triggers.ahead_ticks >> load.maker.interval) + 1
-        ahead = max(LEAST_AHEAD, ahead)
-        if records.end > before.end:
-            await self._set_end(f"XN-{ahead}", records.end, triggers)
+        old_records, room = load.records, load.maker.room
+        tail, old_tail = records.tail_variables(room), old_records.tail_variables(room)
+        margin = 0 if triggers is None else -(-triggers.ahead_ticks >> load.maker.interval) + 1
+        margin = max(LEAST_AHEAD, margin)
+        if records.end > old_records.end:
+            await self._set_end(f"XN-{margin}", records.end, triggers)
             # Its own end is a chunk away.
             await self._set_tail(tail)
             return
         await self._set_tail(tail)
         try:
-            await self._set_end(str(records.end - ahead), records.end, triggers)
+            await self._set_end(str(records.end - margin), records.end, triggers)
         except Refusal:
-            await self._set_tail(old)
+            await self._set_tail(old_tail)
             raise
 
     async def _set_end(self, latest: str, end: int, triggers: PartRelease | None) -> None:
@@ -89,7 +89,7 @@ class ContourRefill:
         from left to right."""
         session, places = self._device.session, [] if triggers is None else [triggers.place]
         commands = [f"XN=(({end}-XN)*(XI<({latest})))+XN"]
-        await session.send_settings([*commands, *(f"XRN=(({place}-XRN)*(XN={end}))+XRN" for place in places)])
+        await session.send_settings([*commands, *(f"XRN=(({index}-XRN)*(XN={end}))+XRN" for index in places)])
         (held_end, played_count, held_place), _ = await session.read_numbers("XN", "XI", "XRN")
         if int(held_end) != end or played_count > end:
             raise Refusal("late", "the controller has passed the place where the path was to be continued", "")

@@ -106,7 +106,7 @@ def lower_moves(
         for axis in profiles
         for scale in [float(config.axes[axis].scale)]
     }
-    if start.chunk is not None and start.wait is None and profiles and takes_chunks(context):
+    if profiles and start.chunk is not None and start.wait is None:
         course = _lower_to_course(context, profiles, bounds, tick_ns, start.chunk)
         if course is not None:
             return _make_lowered(context, course, profiles, start, mapping)
@@ -245,7 +245,10 @@ def _lower_to_course(
     tick_ns: float,
     part: ChunkOptions,
 ) -> CourseLoad | None:
-    """The first chunk of a path; None for a path of a few records, which needs no second one. Raises `Refusal`."""
+    """The first chunk of a path; None where paths are loaded as a whole, and for one of a few records, which needs no
+    second one. Raises `Refusal`."""
+    if not takes_chunks(context):
+        return None
     model, interval = context.model, find_interval(context, tick_ns)
     tick_s = tick_ns * 1e-9
     record_s = tick_s * (1 << interval)

@@ -319,22 +319,22 @@ def ring_lines() -> tuple[str, ...]:
     commands at most, or one with an expression, before other threads have their turn (L14633), as with the table.
     """
     ticks_left = f"(XT0+{TABLE}[XRI]-TIME)"
-    near = f"(XRI<>XRN)&({ticks_left}<XRF)"
+    is_near = f"(XRI<>XRN)&({ticks_left}<XRF)"
     wait = f"WT ({ticks_left}>0)*{ticks_left}"
     return (
         f"{RING_PULSE_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {RING_PULSE_LABEL},XOK=0",
-        f"#FAR;WT {FAR_TICKS};JP #NEAR,{near}",
+        f"#FAR;WT {FAR_TICKS};JP #NEAR,{is_near}",
         "JP #FAR,XRE=0;OB XLO,1-XLV;XLO=0;EN",
         f"#NEAR;{wait};{TABLE}[XRI]=TIME;OB XLO,XLV",
         "WT XLH;OB XLO,1-XLV;XRI=(XRI+1)&XRM",
-        f"JP #NEAR,{near}",
+        f"JP #NEAR,{is_near}",
         "JP #FAR",
         f"{RING_LEVEL_LABEL};WT {STEP_TICKS};JP #SHUT,XLATE=1;JP {RING_LEVEL_LABEL},XOK=0",
-        f"#LFAR;WT {FAR_TICKS};JP #LNEAR,{near}",
+        f"#LFAR;WT {FAR_TICKS};JP #LNEAR,{is_near}",
         "JP #LFAR,XRE=0;OB XLO,1-XLV;XLO=0;EN",
         f"#LNEAR;{wait};{TABLE}[XRI]=TIME;OB XLO,XRV",
         "XRV=1-XRV;XRI=(XRI+1)&XRM",
-        f"JP #LNEAR,{near}",
+        f"JP #LNEAR,{is_near}",
         "JP #LFAR",
     )
 

@@ -139,9 +139,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             disarm_ns=max(release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
-        plain = 3 not in self.ORDERS or self._serial
-        context = self._context(costs)
-        chunk_s, load_s = (0.0, 0.0) if plain else find_chunk_times(context, self._options.tick_ns)
+        context = None if 3 not in self.ORDERS or self._serial else self._context(costs)
+        chunk_s, load_s = (0.0, 0.0) if context is None else find_chunk_times(context, self._options.tick_ns)
         return DriverCapabilities(
             start_classes=START_CLASSES,
             orders=self.ORDERS,
@@ -149,7 +148,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
             costs=costs,
             chunk_s=chunk_s,
             chunk_load_s=load_s,
-            chunk_triggers=None if plain else find_chunk_triggers(context),
+            chunk_triggers=None if context is None else find_chunk_triggers(context),
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS else 0.0,
             retarget_way="extend",
         )

@@ -31,8 +31,8 @@ class TriggerRing:
     async def read_stamps(self) -> None:
         """Read the stamps of what was played since the last time."""
         session, done_count = self._device.session, len(self.stamps)
-        (place,), _ = await session.read_numbers("XRI")
-        count = (int(place) - done_count) % RING
+        (index,), _ = await session.read_numbers("XRI")
+        count = (int(index) - done_count) % RING
         names = [_element_name(number) for number in range(done_count, done_count + count)]
         for at in range(0, count, AT_ONCE):
             self.stamps += [int(value) for value in await session.read_many(names[at : at + AT_ONCE])]

@@ -91,8 +91,8 @@ class TriggerPlayer:
     async def is_playing(self) -> bool:
         """Whether the program still plays the table, once no axis moves; a ring that is played to its end is ended."""
         played_table, session = self._played, self._device.session
-        (is_running, place, end_place), _ = await session.read_numbers(f"_HX{EDGE_THREAD}", "XRI", "XRN")
-        if played_table is not None and played_table.ring is not None and is_running and place == end_place:
+        (is_running, index, end_index), _ = await session.read_numbers(f"_HX{EDGE_THREAD}", "XRI", "XRN")
+        if played_table is not None and played_table.ring is not None and is_running and index == end_index:
             over_ns = played_table.step.t0_ns + (played_table.switches.end_ns or 0)
             if self._clock.now_ns() >= over_ns:
                 await session.send_settings(["XRE=1"])
@@ -112,8 +112,8 @@ class TriggerPlayer:
 
     def plan_release(self) -> PartRelease | None:
         """What releases them; None if nothing changes."""
-        place = self._require_ring()[1].find_release()
-        return None if place is None else PartRelease(place, self._near_ticks + SPARE_TICKS)
+        index = self._require_ring()[1].find_release()
+        return None if index is None else PartRelease(index, self._near_ticks + SPARE_TICKS)
 
     def take_part(self) -> None:
         """They are released."""

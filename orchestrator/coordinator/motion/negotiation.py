@@ -200,15 +200,6 @@ class StartNegotiation:
         if self._present is not None:
             return await self._agree_following()
         chunk = await self._plan_first_chunk()
-        try:
-            return await self._agree_from_rest(chunk)
-        except Refusal as refusal:
-            # Loaded as a whole, triggers may be a little closer.
-            if chunk is None or refusal.code != TRIGGER_RATE:
-                raise
-        return await self._agree_from_rest(None)
-
-    async def _agree_from_rest(self, chunk: FirstChunk | None) -> StartAgreement:
         plan, by_line = chunk.plan if chunk else self._planned.plan, self._request.start_class == "line"
         first = StartAgreement(plan, aligned=bool(self._request.move.align), first=chunk, triggers=self._triggers)
         # Instants on the way are counted from a T0 by the clock, and T0 of a line cannot be brought forward.
@@ -480,6 +471,21 @@ class StartNegotiation:
         kind = "rest" if agreement.present is None else "beside"
         shares = {name: self._estimator.arming_share(name, kind, use_known=use_known) for name in at_once}
         return round(find_arming_ns(self._view.fleet, at_once, shares)) + margin_ns + agreement.disarm_ns
+
+
+async def agree_on_start(
+    services: MotionServices, planned: PlannedStep, present: PresentMove | None = None
+) -> tuple[StartNegotiation, StartAgreement]:
+    """Negotiate the start of a planned step. Triggers that follow too fast for the chunks of a path may be a little
+    closer where it is loaded as a whole. Raises `Refusal`. present: the moving step that it follows."""
+    negotiation, path = StartNegotiation(services, planned, present), planned.path
+    try:
+        return negotiation, await negotiation.agree()
+    except Refusal as refusal:
+        if path is None or path.course is None or refusal.code != TRIGGER_RATE:
+            raise
+    negotiation = StartNegotiation(services, replace(planned, path=replace(path, course=None)))
+    return negotiation, await negotiation.agree()
 
 
 def find_arming_ns(fleet: Fleet, proposals: Mapping[str, Proposal], shares: Mapping[str, float]) -> float:

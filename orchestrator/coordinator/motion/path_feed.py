@@ -29,7 +29,6 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.profile import Profile
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_course import SWITCH_S, ChunkPlan
-from orchestrator.plan.path_profiles import Array
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
 
@@ -107,10 +106,6 @@ class PathFeed:
             return None
         return now_s, max(0.0, ends_s - now_s)
 
-    def find_places_s(self, times_s: Array) -> Array:
-        """Where on the path the motion is at instants after T0, s of the path's time."""
-        return self.chunk.clock.evaluate(times_s).path_s
-
     def _now_s(self) -> float:
         return (self._services.leadership.fleet_now_ns() - self._state.t0_fleet_ns) / NS_PER_S
 
@@ -178,9 +173,8 @@ class PathFeed:
     async def _load(self, chunk: ChunkPlan, latest_s: float) -> int:
         """Have all members load a chunk, in the place of one that they are loading; return its number. Raises
         `Refusal`."""
-        requests, number = self._services.fleet.requests, self._numbers
+        number, parts = self._numbers, self.triggers.find_parts(chunk)
         self._numbers += 1
-        parts = self.triggers.find_parts(chunk)
         asked_requests = {
             member: LoadChunkRequest(
                 **self._reference(number),
@@ -191,7 +185,7 @@ class PathFeed:
             )
             for member, profiles in self._share(chunk.profiles).items()
         }
-        replies = await requests.request_all(
+        replies = await self._services.fleet.requests.request_all(
             "load-chunk", asked_requests, ChunkReply, max(0.1, latest_s - self._now_s())
         )
         raise_first_refusal(replies)

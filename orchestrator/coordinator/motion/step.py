@@ -13,7 +13,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.motion.armed_start import ArmedStart
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
-from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNegotiation
+from orchestrator.coordinator.motion.negotiation import StartAgreement, agree_on_start
 from orchestrator.coordinator.motion.path_feed import PathFeed
 from orchestrator.coordinator.motion.planning import PathRest, PlannedStep, StepRequest, plan_request, plan_resumed
 from orchestrator.coordinator.motion.recorder import StepRecorder
@@ -49,7 +49,8 @@ class StepObserver(Protocol):
 
 async def rehearse_step(services: MotionServices, planned: PlannedStep) -> StartAgreement:
     """What the members make of a planned step: durations, budget, commands. Raises `Refusal`."""
-    return await StartNegotiation(services, planned).agree()
+    _, agreement = await agree_on_start(services, planned)
+    return agreement
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +68,7 @@ class PlannedMotion:
         cls, services: MotionServices, planned: PlannedStep, present: PresentMove | None = None
     ) -> "PlannedMotion":
         """Negotiate with the members. Raises `Refusal`. present: the moving step that it follows."""
-        negotiation = StartNegotiation(services, planned, present)
-        agreement = await negotiation.agree()
+        negotiation, agreement = await agree_on_start(services, planned, present)
         certificates, ends_s = services.fleet.certificates, _find_duration_s(planned, agreement)
         certificates.require_until(agreement.members, agreement.lead_ns / NS_PER_S + ends_s)
         stop_times_ns = {

@@ -67,7 +67,8 @@ class PlaceFinder:
             early_s -= self._find_drift_s(member, early_s)
             late_s += self._find_drift_s(member, late_s)
             if self._feed is not None:
-                early_s, late_s = map(self._feed.find_places_s, (early_s, late_s))
+                clock = self._feed.chunk.clock
+                early_s, late_s = (clock.evaluate(times_s).path_s for times_s in (early_s, late_s))
             places: list[AxisPlace] = []
             for early, late in zip(early_s.tolist(), late_s.tolist(), strict=True):
                 low, high = find_range(early, late)
