@@ -88,7 +88,7 @@ def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
     units = [fleet.axis(name).unit for name in scan.axis_names]
     if scan.fly is not None:
         lines = plan_lines(scan, fleet)
-        return find_first_path(fleet, lines, place.point) if place.part else lines.make_move(place.point)
+        return find_first_path(fleet, lines, place.point) if place.is_flown_path else lines.make_move(place.point)
     position = GridPoints(scan.axes).find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
 

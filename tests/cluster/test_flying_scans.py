@@ -298,3 +298,41 @@ def test_positions_that_have_changed_until_it_begins_are_refused_and_not_stepped
         assert len(fleet.controllers["gantry"].commanded_motions) == before
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+def test_each_line_waits_for_an_input_and_is_a_motion_of_its_own() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        await outcome(fleet, prepare(fleet))
+        wait = "{duration: 20 ms, wait: {input: gantry.door, value: false, timeout: 20 s}}"
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
+        await fleet.wait_until(lambda states: states["gantry"].inputs["door"])
+        scan = job(f"[{raster('gantry.y', wait)}]")
+        (step,) = (await client.dry_run(scan)).steps
+        assert step.lines.endswith("line by line: it waits for gantry.door before each"), step.lines
+        assert step.most_s is not None and step.most_s > 60
+        job_id = await client.submit(scan)
+        await sleep_ns(fleet.clock, 5 * NS_PER_S)
+        assert not await client.load_points(job_id)
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=True))
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        (found,) = report.steps
+        assert found.scan is not None and (found.scan.points, found.scan.steps_done) == (63, 9)
+        assert all(row.good for row in await client.load_points(job_id))
+
+    run_fleet(main, two_gantries())
+
+
+def test_an_input_that_does_not_change_ends_the_scan_at_its_line() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, prepare(fleet))
+        wait = "{duration: 20 ms, wait: {input: gantry.door, value: false, timeout: 1 s}}"
+        fleet.act_on_controller("gantry", lambda gantry: gantry.set_input(1, level=False))
+        await fleet.wait_until(lambda states: states["gantry"].inputs["door"])
+        report = await outcome(fleet, job(f"[{raster('gantry.y', wait)}]"))
+        assert report.state == "failed" and "points 1 to 21 of 63 (wait)" in report.steps[-1].reason + report.reason
+        (row,) = await fleet.make_client().load_points(report.job_id)
+        assert (row.point, row.good, row.state) == (1, False, "failed")
+
+    run_fleet(main, two_gantries())

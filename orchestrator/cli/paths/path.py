@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
     from orchestrator.model.forecast import AxisForecast
     from orchestrator.model.jobs.job import Job
-    from orchestrator.model.steps.path import FollowPath
+    from orchestrator.model.steps.base import Step
     from orchestrator.plan.forecast.job import JobForecaster
     from orchestrator.plan.path_step import PlannedPath
 
@@ -45,8 +45,8 @@ path.add_command(import_path)
 @picture_option("Output file; default: FILE with the suffix .png.")
 @json_option
 def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Path | None, *, as_json: bool) -> None:
-    """Plot a path of the job in FILE before it runs: its course, the speed along it, and what each axis uses of its
-    limits, coloured by what limits the speed. Nothing is connected.
+    """Plot a path of the job in FILE before it runs, or a scan that flies: its course, the speed along it, and what
+    each axis uses of its limits, coloured by what limits the speed. Nothing is connected.
 
     The steps before it are run forward, because a path begins where its axes stand.
     """
@@ -60,29 +60,35 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     index, path = _find_path(job, step)
     forecaster = JobForecaster(loaded_fleet, _place_axes(loaded_fleet, parse_targets(at, "--at")))
     path_plan = _run_forward(forecaster, loaded_fleet, job, index)
-    axes = {name: loaded_fleet.axis(name) for name in path.axes}
+    axes = {name: loaded_fleet.axis(name) for name in path_plan.counts_per_unit}
     offsets = {name: float(forecaster.axes[name].offset) for name in axes}
     lines = describe_path(path_plan.report)
     target = out or file.with_suffix(".png")
     title = f"{job.name!r}, {name_step(index)}: {lines[0].partition(';')[0]}"
-    frame = None if path.frame is None else loaded_fleet.frames[path.frame]
+    frame_name = next(iter(path.frames), None)
+    frame = None if frame_name is None else loaded_fleet.frames[frame_name]
     write_picture(plot_path(path_plan, PathAxes(axes, offsets, frame), title), target)
     print_result({"file": str(target), "path": path_plan.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json)
 
 
-def _find_path(job: "Job", step: int | None) -> "tuple[int, FollowPath]":
-    from orchestrator.model.steps.path import FollowPath
+def _find_path(job: "Job", step: int | None) -> "tuple[int, Step]":
+    from orchestrator.model.steps.scan import Scan
 
-    paths = {index: path for index, path in enumerate(job.steps) if isinstance(path, FollowPath)}
+    paths: dict[int, Step] = {
+        index: path
+        for index, path in enumerate(job.steps)
+        if path.follows_path or (isinstance(path, Scan) and path.fly is not None)
+    }
     if not paths:
-        exit_with_error(f"job {job.name!r} has no step `do: path`", BAD_INPUT, "paths inside repeats are not plotted")
+        text = f"job {job.name!r} has no step `do: path`, and no scan with `fly`"
+        exit_with_error(text, BAD_INPUT, "steps inside repeats are not plotted")
     index = next(iter(paths)) if step is None else step
     if index not in paths:
         number_list = ", ".join(str(number_step(known_index)) for known_index in paths)
         exit_with_error(
-            f"{name_step(index)} of job {job.name!r} is no path",
+            f"{name_step(index)} of job {job.name!r} is no path, and no scan that flies",
             BAD_INPUT,
-            f"its paths are the steps {number_list}",
+            f"its paths, and scans that fly, are the steps {number_list}",
         )
     return index, paths[index]
 

@@ -7,6 +7,7 @@ from pydantic import Field, field_validator, model_validator
 from orchestrator.model.duration import Duration
 from orchestrator.model.paths.pieces import Rate
 from orchestrator.model.script import ScriptModel
+from orchestrator.model.steps.io import WaitInput
 from orchestrator.model.triggers import Trigger
 from orchestrator.model.units import Quantity
 
@@ -83,6 +84,11 @@ class FlyOptions(ScriptModel):
     )
     trigger: FlyTrigger | None = Field(default=None, description="A pulse, or a gate, in the window of each point.")
     detector: FlyDetector | None = Field(default=None, description="What is to take the points.")
+    wait: WaitInput | None = Field(
+        default=None,
+        description="An input that is waited for before each line, as of a detector that is ready; each line is a "
+        "motion of its own then.",
+    )
     repeat_disturbed: int = Field(
         default=0,
         ge=0,
@@ -116,6 +122,8 @@ class FlyOptions(ScriptModel):
             words = "flown, as fast as its axis and the detector allow"
         else:
             words = f"flown, at {self.speed}" + ("" if isinstance(self.speed, str) else " units/s")
+        if self.wait is not None:
+            words += f", waits for {self.wait.input} before each line"
         trigger = self.trigger
         if trigger is None:
             return words

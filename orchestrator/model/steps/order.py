@@ -33,7 +33,7 @@ class StepPlace:
     index: its number. step: as it is written; for a point, the whole scan; for what a live job was asked for, its live
     step. first: the number of the first step of the scan, or of the step itself. point: of a scan or a live step, from
     0; of a line that is flown its first one. part: 0 is the move to the point, k the k-th step at it; of a line that
-    is flown 1 is its path. passes: pass and number of passes of each repeat around
+    is flown the last one is its path. passes: pass and number of passes of each repeat around
     it, from 1, the outermost first. asked, asked_count: of a live job, the step that was asked for, None while it waits
     for one; and for how many it was asked so far.
     """
@@ -68,8 +68,13 @@ class StepPlace:
         if self.scan is None:
             return self.step.kind if self.asked is None else self.asked.kind
         if self.scan.fly is not None:
-            return "path" if self.part else "move"
+            return "path" if self.is_flown_path else "wait" if self.part else "move"
         return self.scan.at_each[self.part - 1].kind if self.part else "move"
+
+    @property
+    def is_flown_path(self) -> bool:
+        """Whether it is the way through the windows of a line that is flown."""
+        return self.scan is not None and self.scan.fly is not None and self.part == self.scan.points_steps - 1
 
     @property
     def step_name(self) -> str:
@@ -104,6 +109,8 @@ class StepPlace:
         of a scan that flies the path as well."""
         if self.scan is None:
             return self.asked or self.step
+        if self.scan.fly is not None and self.scan.fly.wait is not None and self.kind == "wait":
+            return self.scan.fly.wait
         if self.scan.fly is not None or not self.part:
             return find_motion(self.scan)
         return self.scan.at_each[self.part - 1]

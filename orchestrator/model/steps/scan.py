@@ -148,8 +148,11 @@ class Scan(MotionOptions, ScanPoints):
 
     @property
     def points_steps(self) -> int:
-        """The number of steps at one point, its move included; of a line that is flown its move and its path."""
-        return 1 + len(self.at_each) if self.fly is None else 2
+        """The number of steps at one point, its move included; of a line that is flown its move, its path, and the
+        input that is waited for in between."""
+        if self.fly is None:
+            return 1 + len(self.at_each)
+        return 2 if self.fly.wait is None else 3
 
     @property
     def inner(self) -> InnerSteps:
@@ -166,6 +169,8 @@ class Scan(MotionOptions, ScanPoints):
     def iterate_written(self) -> Iterator[Step]:
         yield self
         yield from self.at_each
+        if self.fly is not None and self.fly.wait is not None:
+            yield self.fly.wait
 
     @property
     def named_axes(self) -> list[str]:

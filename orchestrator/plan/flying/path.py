@@ -32,6 +32,7 @@ from orchestrator.plan.step import StepPlan
 from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, ResolvedTrigger
 
+CONSTANT, TURN = "constant speed through windows", "turn-around"
 USES = (1.0, 0.8, 0.6)
 """Of the acceleration and jerk of the axes in turn-arounds: the first that leaves room to brake along the path."""
 
@@ -98,6 +99,8 @@ def explain_single_lines(lines: FlownLines, fleet: Fleet, abilities: Mapping[str
     those of the axes and outputs of the scan."""
     if lines.line_count < 2:
         return "it has one line"
+    if lines.scan.fly is not None and lines.scan.fly.wait is not None:
+        return f"it waits for {lines.scan.fly.wait.input} before each"
     units = {fleet.axis(name).unit for name in lines.scan.axes}
     if len(units) > 1:
         return f"its axes have several units ({', '.join(sorted(units))}), and a motion along a path has one"
@@ -201,12 +204,11 @@ def _list_stretches(part: FlownPart) -> list[PathStretch]:
     """The lines of a flight, and the turn-arounds between them; of a long one only itself."""
     lines, last = part.flight.lines, part.flight.duration_s
     if 2 * len(lines) + 1 > MAX_STRETCHES:
-        return [PathStretch(from_s=0.0, to_s=last, binds=f"{len(lines)} lines at constant speed, and turn-arounds")]
+        return [PathStretch(from_s=0.0, to_s=last, binds=f"{CONSTANT}, and {TURN}s")]
     stretches, at_s = list[PathStretch](), 0.0
     for line in lines:
-        words = f"points {line.first + 1} to {line.first + line.points} at constant speed"
-        between = "turn-around" if stretches else "run-up"
+        between = TURN if stretches else "run-up"
         stretches.append(PathStretch(from_s=at_s, to_s=line.begin_s, binds=between))
-        stretches.append(PathStretch(from_s=line.begin_s, to_s=line.end_s, binds=words))
+        stretches.append(PathStretch(from_s=line.begin_s, to_s=line.end_s, binds=CONSTANT))
         at_s = line.end_s
     return [*stretches, PathStretch(from_s=at_s, to_s=last, binds="run-down")]

@@ -15,6 +15,7 @@ from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines, check_room, plan_lines
 from orchestrator.plan.flying.path import ChunkAbility, FlightPath, explain_single_lines, list_members, plan_part
 from orchestrator.plan.forecast.context import ForecastContext
+from orchestrator.plan.forecast.io import forecast_wait
 from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
@@ -41,6 +42,10 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     """Run the first motion of a scan that flies forward, of all its lines or the first one, and say how they are flown;
     the axes are left where all lines leave them. between: the moves between lines that are flown one by one."""
     abilities = {name: state.chunks.get(name, USUAL_CHUNKS) for name in list_members(lines)}
+    wait = None if lines.scan.fly is None else lines.scan.fly.wait
+    if wait is not None:
+        waiting = forecast_wait(state, replace(at, place=(*at.place, "fly", "wait")), wait)
+        between = between.followed_by(waiting, lines.line_count)
     why, part = explain_single_lines(lines, state.fleet, abilities), None
     if not why:
         try:

@@ -27,7 +27,7 @@ def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines) -> l
     windows = _find_windows(report, lines)
     is_good = report.state == "done" and report.verdict != "red" and bool(windows)
     rows: list[PointRecord] = []
-    for number in range(lines.count if place.part and report.t0_fleet_ns is not None else 1):
+    for number in range(lines.count if place.is_flown_path and report.t0_fleet_ns is not None else 1):
         target = lines.find_target(first + number)
         rows.append(
             PointRecord(

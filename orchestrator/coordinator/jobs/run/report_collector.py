@@ -119,7 +119,7 @@ class ReportCollector:
         scan.steps_done += report.state == "done"
         if report.state != "done":
             scan.ended = place, report
-        elif place.part == 0:
+        elif not place.is_flown_path:
             return
         self._end_line(scan, place, report, lines)
         await self._write_rows_in_turn()

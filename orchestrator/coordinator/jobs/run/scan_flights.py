@@ -72,8 +72,8 @@ class ScanFlights:
         flown = self._find_scan(place, place.scan)
         lines, part = flown.lines, flown.part
         if part is None or not flown.is_in_line(part.first, place.point):
-            return lines.make_path(place.point) if place.part else lines.make_move(place.point)
-        return FlightPath.make(part) if place.part else lines.make_move(part.first)
+            return lines.make_path(place.point) if place.is_flown_path else lines.make_move(place.point)
+        return FlightPath.make(part) if place.is_flown_path else lines.make_move(part.first)
 
     async def _plan_part(self, lines: FlownLines, first: int) -> FlownPart | None:
         """The lines from a point on that are flown in one motion; None where they are flown one by one. Raises
