@@ -42,14 +42,22 @@ def prove_path(agreement: StartAgreement, reports: Mapping[str, MemberReport], t
         if span is None:
             return path
         spans[member] = span
-    # The middle of all is the time of the path.
+    # The middle of all is the time of the path, at each instant or as it was at the start: whatever time is taken, each
+    # is a bound. With clocks of different bounds the middle of all would move, and that at the start is closer.
     middle = (np.min([low for low, _ in spans.values()], axis=0) + np.max([high for _, high in spans.values()], 0)) / 2
-    off = np.zeros(SAMPLES)
+    off = min(_find_off(agreement, spans, times_s, time) for time in (middle, np.full(SAMPLES, middle[0])))
+    return path.model_copy(update={"bound": path.bound.model_copy(update={"proven": own + off})})
+
+
+def _find_off(
+    agreement: StartAgreement, spans: Mapping[str, tuple[Array, Array]], times_s: Array, middle: Array
+) -> float:
+    """How far the axes are off the path at most, if its time is `middle`."""
+    squares = np.zeros(SAMPLES)
     for member, (low, high) in spans.items():
         most_s = np.maximum(middle - low, high - middle)
-        off += (most_s * _sample_speeds(agreement, member, times_s)) ** 2
-    proven = own + float(np.sqrt(off.max()))
-    return path.model_copy(update={"bound": path.bound.model_copy(update={"proven": proven})})
+        squares += (most_s * _sample_speeds(agreement, member, times_s)) ** 2
+    return float(np.sqrt(squares.max()))
 
 
 def _find_delays(

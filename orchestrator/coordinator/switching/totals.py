@@ -42,7 +42,7 @@ class TriggerTotals:
 
     def make_report(self) -> TriggerReport:
         """What the report of the step states of it."""
-        skipped_text = f"{self.skipped} of them were passed while the path was being braked, and not played"
+        skipped_text = f"{self.skipped} not played, because the path was being braked there"
         problems = [skipped_text] if self.skipped else []
         problems += [self.refused] if self.refused else [UNKNOWN] if self.unknown else []
         return TriggerReport(
