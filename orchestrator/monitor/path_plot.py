@@ -70,7 +70,9 @@ def plot_path(path: PlannedPath, shown: PathAxes, title: str) -> Figure:
     grid = figure.add_gridspec(rows, 2, width_ratios=(5, 6))
     _draw_course(figure.add_subplot(grid[:, 0]), path, shown.make_lines(courses), binding)
     speed = figure.add_subplot(grid[0, 1])
-    _draw_speed(speed, path, times_s, binding)
+    _draw_coloured(speed, times_s, _find_speed(courses, axes), binding, 2.0)
+    speed.set_ylim(bottom=0.0)
+    speed.set_ylabel(f"along, {path.report.unit}/s")
     axes_below = [figure.add_subplot(grid[k + 1, 1], sharex=speed) for k in range(len(axes))]
     for row, (name, course) in zip(axes_below, courses.items(), strict=True):
         _draw_parts(row, name, course, times_s)
@@ -154,13 +156,10 @@ def _draw_course(axes: Axes, path: PlannedPath, lines: Mapping[str, Array], colo
     axes.set_title(f"from ○ to ■{more}", loc="left", fontsize=9)
 
 
-def _draw_speed(axes: Axes, path: PlannedPath, times_s: Array, colours: Sequence[str]) -> None:
-    path_speed = np.sqrt(np.sum([speeds**2 for speeds in path.speeds.values()], axis=0))
-    stretch = path.plan.duration_s / float(path.times_s[-1])
-    speed = np.array(np.interp(times_s, path.times_s * stretch, path_speed / stretch), dtype=np.float64)
-    _draw_coloured(axes, times_s, speed, colours, 2.0)
-    axes.set_ylim(bottom=0.0)
-    axes.set_ylabel(f"along, {path.report.unit}/s")
+def _find_speed(courses: Mapping[str, AxisCourse], axes: Mapping[str, Axis]) -> Array:
+    """The speed of all axes together, in their unit per s."""
+    squares = [(course.parts["velocity"] * axes[name].limits.velocity) ** 2 for name, course in courses.items()]
+    return np.sqrt(np.sum(squares, axis=0))
 
 
 def _draw_parts(axes: Axes, name: str, course: AxisCourse, times_s: Array) -> None:
