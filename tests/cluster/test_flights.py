@@ -198,3 +198,22 @@ def test_a_pause_in_a_flight_with_triggers_loses_no_window() -> None:
         assert len(rows) <= len(true.rises()) <= len(rows) + 41
 
     run_fleet(main, with_camera(two_gantries(), "gantry"))
+
+
+def test_rows_of_an_interrupted_line_stay_when_what_is_left_of_it_cannot_begin() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        job_id = await begin_flight(fleet, raster(12, 41, "20 ms"), 60)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        before = await client.load_points(job_id)
+        assert len(before) % 41, "it was braked between two lines"
+        fleet.act_on_controller("gantry", lambda controller: controller.set_power(on=False))
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "failed", report.reason
+        rows = await client.load_points(job_id)
+        assert rows[: len(before)] == before
+        assert [row.point for row in rows[len(before) :]] == [len(before) + 1] and not rows[-1].good
+
+    run_fleet(main, two_gantries())

@@ -64,8 +64,14 @@ class ScanFlights:
         flown = self._find_scan(place, place.scan)
         if place.part and flown.part is not None and flown.is_in_line(flown.part.first, place.point):
             return
-        is_inside = flown.begin is not None and flown.is_in_line(flown.begin, place.point)
-        flown.part = await self._plan_part(flown.lines, flown.begin if is_inside and flown.begin else place.point)
+        flown.part = await self._plan_part(flown.lines, self.find_begin(place))
+
+    def find_begin(self, place: StepPlace) -> int:
+        """The point from which the line of a step is flown: its first one, but of one that was interrupted."""
+        assert place.point is not None
+        begin = self._scans[place.first].begin
+        is_inside = begin is not None and self._scans[place.first].is_in_line(begin, place.point)
+        return begin if begin is not None and is_inside else place.point
 
     def find_motion(self, place: StepPlace) -> Motion:
         """The motion of a step of a scan that flies: to where a line begins, or through its windows, and those of the
