@@ -1,5 +1,6 @@
 """Lines of a scan that are flown in one motion: time, windows by truth, pauses, overrides, and chunks that are late."""
 
+import asyncio
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -46,6 +47,10 @@ def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: 
             crossings.append(at_s)
         error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
         assert error <= max(0.005, 1.2 * truth.count / SPACING, late_s / row.took_s), (row.point, error)
+        # And at one speed: each half took half of the time.
+        halves = np.diff(crossings) / row.took_s * 2
+        error = float(np.abs(halves - 1).max())
+        assert error <= max(0.006, 2.4 * truth.count / SPACING, 2 * late_s / row.took_s), (row.point, error)
 
 
 def count_motions(report: JobReport) -> int:
@@ -111,6 +116,30 @@ def test_an_override_slows_the_lines_down_whose_rows_are_not_good_then() -> None
         assert [row.point for row in rows] == list(range(1, 16 * 41 + 1))
         bad = [row.point for row in rows if not row.good]
         assert bad and bad == list(range(bad[0], bad[-1] + 1)) and bad[0] > 60 and bad[-1] < 500
+
+    run_fleet(main, two_gantries())
+
+
+def test_windows_of_a_change_of_speed_are_not_good() -> None:
+    """Their mean speed may be the one that was asked for."""
+
+    async def change_speed(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        while fleet.controllers["gantry"].position("Y") < 21_000:  # the first line
+            await sleep_ns(fleet.clock, NS_PER_S // 10)
+        (flown,) = (await client.list_jobs(state="running")).jobs
+        for percent in (40, 100, 40, 100):
+            await sleep_ns(fleet.clock, 2 * NS_PER_S)
+            await client.override_job(flown.id, percent)
+
+    async def main(fleet: VirtualFleet) -> None:
+        changing = asyncio.get_running_loop().create_task(change_speed(fleet))
+        report, rows, truth = await fly(fleet, f"[{raster(12, 21, '40 ms')}]", "gantry.y")
+        await changing
+        assert report.state == "done", report.reason
+        good = [row for row in rows if row.good]
+        assert 12 < len(good) < len(rows)
+        check_windows(good, truth, "gantry.y")
 
     run_fleet(main, two_gantries())
 

@@ -181,7 +181,8 @@ class FlightRows:
         return None if motion is None else judge_starts(motion.agreement, motion.watch.reports)
 
     def _make_rows(self, line: FlightLine, count: int, verdict: Verdict) -> list[PointRecord]:
-        """The rows of the first points of a line. A window at another speed than planned is not good."""
+        """The rows of the first points of a line. A window at another speed than planned is not good, and neither is
+        one in which the speed changes."""
         assert self._clock is not None
         parts = line.begin_s + line.window_s * np.arange(2 * count + 1) / 2
         at_s = self._clock.find_instants(parts)
@@ -197,6 +198,7 @@ class FlightRows:
             window = PointWindow(lower=lower, middle=middle, upper=upper)
             row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
             is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
+            is_at_speed = is_at_speed and bool((np.abs(rates[part] - 1) <= OTHER_TIME).all())
             is_good = row.good and is_at_speed and self._is_switched(line.first + number)
             rows.append(row.model_copy(update={"good": is_good}))
         return rows
