@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 from orchestrator.bus.base import BusSample
 from orchestrator.campaign.computers import connect_computers, make_computers
+from orchestrator.campaign.fault_instants import FIRE_WINDOW_NS, FaultInstants
 from orchestrator.campaign.faults import FAULTS, FaultInjector
-from orchestrator.campaign.fleets import PERMIT_MAKE, find_traits, make_campaign_fleet
+from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
 from orchestrator.campaign.hand_jogs import STAGE_RENEWALS, HandJogs
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import (
@@ -39,7 +40,7 @@ from orchestrator.campaign.rest import find_at_rest
 from orchestrator.campaign.start_requests import StartRequests
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.crystal import ComputerClock
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.virtual import VirtualClock, run_virtual
@@ -60,9 +61,6 @@ OPERATOR_DELAY_NS = 4 * NS_PER_S  # after a restart, before the operator starts 
 OPERATOR_PERIOD_NS = NS_PER_S  # between two looks of the operator at the queue
 LIVENESS_NS = 60 * NS_PER_S  # for the remaining jobs to end, or a command to be named
 POLL_NS = 200 * NS_PER_MS
-# a controller that verifies its position, and does not move
-_VERIFIED_HOMING_NS = 250 * NS_PER_MS
-HOMING_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
 JOG_CHANCE = 0.3  # chance of a jog during the phase
 
 SINGLE_MEMBER_STAGES: tuple[Stage, ...] = (
@@ -70,21 +68,6 @@ SINGLE_MEMBER_STAGES: tuple[Stage, ...] = (
     "home",
 )  # a fault of the fleet affects only one member in these stages
 
-# Time from the stage's first request to the member to the fault: earliest and latest.
-_FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
-    "propose": (0, 500 * NS_PER_US),
-    "commit": (0, NS_PER_MS),
-    "go": (0, 500 * NS_PER_US),
-}
-_FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
-_CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
-_ARMED_WINDOW_NS = 3 * NS_PER_S  # after arming; some steps are started before
-_STAGES_AT_ONCE: tuple[Stage, ...] = ("arm", "commit", "go")  # which one request goes through
-_REQUEST_WINDOWS_NS: dict[Stage, tuple[str, int]] = {
-    "chunk": ("load-chunk", 3 * NS_PER_S),  # until after its release
-    "at-once": ("start-at-once", 500 * NS_PER_MS),  # behind a moving step, until after its start
-}
-"""The request of a stage, and the window of the fault from when it is sent."""
 _KINDS: dict[Stage, MainKind] = {
     "home": "home",
     "chain": "chain",
@@ -94,7 +77,6 @@ _KINDS: dict[Stage, MainKind] = {
     "live": "live",
     "armed-waiting": "armed",
 }
-_MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
 
 
 class FaultCell(NamedTuple):
@@ -183,6 +165,9 @@ class _Scenario:
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
         self._jogs = HandJogs(self.virtual, clock, self._draw, self._axis_positions)
+        self._instants = FaultInstants(
+            seed_run.fleet, self.recorder, self._draw, self._axis_positions, self._t0_host_ns
+        )
 
     async def run_phases(self) -> None:
         """Prepare the fleet, and run one phase after the other."""
@@ -500,69 +485,10 @@ class _Scenario:
         act, cell, arrival = self._target
         if request.job_id not in act.jobs or request.member != act.member or arrival.done():
             return
-        at_ns = self._find_fault_instant(cell.stage, request, now_ns)
+        at_ns = self._instants.find_instant(cell.stage, request, now_ns)
         if at_ns is not None:
             self._target = None
             self._clock.call_at_ns(at_ns, lambda: _note_arrival(arrival, request.step_id), context=Context())
-
-    def _find_fault_instant(self, stage: Stage, request: RecordedRequest, now_ns: int) -> int | None:
-        """Return the instant of the fault as soon as it is determined."""
-        going_out = request.answered_ns is None
-        is_reached = _is_of_stage(request, stage)
-        if stage == "home" and is_reached and going_out:
-            return now_ns + self._draw.randrange(self._expected_homing_ns(request.member) + 1)
-        if stage in _FAULT_WINDOWS_NS and is_reached and going_out:
-            return now_ns + self._draw.randint(*_FAULT_WINDOWS_NS[stage])
-        if stage == "arm" and is_reached and going_out:
-            return now_ns + self._draw.randrange(self._expected_arming_ns(request.member) + 1)
-        if _is_loaded(stage, request):
-            latest_ns = (
-                self._t0_host_ns(request) + _CHAIN_WINDOW_NS
-                if stage in ("chain", "live")
-                else now_ns + _ARMED_WINDOW_NS
-            )
-            return self._draw.randint(now_ns, max(now_ns, latest_ns))
-        verb, window_ns = _REQUEST_WINDOWS_NS.get(stage, ("", 0))
-        if request.verb == verb and going_out and request.fields.get("after_step", 0) is not None:
-            return now_ns + self._draw.randrange(window_ns)
-        if request.verb not in ("go", "start-at-once") or not request.accepted:
-            return None
-        t0_ns = self._t0_host_ns(request)
-        if stage == "fire":
-            return self._draw.randint(min(now_ns, t0_ns), t0_ns + _FIRE_WINDOW_NS)
-        return t0_ns + self._draw.randint(*_MOTION_WINDOW_NS) if stage in ("motion", "trigger") else None
-
-    def _expected_homing_ns(self, member: str) -> int:
-        """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the
-        current position."""
-        config = self._seed_run.fleet.controllers[member]
-        if find_traits(config.adapter).verifies_reference:
-            return _VERIFIED_HOMING_NS
-        asked_requests = (
-            request for request in self.recorder.find_requests("home") if request.member == member and request.accepted
-        )
-        shortest_ns = min(
-            request.answered_ns - request.sent_ns for request in asked_requests if request.answered_ns is not None
-        )
-        positions = self._axis_positions()
-        ways_s = (
-            abs(positions[f"{member}.{name}"]) / (axis.homing.speed or axis.limits.velocity / 10)
-            for name, axis in config.axes.items()
-            if axis.homing.method == "default"
-        )
-        return round(HOMING_SHARE * (shortest_ns + max(ways_s, default=0.0) * NS_PER_S))
-
-    def _expected_arming_ns(self, member: str) -> int:
-        """Return the duration of the member's last arming; before the first one, a tenth of the limit that it
-        declared."""
-        replies = {
-            request.verb: request.reply
-            for request in self.recorder.requests
-            if request.member == member and request.accepted
-        }
-        if "arm" in replies:
-            return replies["arm"]["took_ns"]
-        return (replies["propose"]["costs"] or {"arm_ns": 0})["arm_ns"] // 10
 
     def _find_stage(self, step: tuple[str, int], member: str) -> Stage | None:
         """Return the stage that `member` has reached in the step; None when its job has ended."""
@@ -572,7 +498,7 @@ class _Scenario:
         at = self._stage_times[step, member]
         if "home" in at:
             return None if "homed" in at else "home"
-        if "t0" in at and self._clock.now_ns() > at["t0"] + _FIRE_WINDOW_NS:
+        if "t0" in at and self._clock.now_ns() > at["t0"] + FIRE_WINDOW_NS:
             return "motion"
         return next(stage for stage in reversed(STAGES) if stage in at)
 
@@ -623,15 +549,3 @@ def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, i
     """The instant of a fault in this step has come."""
     if not arrival.done():
         arrival.set_result(step)
-
-
-def _is_loaded(stage: Stage, request: RecordedRequest) -> bool:
-    """Whether a member has loaded the step of a fault while it waits, armed or behind a moving one."""
-    if request.verb != "arm" or not request.accepted:
-        return False
-    return stage == "armed-waiting" or (stage in ("chain", "live") and request.fields["after_step"] is not None)
-
-
-def _is_of_stage(request: RecordedRequest, stage: Stage) -> bool:
-    """Whether a step reaches a stage by this request."""
-    return request.verb == stage or (request.verb == "start-at-once" and stage in _STAGES_AT_ONCE)

@@ -18,7 +18,6 @@ from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
-from orchestrator.plan.flying.flight import Flight
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
@@ -56,8 +55,7 @@ class PlannedPath:
     exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
     counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
     motion, for members that execute it in chunks; a line on a trapezoid has none.
-    lines: of the file that it was made of. flight: of lines of a scan that are flown in one motion; the samples are of
-    its windows then, and the axes are off their plan by so much there.
+    lines: of the file that it was made of.
     """
 
     plan: StepPlan
@@ -71,7 +69,6 @@ class PlannedPath:
     speeds: Mapping[str, Array]
     course: PathCourse | None
     lines: LineTimes | None = None
-    flight: Flight | None = None
 
     def find_speeds(self, member: str) -> tuple[Array, Array]:
         """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""

@@ -36,6 +36,8 @@ _NONE: Any = Synchronization.No  # pyright: ignore[reportUnknownMemberType, repo
 _SOLVED: Any = (Result.Working, Result.Finished)  # pyright: ignore[reportUnknownMemberType]
 
 Array = NDArray[np.float64]
+JerkPart = tuple[float, float]
+"""A length, s, and the jerk in it."""
 
 
 class PlanError(TuttiError):
@@ -161,7 +163,7 @@ def _run_ruckig(bounds: ShapeBounds, margin: float, *, synchronised: bool) -> tu
     question.max_acceleration = (bounds.acceleration * margin).tolist()
     question.max_jerk = (bounds.jerk * margin).tolist()
     question.synchronization = _TIME if synchronised else _NONE
-    trajectory = ask_ruckig(question, n)
+    trajectory = _ask_ruckig(question, n)
     duration_s = cast(float, trajectory.duration)
     if duration_s > MAX_DURATION_S:
         return duration_s, None
@@ -178,7 +180,7 @@ def _run_ruckig(bounds: ShapeBounds, margin: float, *, synchronised: bool) -> tu
 _workspaces: dict[int, tuple[Any, Any, Any]] = {}
 
 
-def ask_ruckig(question: Any, n: int) -> Any:
+def _ask_ruckig(question: Any, n: int) -> Any:
     """The trajectory of `n` axes for a question that has no intermediate waypoints; valid until the next question.
     Raises `PlanError`."""
     solver, trajectory, _ = get_workspace(n)
@@ -191,7 +193,7 @@ def ask_ruckig(question: Any, n: int) -> Any:
     return trajectory
 
 
-def list_jerks(profile: Any) -> list[tuple[float, float]]:
+def _list_jerks(profile: Any) -> list[JerkPart]:
     """Lengths (s) and jerks of the trajectory of one axis. Before its seven segments it brings what exceeds a limit by
     rounding back to it."""
     durations_s, jerks = cast(list[float], [*profile.brake.t, *profile.t]), [*profile.brake.j, *profile.j]
@@ -212,6 +214,46 @@ def get_workspace(n: int) -> tuple[Any, Any, Any]:
     return _workspaces[n]
 
 
+class WayEnd(NamedTuple):
+    """A state at which a way begins or ends, without acceleration: where an axis is and how fast, in its unit, per
+    s."""
+
+    position: float
+    velocity: float = 0.0
+
+
+class WayLimits(NamedTuple):
+    """The limits of one axis, in its unit/s, /s² and /s³."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+
+
+def solve_ways(begin: Sequence[WayEnd], end: Sequence[WayEnd], limits: Sequence[WayLimits]) -> list[list[JerkPart]]:
+    """The fastest way of all axes from one state to another, in one time, as lengths (s) and jerks by axis; the
+    velocities of both states are within the limits. Raises `PlanError`."""
+    count = len(begin)
+    question: Any = InputParameter(count)  # pyright: ignore[reportUnknownVariableType]
+    # Seconds at full speed: Ruckig's tolerances are absolute.
+    scales = [limit.velocity for limit in limits]
+    question.current_position = [0.0] * count
+    question.current_velocity = [state.velocity / scale for state, scale in zip(begin, scales, strict=True)]
+    question.current_acceleration = [0.0] * count
+    ways = [end_state.position - begin_state.position for begin_state, end_state in zip(begin, end, strict=True)]
+    question.target_position = [way / scale for way, scale in zip(ways, scales, strict=True)]
+    question.target_velocity = [state.velocity / scale for state, scale in zip(end, scales, strict=True)]
+    question.target_acceleration = [0.0] * count
+    question.max_velocity = [1.0] * count
+    question.max_acceleration = [limit.acceleration / limit.velocity for limit in limits]
+    question.max_jerk = [limit.jerk / limit.velocity for limit in limits]
+    profiles = _ask_ruckig(question, count).profiles[0]
+    return [
+        [(length_s, jerk * scale) for length_s, jerk in _list_jerks(profile) if length_s > 0.0]
+        for profile, scale in zip(profiles, scales, strict=True)
+    ]
+
+
 def solve_way(state: MotionState, target: float, limits: tuple[float, float, float]) -> list[tuple[float, float]]:
     """The fastest way of one axis from `state` to rest at `target`, as lengths (s) and jerks. limits: velocity,
     acceleration and jerk, which `state` keeps. Raises `PlanError`."""
@@ -226,5 +268,5 @@ def solve_way(state: MotionState, target: float, limits: tuple[float, float, flo
         [acceleration / velocity],
         [jerk / velocity],
     )
-    way = ask_ruckig(question, 1).profiles[0][0]
-    return [(duration_s, part * velocity) for duration_s, part in list_jerks(way)]
+    way = _ask_ruckig(question, 1).profiles[0][0]
+    return [(duration_s, part * velocity) for duration_s, part in _list_jerks(way)]

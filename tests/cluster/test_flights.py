@@ -1,5 +1,6 @@
 """Lines of a scan that are flown in one motion: time, windows by truth, pauses, overrides, and chunks that are late."""
 
+import asyncio
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -46,6 +47,10 @@ def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: 
             crossings.append(at_s)
         error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
         assert error <= max(0.005, 1.2 * truth.count / SPACING, late_s / row.took_s), (row.point, error)
+        # And at one speed: each half took half of the time.
+        halves = np.diff(crossings) / row.took_s * 2
+        error = float(np.abs(halves - 1).max())
+        assert error <= max(0.006, 2.4 * truth.count / SPACING, 2 * late_s / row.took_s), (row.point, error)
 
 
 def count_motions(report: JobReport) -> int:
@@ -111,6 +116,30 @@ def test_an_override_slows_the_lines_down_whose_rows_are_not_good_then() -> None
         assert [row.point for row in rows] == list(range(1, 16 * 41 + 1))
         bad = [row.point for row in rows if not row.good]
         assert bad and bad == list(range(bad[0], bad[-1] + 1)) and bad[0] > 60 and bad[-1] < 500
+
+    run_fleet(main, two_gantries())
+
+
+def test_windows_of_a_change_of_speed_are_not_good() -> None:
+    """Their mean speed may be the one that was asked for."""
+
+    async def change_speed(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        while fleet.controllers["gantry"].position("Y") < 21_000:  # the first line
+            await sleep_ns(fleet.clock, NS_PER_S // 10)
+        (flown,) = (await client.list_jobs(state="running")).jobs
+        for percent in (40, 100, 40, 100):
+            await sleep_ns(fleet.clock, 2 * NS_PER_S)
+            await client.override_job(flown.id, percent)
+
+    async def main(fleet: VirtualFleet) -> None:
+        changing = asyncio.get_running_loop().create_task(change_speed(fleet))
+        report, rows, truth = await fly(fleet, f"[{raster(12, 21, '40 ms')}]", "gantry.y")
+        await changing
+        assert report.state == "done", report.reason
+        good = [row for row in rows if row.good]
+        assert 12 < len(good) < len(rows)
+        check_windows(good, truth, "gantry.y")
 
     run_fleet(main, two_gantries())
 
@@ -198,3 +227,22 @@ def test_a_pause_in_a_flight_with_triggers_loses_no_window() -> None:
         assert len(rows) <= len(true.rises()) <= len(rows) + 41
 
     run_fleet(main, with_camera(two_gantries(), "gantry"))
+
+
+def test_rows_of_an_interrupted_line_stay_when_what_is_left_of_it_cannot_begin() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        job_id = await begin_flight(fleet, raster(12, 41, "20 ms"), 60)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        before = await client.load_points(job_id)
+        assert len(before) % 41, "it was braked between two lines"
+        fleet.act_on_controller("gantry", lambda controller: controller.set_power(on=False))
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "failed", report.reason
+        rows = await client.load_points(job_id)
+        assert rows[: len(before)] == before
+        assert [row.point for row in rows[len(before) :]] == [len(before) + 1] and not rows[-1].good
+
+    run_fleet(main, two_gantries())

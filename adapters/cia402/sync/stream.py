@@ -14,6 +14,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from math import inf
 from typing import NamedTuple, Protocol
 
 from adapters.cia402.canopen import states
@@ -31,6 +32,8 @@ PERIODS_AHEAD = 5
 TAIL_SYNCS = 3
 """SYNCs after the last position: a SYNC may come before the drive has quite arrived, so that it takes one more
 period."""
+ANSWERED_WITHIN = 2 * PERIODS_AHEAD
+"""Periods after which nothing is compared with a position that was sent."""
 COPIES = 2
 _NEAR_NS = 3 * NS_PER_MS
 """A write that is due within this time cannot be relied on to be cancelled: a process may wait for its instant."""
@@ -221,8 +224,8 @@ class StreamedMove:
         self.edges = EdgeLog(switched)
         self._outputs = self._outputs_before = node.outputs
         self._outputs_from = 0
-        self._from = 0
-        self._later = self._earlier = trajectory.setpoint_function()
+        self._courses: list[tuple[float, Callable[[int], int]]] = [(-inf, trajectory.setpoint_function())]
+        """Positions by their numbers, from a number on, up to that of the next course."""
         self._sent = -1
         self._failed = failed
         self._written_ns = 0
@@ -245,7 +248,7 @@ class StreamedMove:
         return self.has_arrived or bool(self.failure)
 
     def _setpoint_at(self, number: int) -> int:
-        return (self._later if number >= self._from else self._earlier)(number)
+        return next(position_at for begin, position_at in reversed(self._courses) if number >= begin)(number)
 
     @property
     def next_number(self) -> int:
@@ -254,8 +257,11 @@ class StreamedMove:
 
     def continue_with(self, trajectory: SetpointTrajectory, number: int, switched: OutputSchedule) -> None:
         """Take the positions from `number` on from another trajectory, and the outputs from another schedule; none of
-        what differs is sent yet."""
-        self._earlier, self._later, self._from = self._later, trajectory.setpoint_function(), number
+        what differs is sent yet. It may replace one that has not begun: the positions before `number` stay as they
+        were."""
+        sent_courses = sum(begin <= self._sent - ANSWERED_WITHIN for begin, _ in self._courses)
+        kept_courses = [course for course in self._courses[max(0, sent_courses - 1) :] if course[0] < number]
+        self._courses = [*kept_courses, (number, trajectory.setpoint_function())]
         self._switched = switched
         self.edges.follow_schedule(switched)
         self._set_count(trajectory)

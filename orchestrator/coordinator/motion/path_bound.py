@@ -90,6 +90,13 @@ class ClockPromises:
             raise Refusal("path-error", text, "give the clocks time to settle, or allow a larger `tolerance`", member)
 
 
+def require_bound(bound: PathBound, rate: float) -> None:
+    """Raise `Refusal` for a rate of the planned speed at which the axes may be farther off the path than allowed."""
+    if rate > 1.0 and bound.predicted * rate > bound.tolerance:
+        text = f"at {rate:.0%} the axes may be {bound.predicted * rate:.3g} {bound.unit} off the path"
+        raise Refusal("path-error", text, f"the tolerance is {bound.tolerance:.3g}; choose a lower speed")
+
+
 def _round_up(value: float) -> str:
     """A tolerance that fits, with two digits and some room for the next proposals."""
     return f"{float(f'{value * 1.1:.1e}'):g}"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.switching.outputs import find_own_axis
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ChunkOptions, OutputTrigger
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import ChunkTriggers, ControllerInfo
@@ -63,6 +64,13 @@ class FirstChunk:
                 )
             )
         return outputs
+
+    def require_rates(self) -> None:
+        """Raise `Refusal` where the path can be played at no other rate, because a member has all of it loaded."""
+        if not self.covers_all:
+            members = {controller_of(axis) for axis in self.plan.profiles}
+            other_members = ", ".join(sorted(members - self.members))
+            raise Refusal("override", f"{other_members} has the whole path loaded already", "wait for its end")
 
     @property
     def covers_all(self) -> bool:

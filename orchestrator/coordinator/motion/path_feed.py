@@ -5,13 +5,14 @@ chunk that not all members have taken over, although all had loaded it, ends the
 """
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.motion.feed_pause import FeedPause
 from orchestrator.coordinator.motion.negotiation import StartAgreement
-from orchestrator.coordinator.motion.path_bound import ClockPromises
+from orchestrator.coordinator.motion.path_bound import ClockPromises, require_bound
 from orchestrator.coordinator.motion.path_chunks import FirstChunk
 from orchestrator.coordinator.motion.planning import StepRequest
 from orchestrator.coordinator.motion.services import MotionServices
@@ -25,7 +26,7 @@ from orchestrator.model.messages import (
     Reply,
     raise_first_refusal,
 )
-from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.names import split_name
 from orchestrator.model.profile import Profile
 from orchestrator.plan.path_clock import PathClock
 from orchestrator.plan.path_course import SWITCH_S, ChunkPlan
@@ -37,6 +38,9 @@ RETRY_S = 0.2
 SHORT_CHUNK_S = 2.0  # after a change of speed, so that it can be loaded before
 OVERRIDE_REACTIONS_S = (1.2, 2.4, 4.0)
 REACTIONS_S = (0.3, 0.6, 1.2)  # from now to the place where a path is changed: loading and releasing fit in between
+
+ChangeFrom = Callable[[float], Awaitable[None]]
+"""Changes what is released of a path from an instant of its motion on. Raises `Refusal`, `PlanError`."""
 
 
 class PathFeed:
@@ -65,7 +69,7 @@ class PathFeed:
         self._numbers = 1
         self._revision = 0
         self._wanted = self._first.rate
-        self._pause: tuple[str, float] | None = None
+        self.pause: FeedPause | None = None  # a later chunk is braked where it reaches that
         self._stated_s: Mapping[str, float] = {}
         self.ends_s: Mapping[str, float] = {}
         """By member, when it is at rest, as it states."""
@@ -136,7 +140,8 @@ class PathFeed:
         most_s = min(first.most_s, max(SHORT_CHUNK_S, first.most_s * (latest_s - self._now_s()) / first.load_s))
         try:
             clock = first.course.adapt_rate(self._clock, begin_s + SWITCH_S, self._wanted, most_s)
-            clock = self._brake_in_chunk(clock, begin_s, most_s)
+            if self.pause is not None:
+                clock = self.pause.brake_in_chunk(first.course, clock, begin_s, most_s)
             following = first.course.plan_chunk(clock, begin_s, most_s)
         except (Refusal, PlanError) as error:
             self.failure = error if isinstance(error, Refusal) else Refusal("plan", str(error))
@@ -167,8 +172,8 @@ class PathFeed:
                 self.failure = refusal
             else:
                 self._clock = clock
-                if clock.rate <= 0.0 and self._pause is not None:
-                    self.held_by = self._pause[0]
+                if clock.rate <= 0.0 and self.pause is not None:
+                    self.held_by = self.pause.actor
 
     async def _load(self, chunk: ChunkPlan, latest_s: float) -> int:
         """Have all members load a chunk, in the place of one that they are loading; return its number. Raises
@@ -240,55 +245,15 @@ class PathFeed:
 
     # Changes of speed
 
-    async def hold(self, actor: str) -> None:
-        """Brake along the path as soon as all members can, at the latest at the end of what is released."""
+    async def hold(self, actor: str, path_s: float = 0.0) -> None:
+        """Brake along the path as soon as all members can, at the latest at the end of what is released. path_s: but
+        not before this place."""
         if self.held_by is not None or not self.covers_all:
             return
         self.held_by = actor
-        self._revision += 1
-        async with self._lock:
-            for reaction_s in REACTIONS_S:
-                try:
-                    await self._cut(self._first.course.brake(self._clock, self._now_s() + reaction_s))
-                    break
-                except (Refusal, PlanError) as error:
-                    self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
-            self._changed.set()
-
-    async def pause(self, actor: str, path_s: float) -> None:
-        """Brake along the path from `path_s` of its time on, or as soon as possible behind; until then `go_on` takes it
-        back."""
-        if self.held_by is not None or not self.covers_all or self._pause == (actor, path_s):
-            return
-        self._pause = asked = actor, path_s
-        async with self._lock:
-            place_s = self._clock.find_instant(path_s)
-            if self._pause is not asked or place_s >= self.chunk.end_s:
-                return  # it comes with a later chunk
-            self.held_by = actor
-            self._revision += 1
-            try:
-                await self._cut(self._first.course.brake(self._clock, max(place_s, self._now_s() + REACTIONS_S[0])))
-            except (Refusal, PlanError) as error:
-                self._services.fleet.log.info(f"not held yet: {error}", job=self._request.job_id)
-            self._changed.set()
-
-    def go_on(self) -> None:
-        """Do not brake where a pause was asked for, if that has not begun."""
-        self._pause = None
-
-    def _brake_in_chunk(self, clock: PathClock, begin_s: float, most_s: float) -> PathClock:
-        """The clock of the next chunk, which is braked where a pause is asked for, if it reaches that place."""
-        if self._pause is None or clock.rate <= 0.0:
-            return clock
-        place_s = max(clock.find_instant(self._pause[1]), begin_s + SWITCH_S)
-        if place_s >= begin_s + most_s:
-            return clock
-        try:
-            braked = self._first.course.brake(clock, place_s)
-        except Refusal:
-            return clock
-        return braked if braked.ramps[-1].end_s <= begin_s + most_s else clock
+        least_s = self._clock.find_instant(path_s) if path_s else 0.0
+        course = self._first.course
+        await self._change(lambda at_s: self._cut(course.brake(self._clock, max(at_s, least_s))), REACTIONS_S, "held")
 
     async def _cut(self, clock: PathClock) -> None:
         """Brake by `clock` before the end of what is released, unless that ends before."""
@@ -301,26 +266,26 @@ class PathFeed:
     async def override(self, rate: float) -> None:
         """Play the path at another rate, from where all members can. Raises `Refusal`."""
         course = self._first.course
-        if not self.covers_all:
-            members = {controller_of(axis) for axis in self._first.plan.profiles}
-            other_members = ", ".join(sorted(members - self._first.members))
-            raise Refusal("override", f"{other_members} has the whole path loaded already", "wait for its end")
+        self._first.require_rates()
         if self.held_by is not None or self.failure is not None:
             raise Refusal("override", "the path is being braked", "resume it first")
-        if self._bound is not None and rate > 1.0 and self._bound.predicted * rate > self._bound.tolerance:
-            text = f"at {rate:.0%} the axes may be {self._bound.predicted * rate:.3g} {self._bound.unit} off the path"
-            raise Refusal("path-error", text, f"the tolerance is {self._bound.tolerance:.3g}; choose a lower speed")
+        if self._bound is not None:
+            require_bound(self._bound, rate)
         self.triggers.require_rate(rate, self._proposals)
         course.require_rate(self._clock.find_path_s(self._now_s()), rate)
-        self._revision += 1
         self._wanted = rate
+        await self._change(lambda from_s: self._change_rate(from_s, rate), OVERRIDE_REACTIONS_S, "changed")
+
+    async def _change(self, change: ChangeFrom, reactions_s: Sequence[float], word: str) -> None:
+        """Change what is released from the earliest place that all members can reach."""
+        self._revision += 1
         async with self._lock:
-            for reaction_s in OVERRIDE_REACTIONS_S:
+            for reaction_s in reactions_s:
                 try:
-                    await self._change_rate(self._now_s() + reaction_s, rate)
+                    await change(self._now_s() + reaction_s)
                     break
                 except (Refusal, PlanError) as error:
-                    self._services.fleet.log.info(f"not changed yet: {error}", job=self._request.job_id)
+                    self._services.fleet.log.info(f"not {word} yet: {error}", job=self._request.job_id)
                 if self.failure is not None:
                     break
             self._changed.set()

@@ -129,15 +129,15 @@ def judge_starts(agreement: StartAgreement, reports: Mapping[str, MemberReport])
     """The verdict on the starts of the members; None while one of them is not known."""
     if sum(len(report.evidence) for report in reports.values()) < len(agreement.plan.profiles):
         return None
-    measured, promised = _measure_starts(agreement, reports)
-    return worse_verdict(judge_skew(measured, agreement.budget), judge_skew(promised, agreement.budget))
+    measured_skew, promised_skew = _measure_starts(agreement, reports)
+    return worse_verdict(judge_skew(measured_skew, agreement.budget), judge_skew(promised_skew, agreement.budget))
 
 
 def _measure_starts(
     agreement: StartAgreement, reports: Mapping[str, MemberReport]
 ) -> tuple[SkewInterval | None, SkewInterval | None]:
     """The start skew by evidence alone, and with the promises."""
-    plan, starts, promised = (
+    plan, starts, promised_starts = (
         agreement.plan if agreement.first is None else agreement.first.plan,
         list[TimeInterval](),
         list[TimeInterval](),
@@ -147,8 +147,8 @@ def _measure_starts(
             # Of an axis that rests first, a controller can state a start only when it has begun to move.
             rests = plan.profiles[f"{member}.{axis}"].rests_first
             starts.append(evidence.start_for_verdict if rests else evidence.start)
-            promised.append(evidence.start_for_verdict)
-    return measure_skew(starts), measure_skew(promised, agreement.budget)
+            promised_starts.append(evidence.start_for_verdict)
+    return measure_skew(starts), measure_skew(promised_starts, agreement.budget)
 
 
 def make_step_report(

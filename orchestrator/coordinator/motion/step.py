@@ -27,6 +27,7 @@ from orchestrator.coordinator.switching.totals import TriggerTotals
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import PathStop, StepReport
+from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.flying.path import FlightPath
 
 BRAKED = "braked"  # code of a path that was braked along it, because a chunk was not loaded in time
@@ -153,6 +154,11 @@ def _find_duration_s(planned: PlannedStep, agreement: StartAgreement) -> float:
     return agreement.plan.duration_s if first is None else first.course.duration_s - planned.begun_s
 
 
+def _is_resumed(move: Motion, report: StepReport) -> bool:
+    """Whether a path that was braked goes on from there; a scan begins again before what was disturbed."""
+    return report.refused is not None and report.refused.code == BRAKED and not isinstance(move, FlightPath)
+
+
 class MotionStep:
     """One motion step of a job. After a feed hold, `run` again continues to the same targets."""
 
@@ -165,7 +171,7 @@ class MotionStep:
         self._motion: PlannedMotion | None = None
         self._rest: PathRest | None = None
         self._stops: list[PathStop] = []
-        self._triggers: dict[str, TriggerTotals] = {}
+        self.switched: dict[str, TriggerTotals] = {}  # by output, up to the end of its last motion
 
     @property
     def request(self) -> StepRequest:
@@ -205,10 +211,7 @@ class MotionStep:
         came too late goes on from there.
         """
         report = await self._run_once(observer, seen_ns)
-        goes_on = not isinstance(self._request.move, FlightPath)  # a scan begins again before what was disturbed
-        while goes_on and report.refused is not None and report.refused.code == BRAKED:
-            if len(self._stops) > MAX_STOPS:
-                break
+        while _is_resumed(self._request.move, report) and len(self._stops) <= MAX_STOPS:
             report = await self._run_once(observer, None)
         if report.path is not None and self._stops:
             report = report.model_copy(update={"path": report.path.model_copy(update={"stops": self._stops})})
@@ -257,7 +260,7 @@ class MotionStep:
         report = await self._watch_motion(motion, observer, recorder)
         report = report.model_copy(update={"sampling": await sampler.take()})
         is_as_planned = report.state == "done" or (self._rest is not None and self._rest.planned is motion.planned)
-        rows = TriggerRows(services, motion.planned, motion.agreement, motion.start.state, motion.feed, self._triggers)
+        rows = TriggerRows(services, motion.planned, motion.agreement, motion.start.state, motion.feed, self.switched)
         return await rows.add_to(report, is_as_planned=is_as_planned)
 
     async def run_released(self, motion: PlannedMotion, observer: StepObserver) -> StepReport:
@@ -271,11 +274,6 @@ class MotionStep:
         """Brake the step if it is being started or moving; `run` then reports it as stopped."""
         if self._motion is not None:
             await self._motion.feed_hold(self._services.fleet, actor)
-
-    @property
-    def trigger_totals(self) -> Mapping[str, TriggerTotals]:
-        """What its outputs did so far, by their names; at the end of a motion, and only then, of all of it."""
-        return self._triggers
 
     @property
     def armed_start(self) -> ArmedStart | None:

@@ -127,5 +127,5 @@ class FlyOptions(ScriptModel):
         trigger = self.trigger
         if trigger is None:
             return words
-        place = "in the window" if trigger.gate else f"at the {trigger.at}"
-        return f"{words}, {trigger.output} {place} of each"
+        place_words = "in the window" if trigger.gate else f"at the {trigger.at}"
+        return f"{words}, {trigger.output} {place_words} of each"

@@ -10,8 +10,9 @@ import numpy as np
 from orchestrator.model.fleet import Fleet
 from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.motions import find_extremes, glide, join_motions, move_motion
-from orchestrator.plan.flying.turns import AxisState, TurnLimits, solve_stop, solve_turn
+from orchestrator.plan.flying.turns import solve_stop, solve_turn
 from orchestrator.plan.path_profiles import FittedMotion
+from orchestrator.plan.shape import WayEnd, WayLimits
 from orchestrator.plan.speeds import limit_speeds
 from orchestrator.plan.targets import find_jerk, make_axis_move
 
@@ -66,44 +67,44 @@ class _FlightPlanner:
 
     def plan(self, first: int, end: int) -> Flight:
         lines, flown_lines, at_s = self._lines, list[FlightLine](), 0.0
-        before = self._find_rest(lines.find_begin(first), first)
+        begin_state = self._find_rest(lines.find_begin(first), first)
         parts: list[FittedMotion] = []
         while first < end:
             count = lines.count - first % lines.count
             entry, leave = self._find_state(first, 0.0), self._find_state(first + count - 1, 1.0)
-            parts += [self._turn(before, entry), glide(entry, count * lines.window_s)]
+            parts += [self._turn(begin_state, entry), glide(entry, count * lines.window_s)]
             begin_s = at_s + parts[-2].duration_s
             flown_lines.append(FlightLine(first, count, begin_s, lines.window_s))
             at_s = begin_s + parts[-1].duration_s
-            first, before = first + count, leave
-        parts.append(self._turn(before, self._find_rest(lines.find_ends(first - 1).end, first - 1)))
+            first, begin_state = first + count, leave
+        parts.append(self._turn(begin_state, self._find_rest(lines.find_ends(first - 1).end, first - 1)))
         return Flight(flown_lines, join_motions(parts))
 
-    def _find_rest(self, position: float, point: int) -> list[AxisState]:
+    def _find_rest(self, position: float, point: int) -> list[WayEnd]:
         """All axes at rest, that which flies at a position, the others where they are at a point."""
-        states = [AxisState(value) for value in self._lines.find_target(point).values()]
-        return [*states[:-1], AxisState(position)]
+        states = [WayEnd(value) for value in self._lines.find_target(point).values()]
+        return [*states[:-1], WayEnd(position)]
 
-    def _find_state(self, point: int, part: float) -> list[AxisState]:
+    def _find_state(self, point: int, part: float) -> list[WayEnd]:
         """All axes in a part of the window of a point, while it is flown."""
-        states = [AxisState(value) for value in self._lines.find_target(point).values()]
+        states = [WayEnd(value) for value in self._lines.find_target(point).values()]
         velocity = self._lines.find_velocity(point)
         way = (part - 0.5) * self._lines.window_s * velocity
-        return [*states[:-1], AxisState(states[-1].position + way, velocity)]
+        return [*states[:-1], WayEnd(states[-1].position + way, velocity)]
 
-    def _turn(self, begin: Sequence[AxisState], end: Sequence[AxisState]) -> FittedMotion:
+    def _turn(self, begin: Sequence[WayEnd], end: Sequence[WayEnd]) -> FittedMotion:
         """The fastest motion between two states."""
-        ways = [after.position - before.position for before, after in zip(begin, end, strict=True)]
+        ways = [end_state.position - begin_state.position for begin_state, end_state in zip(begin, end, strict=True)]
         speeds = [begin[self._flown].velocity, end[self._flown].velocity]
         key = tuple(round(value / NEAR) for value in (*ways, *speeds))
         if key not in self._turns:
-            origin = [AxisState(0.0, state.velocity) for state in begin]
-            target = [AxisState(way, state.velocity) for way, state in zip(ways, end, strict=True)]
+            origin = [WayEnd(0.0, state.velocity) for state in begin]
+            target = [WayEnd(way, state.velocity) for way, state in zip(ways, end, strict=True)]
             self._turns[key] = self._solve(origin, target)
         return move_motion(self._turns[key], np.array([state.position for state in begin]))
 
-    def _solve(self, begin: Sequence[AxisState], end: Sequence[AxisState]) -> FittedMotion:
-        flown, room, is_turn = (
+    def _solve(self, begin: Sequence[WayEnd], end: Sequence[WayEnd]) -> FittedMotion:
+        flown_number, room, is_turn = (
             self._flown,
             self._lines.run_up,
             begin[self._flown].velocity and end[self._flown].velocity,
@@ -113,23 +114,23 @@ class _FlightPlanner:
         if not is_turn:
             return turn
         # No farther than lines that begin and end at rest, whose room is checked before anything moves.
-        least, most = (float(ends[flown]) for ends in find_extremes(turn))
-        ends = [begin[flown].position, end[flown].position]
+        least, most = (float(ends[flown_number]) for ends in find_extremes(turn))
+        ends = [begin[flown_number].position, end[flown_number].position]
         if least >= min(ends) - room and most <= max(ends) + room:
             return turn
-        return solve_stop(begin, end, self._find_limits([state.position for state in end], 1.0), flown, room)
+        return solve_stop(begin, end, self._find_limits([state.position for state in end], 1.0), flown_number, room)
 
-    def _find_limits(self, ways: Sequence[float], use: float) -> list[TurnLimits]:
+    def _find_limits(self, ways: Sequence[float], use: float) -> list[WayLimits]:
         """The limits of the axes on their ways, with the speed that the scan states for its moves between lines."""
         moves = [
             make_axis_move(name, axis, 0, round(way * float(axis.counts_per_unit)), 3)
             for way, (name, axis) in zip(ways, self._axes.items(), strict=True)
         ]
         limited_moves = limit_speeds(self._fleet, self._lines.scan, moves)
-        limits: list[TurnLimits] = []
+        limits: list[WayLimits] = []
         for axis, move in zip(self._axes.values(), limited_moves, strict=True):
             speed = move.velocity / float(axis.scale)
             if axis is self._axes[self._lines.axis]:
                 speed = max(speed, self._lines.speed)
-            limits.append(TurnLimits(speed, axis.limits.acceleration * use, find_jerk(axis) * use))
+            limits.append(WayLimits(speed, axis.limits.acceleration * use, find_jerk(axis) * use))
         return limits

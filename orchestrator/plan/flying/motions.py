@@ -5,8 +5,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from orchestrator.plan.flying.turns import AxisState
 from orchestrator.plan.path_profiles import Array, FittedMotion
+from orchestrator.plan.shape import WayEnd
 
 
 def join_motions(parts: Sequence[FittedMotion]) -> FittedMotion:
@@ -28,7 +28,7 @@ def move_motion(motion: FittedMotion, shift: Array) -> FittedMotion:
     return motion._replace(positions=motion.positions + shift)
 
 
-def glide(begin: Sequence[AxisState], duration_s: float) -> FittedMotion:
+def glide(begin: Sequence[WayEnd], duration_s: float) -> FittedMotion:
     """Every axis at the velocity that it has, for so long."""
     positions = np.array([state.position for state in begin])
     velocities = np.array([state.velocity for state in begin])

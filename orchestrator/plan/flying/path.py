@@ -124,11 +124,11 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> Flo
     """The longest part of a scan from a point on that is flown in one motion, a line at least. most_s: the longest
     chunk that its members load. Raises `PlanError` for lines that cannot be joined so."""
     most_points = lines.scan.point_count if lines.trigger is None else MAX_CHUNKED_INSTANTS
-    rest = lines.count - first % lines.count
+    rest_points = lines.count - first % lines.count
     line_s = lines.count * lines.window_s + 2 * lines.run_up_s
     most_flown_s = FLIGHT_MOST_S if lines.trigger is None else TRIGGERED_MOST_S
-    more = min(int(most_flown_s / line_s), FLIGHT_MOST_LINES, (most_points - rest) // lines.count)
-    end = min(first + rest + max(0, more) * lines.count, lines.scan.point_count)
+    more = min(int(most_flown_s / line_s), FLIGHT_MOST_LINES, (most_points - rest_points) // lines.count)
+    end = min(first + rest_points + max(0, more) * lines.count, lines.scan.point_count)
     axes = [fleet.axis(name) for name in lines.scan.axes]
     starts = [
         PathStart(name, axis, Fraction(0), 0, Fraction(0), 3) for name, axis in zip(lines.scan.axes, axes, strict=True)
@@ -176,7 +176,6 @@ def plan_flight_step(
         times_s=times_s,
         speeds={start.name: speeds[:, column] for column, start in enumerate(starts)},
         course=course,
-        flight=part.flight,
     )
 
 
@@ -207,8 +206,8 @@ def _list_stretches(part: FlownPart) -> list[PathStretch]:
         return [PathStretch(from_s=0.0, to_s=last, binds=f"{CONSTANT}, and {TURN}s")]
     stretches, at_s = list[PathStretch](), 0.0
     for line in lines:
-        between = TURN if stretches else "run-up"
-        stretches.append(PathStretch(from_s=at_s, to_s=line.begin_s, binds=between))
+        between_words = TURN if stretches else "run-up"
+        stretches.append(PathStretch(from_s=at_s, to_s=line.begin_s, binds=between_words))
         stretches.append(PathStretch(from_s=line.begin_s, to_s=line.end_s, binds=CONSTANT))
         at_s = line.end_s
     return [*stretches, PathStretch(from_s=at_s, to_s=last, binds="run-down")]

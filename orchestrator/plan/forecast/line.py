@@ -44,14 +44,14 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     abilities = {name: state.chunks.get(name, USUAL_CHUNKS) for name in list_members(lines)}
     wait = None if lines.scan.fly is None else lines.scan.fly.wait
     if wait is not None:
-        waiting = forecast_wait(state, replace(at, place=(*at.place, "fly", "wait")), wait)
-        between = between.followed_by(waiting, lines.line_count)
-    why, part = explain_single_lines(lines, state.fleet, abilities), None
-    if not why:
+        waiting_span = forecast_wait(state, replace(at, place=(*at.place, "fly", "wait")), wait)
+        between = between.followed_by(waiting_span, lines.line_count)
+    reason, part = explain_single_lines(lines, state.fleet, abilities), None
+    if not reason:
         try:
             part = plan_part(lines, state.fleet, 0, min(ability.most_s for ability in abilities.values()))
         except PlanError as error:
-            why = str(error)
+            reason = str(error)
     problems = len(state.problems)
     line = _forecast_motion(state, at, lines, lines.make_path(0))
     singly = line.followed_by(line, lines.line_count - 1).followed_by(between)
@@ -59,15 +59,17 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
         return singly
     if part is None:
         _note_words(
-            state, lines, f"a line takes {line.least:.3f} s" + f"; line by line: {why}" * (lines.line_count > 1)
+            state, lines, f"a line takes {line.least:.3f} s" + f"; line by line: {reason}" * (lines.line_count > 1)
         )
         return singly
-    flown = _forecast_motion(state, at, lines, FlightPath.make(part))
+    flown_span = _forecast_motion(state, at, lines, FlightPath.make(part))
     parts = lines.scan.point_count / (part.end - part.first)
-    together_s = flown.least * parts
+    together_s = flown_span.least * parts
     words = f"{lines.line_count} lines are one motion of {together_s:.3f} s, with rounded turn-arounds"
     if part.end < lines.scan.point_count:
-        words = f"{lines.line_count} lines are {ceil(parts)} motions of {flown.least:.1f} s, with rounded turn-arounds"
+        words = (
+            f"{lines.line_count} lines are {ceil(parts)} motions of {flown_span.least:.1f} s, with rounded turn-arounds"
+        )
     if all(name in state.chunks for name in abilities):
         _note_words(state, lines, words)
         return Span(together_s, together_s)
@@ -91,15 +93,15 @@ def find_first_path(fleet: Fleet, lines: FlownLines, point: int) -> FollowPath:
 def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLines, path: FollowPath) -> Span:
     """Run a motion through lines forward from where it begins; the axes are left where they were."""
     axes_after = {name: state.find_state(at, name) for name in path.axes}
-    for (name, after), begin in zip(axes_after.items(), path.start, strict=True):
-        motor = Fraction(str(begin)) - after.offset
-        state.axes[name] = after.model_copy(update={"motor": motor, "known": True})
+    for (name, axis_state), begin in zip(axes_after.items(), path.start, strict=True):
+        motor = Fraction(str(begin)) - axis_state.offset
+        state.axes[name] = axis_state.model_copy(update={"motor": motor, "known": True})
     problems = len(state.problems)
     span = forecast_path(state, at, path)
     state.axes |= axes_after
     state.problems[problems:] = map(_name_trigger, state.problems[problems:])
     if state.motion is not None and state.motion.path is not None and len(state.problems) == problems:
-        if state.motion.path.flight is None:
+        if not isinstance(path, FlightPath):
             _check_speed(state, at, lines)
         state.motion = replace(state.motion, line=path)
     return span

@@ -46,10 +46,10 @@ def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span
     span = plan_ways(state, at, step, first)
     if lines is not None:
         kinds.pop()  # the innermost axis moves
-    between = Span()
+    between_span = Span()
     for kind in kinds:
-        between = between.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
-    span = span.followed_by(between if lines is None else forecast_lines(state, at, lines, between))
+        between_span = between_span.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
+    span = span.followed_by(between_span if lines is None else forecast_lines(state, at, lines, between_span))
     state.lose_positions(at, unknown)
     return Span(span.least, None) if unknown else span
 

@@ -2,14 +2,18 @@
 
 import asyncio
 from itertools import pairwise
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from unit.adapters.cia402_bench import ACCELERATION, VELOCITY, Drives, config, profiles, run
 
 from adapters.cia402 import MAKE
 from adapters.cia402.canopen.bus import SHARED
+from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.shapes.course import SetpointTrajectory
+from adapters.cia402.shapes.switching import OutputSchedule
+from adapters.cia402.sync.stream import StreamedMove
 from adapters.contract import DriverSetup, HostInterval, JogMove, MoveOutcome
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -93,6 +97,31 @@ def test_the_stream_starts_and_ends_with_the_plan() -> None:
             assert 0 <= course.duration_s - profile.duration_s < PERIOD_NS / NS_PER_S + 1e-9
             whole = profile.stretch_time(course.duration_s / profile.duration_s)
             assert SetpointTrajectory(whole, PERIOD_NS).duration_s == pytest.approx(course.duration_s, abs=1e-12)
+
+
+def test_a_part_that_replaces_one_which_has_not_begun_leaves_the_positions_before_it() -> None:
+    """An override cuts the present chunk short, and the one behind that begins at the same instant."""
+
+    def position_frame(position: int, outputs: int) -> int:
+        del outputs
+        return position
+
+    node = cast(BusDrive, SimpleNamespace(outputs=0, position_frame=position_frame))
+    present = SetpointTrajectory(smooth(0, 40_000)["a"], PERIOD_NS, is_chunk=True)
+    brake, after = (
+        SetpointTrajectory(smooth(20_000, end)["a"], PERIOD_NS, begin_s=0.2, is_chunk=True) for end in (21_000, 30_000)
+    )
+    move = StreamedMove(node, present, OutputSchedule(), lambda: None)
+    for part in (brake, after, brake, after):
+        move.continue_with(part, 20, OutputSchedule())
+    planned = [*map(present.setpoint_function(), range(20)), *map(after.setpoint_function(), range(20, 60))]
+    assert [move.position_frame(number) for number in range(60)] == planned
+    # What is compared with the answers of the drive stays, and what follows takes the place of what was not sent.
+    move.continue_with(brake, 60, OutputSchedule())
+    assert [move.position_frame(number) for number in (50, 60, 70)] == [
+        after.setpoint_function()(50),
+        *map(brake.setpoint_function(), (60, 70)),
+    ]
 
 
 def _is(frame_id: int) -> bytes:

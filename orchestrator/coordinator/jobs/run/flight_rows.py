@@ -105,10 +105,10 @@ class FlightRows:
             return 0
         if state.instance != motion.planned.instances.get(member, state.instance):
             return 0
-        flown = self._part.lines.axis
+        flown_axis = self._part.lines.axis
         for name in motion.agreement.profiles(member):
             axis = state.axes[name]
-            if not axis.enabled or axis.fault or (not axis.moving and f"{member}.{name}" == flown):
+            if not axis.enabled or axis.fault or (not axis.moving and f"{member}.{name}" == flown_axis):
                 return 0
         return state.read_fleet_ns
 
@@ -127,8 +127,8 @@ class FlightRows:
         verdict = self._judge_starts()
         if report.state == "done":
             # What a trigger missed concerns the row of its point alone.
-            others = [text for text in report.deviations if not text.startswith(tuple(self._outputs))]
-            row_verdict = report.verdict if others or verdict is None else verdict
+            other_deviations = [text for text in report.deviations if not text.startswith(tuple(self._outputs))]
+            row_verdict = report.verdict if other_deviations or verdict is None else verdict
             return FlightEnd(self._take_until(inf, row_verdict), self._part.end)
         if code not in (FEED_HOLD, BRAKED):
             rows = [] if verdict is None else self._take_until(self._confirmed_s, verdict)
@@ -137,13 +137,13 @@ class FlightRows:
         rows = [] if verdict is None else self._take_until(inf, verdict)
         if not self._waiting:
             return FlightEnd(rows, self._part.end, late=is_late, is_interrupted=True)
-        line, flown = self._waiting[0], 0
+        line, flown_axis = self._waiting[0], 0
         if verdict is not None:
             edges = line.begin_s + line.window_s * np.arange(1, line.points + 1)
-            flown = int(np.searchsorted(edges, self._find_released_s(), side="right"))
-            rows += self._make_rows(line, flown, verdict)
-        broken = self._find_broken(line, flown)
-        return FlightEnd(rows, line.first + flown, late=is_late, broken=broken, is_interrupted=True)
+            flown_axis = int(np.searchsorted(edges, self._find_released_s(), side="right"))
+            rows += self._make_rows(line, flown_axis, verdict)
+        broken_points = self._find_broken(line, flown_axis)
+        return FlightEnd(rows, line.first + flown_axis, late=is_late, broken=broken_points, is_interrupted=True)
 
     def _take_until(self, certain_s: float, verdict: Verdict) -> list[PointRecord]:
         """The rows of lines that are over at an instant of the motion. verdict: on what is known of it."""
@@ -168,12 +168,12 @@ class FlightRows:
             return -inf
         return inf if feed.chunk.last else feed.chunk.clock.find_path_s(feed.chunk.end_s)
 
-    def _find_broken(self, line: FlightLine, flown: int) -> range:
+    def _find_broken(self, line: FlightLine, flown_axis: int) -> range:
         """The points behind the first `flown` ones of a line whose windows have begun when the flight was at rest."""
         feed = None if self._motion is None else self._motion.feed
         stop_s = line.begin_s if feed is None else feed.chunk.stop_path_s
-        begun = max(flown, min(line.points, ceil((stop_s - line.begin_s) / line.window_s)))
-        return range(line.first + flown, line.first + begun)
+        begun_count = max(flown_axis, min(line.points, ceil((stop_s - line.begin_s) / line.window_s)))
+        return range(line.first + flown_axis, line.first + begun_count)
 
     def _judge_starts(self) -> Verdict | None:
         """The verdict on the starts of all members; None as long as one is not known."""
@@ -181,7 +181,8 @@ class FlightRows:
         return None if motion is None else judge_starts(motion.agreement, motion.watch.reports)
 
     def _make_rows(self, line: FlightLine, count: int, verdict: Verdict) -> list[PointRecord]:
-        """The rows of the first points of a line. A window at another speed than planned is not good."""
+        """The rows of the first points of a line. A window at another speed than planned is not good, and neither is
+        one in which the speed changes."""
         assert self._clock is not None
         parts = line.begin_s + line.window_s * np.arange(2 * count + 1) / 2
         at_s = self._clock.find_instants(parts)
@@ -197,6 +198,7 @@ class FlightRows:
             window = PointWindow(lower=lower, middle=middle, upper=upper)
             row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
             is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
+            is_at_speed = is_at_speed and bool((np.abs(rates[part] - 1) <= OTHER_TIME).all())
             is_good = row.good and is_at_speed and self._is_switched(line.first + number)
             rows.append(row.model_copy(update={"good": is_good}))
         return rows
@@ -210,7 +212,7 @@ class FlightRows:
         """Whether the outputs are known to have been switched in the window of a point, within what was promised."""
         if not self._outputs or self._step is None:
             return not self._outputs
-        number, totals = point - self._part.first + 1, self._step.trigger_totals.get(self._outputs[0])
+        number, totals = point - self._part.first + 1, self._step.switched.get(self._outputs[0])
         return totals is not None and number <= totals.rows and number not in totals.wrong
 
     def _make_row(

@@ -5,12 +5,14 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.run_state import RunState
 from orchestrator.coordinator.jobs.run.scan_flights import ScanFlights
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.motion.feed_pause import FeedPause
 from orchestrator.model.report import StepReport
 from orchestrator.model.steps.order import StepPlace
 
@@ -31,13 +33,14 @@ class FlightRun:
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
         """Give out rows, and brake behind the present line when a pause is asked for, in parallel with the context."""
-        task = asyncio.get_running_loop().create_task(self._run())
+        owner = TaskOwner()
+        task = owner.spawn(self._run())
         try:
             yield
         finally:
             self._is_over = True
             if not self._is_busy:  # what is being written or released is not cut short
-                task.cancel()
+                owner.cancel_all()
             await asyncio.wait([task])
 
     async def _run(self) -> None:
@@ -57,31 +60,35 @@ class FlightRun:
         feed = None if motion is None else motion.feed
         if feed is None or pause.braked:
             return
-        if pause.paused_by is None:
-            feed.go_on()
+        if pause.paused_by is None or feed.times_s is None:
+            feed.pause = None
             return
-        times_s = feed.times_s
-        place_s = None if times_s is None else self._flight.find_line_end(times_s[0])
-        if place_s is not None:
-            await feed.pause(pause.paused_by, place_s)
+        feed.pause = feed.pause or self._find_pause(pause.paused_by, feed.times_s[0])
+        if feed.pause is not None and feed.pause.is_before(feed.chunk):
+            await feed.hold(feed.pause.actor, feed.pause.path_s)
+
+    def _find_pause(self, actor: str, moved_s: float) -> FeedPause | None:
+        """A pause behind the line that is flown now; none behind the last one."""
+        place_s = self._flight.find_line_end(moved_s)
+        return None if place_s is None else FeedPause(actor, place_s)
 
     async def finish(self, flights: ScanFlights, place: StepPlace, report: StepReport) -> StepReport:
         """Take what has become of the flight: its last rows, and where the scan goes on. Raises `JournalError`."""
         end = self._flight.finish(report)
-        interrupted = report.state != "done" and end.is_interrupted
+        goes_on = report.state != "done" and end.is_interrupted
         await self._reports.add_flown_rows(end.rows, "; ".join(report.deviations) or report.reason)
         next_point = end.next_point
         if end.late:
             self._services.log.warning(report.reason, job=report.name, step=place.index)
             if end_words := flights.note_stop(place):
                 report = report.model_copy(update={"state": "failed", "reason": f"{report.reason}; {end_words}"})
-                interrupted = False
+                goes_on = False
             elif not flights.repeats_disturbed(place) and end.broken:
                 await self._reports.add_flown_rows(self._flight.make_broken_rows(end.broken))
                 next_point = end.broken.stop
         done_steps = self._count_steps(place, next_point, report)
         await self._reports.end_flight(place, report, done_steps)
-        if report.state == "done" or interrupted:
+        if report.state == "done" or goes_on:
             flights.note_end(place, next_point)
         return report
 

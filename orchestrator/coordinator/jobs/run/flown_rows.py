@@ -19,15 +19,17 @@ OTHER_TIME = 0.005  # of a line: it was held, went at another rate, or its plan 
 _ERRORS = ("profile-fit", "execution", "clock")
 
 
-def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines) -> list[PointRecord]:
+def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines, begin: int) -> list[PointRecord]:
     """A row for each point of a line, in the order in which they were flown; for the first one alone if the line was
-    not begun. report: of its path, or of the move to its beginning, if that was not done."""
+    not begun. report: of its path, or of the move to its beginning, if that was not done. begin: the first point
+    without a row: those before it have theirs, from a flight that was interrupted."""
     first = place.point
     assert first is not None
     windows = _find_windows(report, lines)
     is_good = report.state == "done" and report.verdict != "red" and bool(windows)
     rows: list[PointRecord] = []
-    for number in range(lines.count if place.is_flown_path and report.t0_fleet_ns is not None else 1):
+    count = lines.count if place.is_flown_path and report.t0_fleet_ns is not None else begin - first + 1
+    for number in range(begin - first, count):
         target = lines.find_target(first + number)
         rows.append(
             PointRecord(

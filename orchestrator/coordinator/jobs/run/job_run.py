@@ -232,7 +232,7 @@ class JobRun:
         report = self._chain.complete_report(report, self._reports.last_motion)
         lines = self._steps.find_lines(location)
         if lines is not None:
-            await self._reports.add_line_report(location, report, lines)
+            await self._reports.add_line_report(location, report, lines, self._steps.flights.find_begin(location))
             return report
         target = report.retargets[-1].to if report.retargets else self._steps.find_target(location)
         await self._reports.add_report(location, report, target)

@@ -109,8 +109,9 @@ class ReportCollector:
             self._end_point(scan, place, report, target)
             await self._write_rows_in_turn()
 
-    async def add_line_report(self, place: StepPlace, report: StepReport, lines: FlownLines) -> None:
-        """Take the report of a step of a line that is flown. lines: of its scan. Raises `JournalError`."""
+    async def add_line_report(self, place: StepPlace, report: StepReport, lines: FlownLines, begin: int) -> None:
+        """Take the report of a step of a line that is flown. lines: of its scan. begin: the first point of the line
+        without a row. Raises `JournalError`."""
         scan = self._scan
         assert scan is not None
         self._hand_on_last_row()
@@ -121,7 +122,7 @@ class ReportCollector:
             scan.ended = place, report
         elif not place.is_flown_path:
             return
-        self._end_line(scan, place, report, lines)
+        self._end_line(scan, report, make_line_rows(place, report, lines, begin))
         await self._write_rows_in_turn()
 
     async def add_flown_rows(self, rows: Sequence[PointRecord], text: str = "") -> None:
@@ -207,11 +208,10 @@ class ReportCollector:
         self._close_timer = self._clock.call_at_ns(self._clock.now_ns() + LAST_READING_NS, self._hand_on_last_row)
         now.moved = None
 
-    def _end_line(self, now: _ScanProgress, place: StepPlace, report: StepReport, lines: FlownLines) -> None:
+    def _end_line(self, now: _ScanProgress, report: StepReport, rows: Sequence[PointRecord]) -> None:
         """Take the rows of a line that is over; of one that was not done, as far as it was flown, none is good."""
         took_ns = self._clock.now_ns() - now.point_ns
         now.point_ns += took_ns
-        rows = make_line_rows(place, report, lines)
         self._take_rows(now, rows, "; ".join(report.deviations) or report.reason)
         self._note_skew(now, report)
         if report.state == "done":

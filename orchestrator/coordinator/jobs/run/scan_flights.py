@@ -48,30 +48,36 @@ class ScanFlights:
         return None if scan is None or scan.fly is None else self._find_scan(place, scan).lines
 
     def _find_scan(self, place: StepPlace, scan: Scan) -> _FlownScan:
-        found = self._scans.get(place.first)
-        if found is None or found.lines.scan is not scan:
+        scan_state = self._scans.get(place.first)
+        if scan_state is None or scan_state.lines.scan is not scan:
             if len(self._scans) == SCANS_KEPT:
                 del self._scans[next(iter(self._scans))]
-            self._scans[place.first] = found = _FlownScan(plan_lines(scan, self._fleet))
-        return found
+            self._scans[place.first] = scan_state = _FlownScan(plan_lines(scan, self._fleet))
+        return scan_state
 
     async def prepare(self, place: StepPlace) -> None:
         """Plan what is flown from a line on, before the move to its beginning. Raises `Refusal`."""
         if place.scan is None or place.scan.fly is None or place.point is None:
             return
-        flown = self._find_scan(place, place.scan)
-        if place.part and flown.part is not None and flown.is_in_line(flown.part.first, place.point):
+        scan_state = self._find_scan(place, place.scan)
+        if place.part and scan_state.part is not None and scan_state.is_in_line(scan_state.part.first, place.point):
             return
-        is_inside = flown.begin is not None and flown.is_in_line(flown.begin, place.point)
-        flown.part = await self._plan_part(flown.lines, flown.begin if is_inside and flown.begin else place.point)
+        scan_state.part = await self._plan_part(scan_state.lines, self.find_begin(place))
+
+    def find_begin(self, place: StepPlace) -> int:
+        """The point from which the line of a step is flown: its first one, but of one that was interrupted."""
+        assert place.point is not None
+        begin = self._scans[place.first].begin
+        is_inside = begin is not None and self._scans[place.first].is_in_line(begin, place.point)
+        return begin if begin is not None and is_inside else place.point
 
     def find_motion(self, place: StepPlace) -> Motion:
         """The motion of a step of a scan that flies: to where a line begins, or through its windows, and those of the
         lines behind it that are flown with it. Raises `Refusal`."""
         assert place.scan is not None and place.point is not None
-        flown = self._find_scan(place, place.scan)
-        lines, part = flown.lines, flown.part
-        if part is None or not flown.is_in_line(part.first, place.point):
+        scan_state = self._find_scan(place, place.scan)
+        lines, part = scan_state.lines, scan_state.part
+        if part is None or not scan_state.is_in_line(part.first, place.point):
             return lines.make_path(place.point) if place.is_flown_path else lines.make_move(place.point)
         return FlightPath.make(part) if place.is_flown_path else lines.make_move(part.first)
 
@@ -93,22 +99,22 @@ class ScanFlights:
 
     def note_end(self, place: StepPlace, next_point: int) -> None:
         """A flight has ended, as planned or braked on its way: the points from `next_point` on are flown next."""
-        flown = self._scans[place.first]
-        count = flown.lines.count
-        self._next_index = place.first + next_point // count * flown.lines.scan.points_steps
-        flown.begin = next_point if next_point % count else None
-        flown.part = None
+        scan_state = self._scans[place.first]
+        count = scan_state.lines.count
+        self._next_index = place.first + next_point // count * scan_state.lines.scan.points_steps
+        scan_state.begin = next_point if next_point % count else None
+        scan_state.part = None
 
     def note_stop(self, place: StepPlace) -> str:
         """A chunk came too late; return why the scan does not go on, empty: it does."""
-        flown = self._scans[place.first]
-        flown.stops += 1
-        return "" if flown.stops <= MOST_STOPS else f"that was stop {flown.stops} of the scan, which ends"
+        scan_state = self._scans[place.first]
+        scan_state.stops += 1
+        return "" if scan_state.stops <= MOST_STOPS else f"that was stop {scan_state.stops} of the scan, which ends"
 
     def repeats_disturbed(self, place: StepPlace) -> bool:
         """Whether windows that were disturbed because a chunk came too late are flown again."""
-        flown = self._scans[place.first]
-        return flown.lines.scan.fly is not None and flown.stops <= flown.lines.scan.fly.repeat_disturbed
+        scan_state = self._scans[place.first]
+        return scan_state.lines.scan.fly is not None and scan_state.stops <= scan_state.lines.scan.fly.repeat_disturbed
 
     @property
     def goes_on(self) -> bool:
@@ -117,5 +123,5 @@ class ScanFlights:
 
     def take_next(self, index: int) -> int:
         """The number of the next step, where `index` would be without flights."""
-        found, self._next_index = self._next_index, None
-        return index if found is None else found
+        next_index, self._next_index = self._next_index, None
+        return index if next_index is None else next_index
