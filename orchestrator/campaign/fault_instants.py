@@ -4,9 +4,11 @@ from collections.abc import Callable, Mapping
 from random import Random
 
 from orchestrator.campaign.fleets import find_traits
+from orchestrator.campaign.flown_scans import find_flight_ns
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest, Stage
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.job import Job
 
 # Time from the stage's first request to the member to the fault: earliest and latest.
 _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
@@ -50,9 +52,12 @@ class FaultInstants:
         self._find_positions = find_positions
         self._find_t0_ns = find_t0_ns
 
-    def find_instant(self, stage: Stage, request: RecordedRequest, now_ns: int) -> int | None:
-        """The instant of the fault, host ns, once a request determines it, which is sent or answered now; None for any
-        other request."""
+    def find_instant(self, stage: Stage, request: RecordedRequest, job: Job, now_ns: int) -> int | None:
+        """The instant of the fault, host ns, once a request for a job determines it, which is sent or answered now;
+        None for any other request."""
+        if stage == "flying":
+            is_begun = request.verb == "go" and request.accepted and self._is_path(request)
+            return self._find_t0_ns(request) + self._draw.randrange(find_flight_ns(job)) if is_begun else None
         find_window = self._find_sent_window if request.answered_ns is None else self._find_answered_window
         window = find_window(stage, request, now_ns)
         return None if window is None else self._draw.randint(*window)
@@ -92,6 +97,13 @@ class FaultInstants:
         if stage in ("chain", "live") and request.fields["after_step"] is not None:
             return now_ns, max(now_ns, self._find_t0_ns(request) + _CHAIN_WINDOW_NS)
         return None
+
+    def _is_path(self, go: RecordedRequest) -> bool:
+        """Whether a member was started on a path: that to the beginning of a line is none."""
+        arms = [
+            arm for arm in self._recorder.find_requests("arm") if (arm.step_id, arm.member) == (go.step_id, go.member)
+        ]
+        return bool(arms) and arms[-1].fields["start"]["chunk"] is not None
 
     def _expected_homing_ns(self, member: str) -> int:
         """Return the shortest expected homing time: a share of the shortest one so far, and of the path from the

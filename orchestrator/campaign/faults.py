@@ -7,12 +7,12 @@ from random import Random
 from typing import Literal
 
 from orchestrator.bus.base import Priority
-from orchestrator.campaign import disk_faults
-from orchestrator.campaign.bus_faults import BusFaults
 from orchestrator.campaign.fleets import find_traits, makes_with
+from orchestrator.campaign.injection import disk_faults
+from orchestrator.campaign.injection.bus_faults import BusFaults
+from orchestrator.campaign.injection.repairs import Repair, do_nothing
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.campaign.link_faults import LinkFaults
-from orchestrator.campaign.repairs import Repair, do_nothing
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet

@@ -21,6 +21,8 @@ PERMIT_MAKE = "smc4000"
 """The make that has the permit's input. The first controller of this make in a fleet has it."""
 PATH_MAKE = "smc4000"
 """A make that executes paths in chunks."""
+SYNC_MAKE = "cia402"
+"""A make whose drives follow the SYNCs of their host."""
 PATH_JERK = 20_000  # of a drive that follows a path, unit/s³
 TRIGGER_MAKE = "smc4000"
 """The make whose controllers have an output with triggers."""
@@ -30,6 +32,7 @@ STAGE_MAKES: dict[Stage, tuple[str, ...]] = {
     "chunk": (PATH_MAKE, "cia402"),
     "trigger": (TRIGGER_MAKE,),
     "at-once": AT_ONCE_MAKES,
+    "flying": (PATH_MAKE, "cia402"),
 }
 """The makes that can reach a stage, where not all can."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis

@@ -6,14 +6,17 @@ from orchestrator.campaign.armed_waits import find_outlasted
 from orchestrator.campaign.at_once import AtOnceChecker
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
+from orchestrator.campaign.flight_checks import FlightChecker
+from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.campaign.job_ends import check_end, check_live_job
+from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
 from orchestrator.campaign.triggers import TriggerChecker
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
-from orchestrator.model.state import ControllerState, TimeInterval
+from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 GREEN_TOLERANCE_S = 0.05  # of a duration that a green verdict stands for: the evidence is an interval
@@ -37,6 +40,7 @@ class InvariantChecker:
         self._changed_crystals: set[str] = set()
         self._records = PhaseRecords(fleet, recorder)
         self._triggers = TriggerChecker(fleet, self._records, self.add_violation)
+        self.flights = FlightChecker(fleet, recorder.rows, self._records, self.add_violation)
         self._motions = MotionChecker(fleet, recorder, self._records, self._untrusted, self.add_violation)
 
     def add_violation(self, invariant: str, text: str) -> None:
@@ -117,6 +121,7 @@ class InvariantChecker:
                 self._motions.check_motion(phase, name, motion, steps, reports)
             if name not in phase.at_rest:
                 self.add_violation("3", f"{name} is not at rest after the end of all jobs")
+        self.flights.check_phase(phase, self._triggers.rises, self._untrusted)
         self._triggers.check_phase(phase, steps, reports, self._untrusted)
         for job_id, report in reports.items():
             for step in report.steps if report is not None else []:
@@ -143,8 +148,12 @@ class InvariantChecker:
         for request in asked_requests:
             if request.verb in ("arm", "commit"):
                 promises.setdefault(request.step_id, []).append(request)
+        parts: dict[tuple[str, int], tuple[RecordedRequest, int]] = {}
         for go in (request for request in asked_requests if request.verb == "go"):
-            requests_before = [request for request in promises.get(go.step_id, ()) if request.sent_ns < go.sent_ns]
+            since_ns = _find_part(parts, go)
+            requests_before = [
+                request for request in promises.get(go.step_id, ()) if since_ns < request.sent_ns < go.sent_ns
+            ]
             of_step = [request for request in requests_before if request.fields["epoch"] == go.fields["epoch"]]
             # The members of the last arming: arming again with a longer lead time starts over.
             members = {request.member for request in of_step if request.verb == "arm"}
@@ -196,7 +205,7 @@ class InvariantChecker:
             if row.state not in FINISHED_STATES or report is None:
                 self.add_violation("6", f"job {order.job.name} has not ended: {row.state} ({row.reason})")
                 continue
-            check_end(journal, row, report, self.add_violation)
+            check_end(journal, row, report, order.job, self.add_violation)
             if order.asked_steps:
                 check_live_job(journal, row, self.add_violation)
             if row.state == "done":
@@ -226,7 +235,7 @@ class InvariantChecker:
             # A member started by a trigger line begins when the driving controller does.
             if name in self._untrusted or (member.start_class == "line" and name in driven_targets):
                 continue
-            for axis, evidence in member.evidence.items():
+            for axis, evidence in _list_evidence(phase.jobs[job_id], name, member):
                 label = f"{name}.{axis} of {phase.jobs[job_id].job.name}"
                 truth = self._records.find_motions(phase, name, axis, (job_id, step.index), origin_ns + t0_ns)
                 if not truth:
@@ -260,3 +269,25 @@ class InvariantChecker:
     def _check_contains(self, what: str, claimed: TimeInterval, truth_ns: int) -> None:
         if not claimed.earliest_ns <= truth_ns <= claimed.latest_ns:
             self.add_violation("8", f"{what} at {truth_ns}, claimed {claimed.earliest_ns} to {claimed.latest_ns}")
+
+
+def _list_evidence(order: JobOrder, name: str, member: MemberReport) -> list[tuple[str, AxisEvidence]]:
+    """The evidence of the axes of a member. In a flight only the one that flies moves from its start on; the others
+    rest in the first line."""
+    scan = find_flown_scan(order.job)
+    return [
+        (axis, evidence)
+        for axis, evidence in member.evidence.items()
+        if scan is None or scan.flown_axis == f"{name}.{axis}"
+    ]
+
+
+def _find_part(parts: dict[tuple[str, int], tuple[RecordedRequest, int]], go: RecordedRequest) -> int:
+    """The instant since which requests belong to the part of a step that `go` starts, host ns: a step that was
+    interrupted is armed again, for the members that still have to move. parts: of the releases before this one; by
+    step, the first release of its last part, and that instant."""
+    first, since_ns = parts.get(go.step_id, (go, -1))
+    if abs(first.fields["t0_fleet_ns"] - go.fields["t0_fleet_ns"]) > STEP_WINDOW_NS:
+        first, since_ns = go, first.sent_ns
+    parts[go.step_id] = first, since_ns
+    return since_ns

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 
+from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import FINISHED_STATES, JobReport
 
 MOST_ROWS = 1000
@@ -12,15 +14,17 @@ AddViolation = Callable[[str, str], None]
 """Called with the invariant and a text."""
 
 
-def check_end(journal: SqliteJournal, row: JobRecord, report: JobReport, add_violation: AddViolation) -> None:
+def check_end(journal: SqliteJournal, row: JobRecord, report: JobReport, job: Job, add_violation: AddViolation) -> None:
     """Check invariant 6: a job has ended once, and no step was decided twice for one motion. A step that was held on
-    its way, or got other targets, is decided again for what is left of it."""
+    its way, or got other targets, is decided again for what is left of it. A scan that flies is begun again as often as
+    chunks come too late, with a move and a flight: its rows show what was flown."""
     ends = sum(change.state in FINISHED_STATES for change in report.transitions)
     decisions = [step for step, _ in journal.list_decisions(row.id)]
     commands = journal.commands.list_commands(MOST_COMMANDS)
     parts = sum(command.verb == "retarget" and command.subject.startswith(row.id) for command in commands)
     parts += sum(change.state == "paused" for change in report.transitions)
-    if ends != 1 or len(decisions) - len(set(decisions)) > parts:
+    is_repeated = len(decisions) - len(set(decisions)) > parts and find_flown_scan(job) is None
+    if ends != 1 or is_repeated:
         add_violation("6", f"job {row.name} ended {ends} times; decisions for its steps: {decisions}")
 
 

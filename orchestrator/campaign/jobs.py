@@ -7,6 +7,7 @@ from random import Random
 from typing import Any, Literal, NamedTuple
 
 from orchestrator.campaign.fleets import PATH_MAKE, find_traits
+from orchestrator.campaign.flown_scans import draw_flown_scan
 from orchestrator.campaign.trigger_outputs import TRIGGER_OUTPUT, TRIGGER_PERIOD
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.jobs.job import Job
@@ -31,11 +32,11 @@ ARMED_TIMEOUT = "30 s"  # of a step that waits armed
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live", "armed"]
+MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight"]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
 several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
 once. live: a live job whose program asks for a chain. armed: its move waits
-armed for a request."""
+armed for a request. flight: a scan that flies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,7 @@ def draw_orders(
         all_positions |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
     if kind == "at-once":
         main = [member]
-    elif kind == "path":
+    elif kind in ("path", "flight"):
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
     other_controllers = [name for name in other_controllers if name not in main]
     job = _draw_main(kind, _JobAxes(fleet, main, all_positions), member, draw, first)
@@ -117,6 +118,8 @@ def _draw_main(
     """Draw the job of `member`."""
     if kind == "path":
         return _draw_path("main", axes, draw)
+    if kind == "flight":
+        return make_job("main", [draw_flown_scan(axes.fleet, axes.controllers, member, axes.positions, draw)])
     if kind in ("chain", "at-once", "live"):
         return _draw_chain("main", axes, member, draw, alone=kind == "at-once")
     job = _draw_moves("main", axes, draw, steps_before)

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler
 from orchestrator.bus.memory.bus import MemoryBus
+from orchestrator.campaign.row_recorder import RowRecorder
 from orchestrator.campaign.start_recorder import StartRecorder
 from orchestrator.clock.base import Clock
 
@@ -26,12 +27,16 @@ Stage = Literal[
     "at-once",
     "live",
     "armed-waiting",
+    "flying",
 ]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
 the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way; at-once:
 a step that starts at once is requested, and waits for the end of the one before; live: a step that a live job was asked
-for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`."""
+for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`;
+flying: several lines of a scan are flown in one motion."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
+STATED_STAGES: tuple[Stage, ...] = ("chain", "chunk", "trigger", "at-once", "live", "armed-waiting", "flying")
+"""Those that the requests of a step alone do not show: a fault that was drawn for one of them counts for it."""
 
 _RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk", "start-at-once")
 
@@ -75,13 +80,15 @@ class BusRecorder:
 
     first_arms_ns: when the first arm request of each step was sent, host ns.
     preceding_t0_ns: T0 of the last step before this one that a member was started for to move the same axis, fleet ns;
-    by step, member and axis. A member without axes only drives a trigger line."""
+    by step, member and axis, and by the T0 of this one: a step that was interrupted has several. A member without axes
+    only drives a trigger line."""
 
     def __init__(self, clock: Clock, on_request: Callable[[RecordedRequest], None]) -> None:
         self.requests: list[RecordedRequest] = []
         self.starts = StartRecorder(clock)
+        self.rows = RowRecorder()
         self.first_arms_ns: dict[tuple[str, int], int] = {}
-        self.preceding_t0_ns: dict[tuple[tuple[str, int], str, str], int] = {}
+        self.preceding_t0_ns: dict[tuple[tuple[str, int], str, str], dict[int, int]] = {}
         self._armed_axes: dict[tuple[tuple[str, int], str], list[str]] = {}
         self._started: dict[tuple[str, str], list[tuple[tuple[str, int], int]]] = {}
         self._by_verb: dict[str, list[RecordedRequest]] = {}
@@ -136,8 +143,7 @@ class BusRecorder:
             starts = self._started.setdefault((go.member, axis), [])
             before_ns = next((ns for step_id, ns in reversed(starts) if step_id != step and ns < t0_ns), None)
             if before_ns is not None:
-                key = (step, go.member, axis)
-                self.preceding_t0_ns[key] = max(before_ns, self.preceding_t0_ns.get(key, before_ns))
+                self.preceding_t0_ns.setdefault((step, go.member, axis), {})[t0_ns] = before_ns
             starts.append((step, t0_ns))
 
     def record_replies(self, key: str, requests: list[RecordedRequest], payload: bytes) -> None:
@@ -171,6 +177,7 @@ class RecordedBus:
 
     def put(self, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         self._recorder.starts.note_publication(key, payload)
+        self._recorder.rows.note_publication(key, payload)
         self._bus.put(key, payload, priority)
 
     async def subscribe(

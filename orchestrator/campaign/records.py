@@ -103,10 +103,10 @@ class PhaseRecords:
         axes: dict[tuple[str, int], dict[str, Sequence[str]]] = {}
         for arm in self._recorder.find_requests("arm"):
             axes.setdefault(arm.step_id, {})[arm.member] = arm.fields["axes"]
-        releases: dict[tuple[str, int], list[RecordedRequest]] = {}
+        releases: dict[tuple[str, int], list[list[RecordedRequest]]] = {}
         for go in self._recorder.find_requests("go"):
             if go.job_id in phase.jobs:
-                releases.setdefault(go.step_id, []).append(go)
+                _add_to_part(releases.setdefault(go.step_id, []), go)
         homes = [request for request in self._recorder.find_requests("home") if request.job_id in phase.jobs]
         records: list[StepRecord] = []
         for home in homes:
@@ -129,35 +129,52 @@ class PhaseRecords:
                     axes=axes_of,
                 )
             )
-        for (job, index), requests in releases.items():
-            # With a trigger line each member has a T0 of its own.
-            t0_ns = min(go.fields["t0_fleet_ns"] for go in requests) + self.origin_ns()
-            members = axes[job, index]
-            begins_ns = {
-                (name, axis): self.earliest_motion_ns((job, index), t0_ns, name, axis)
-                for name, moved_member in members.items()
-                for axis in moved_member
-            }
-            records.append(
-                StepRecord(
-                    job=job,
-                    index=index,
-                    requested_ns=requests[0].sent_ns,
-                    begins_ns=begins_ns,
-                    until_ns=None,
-                    t0_ns=t0_ns,
-                    axes=members,
-                )
-            )
+        for step, parts in releases.items():
+            for part in parts:
+                members = axes[step] if len(parts) == 1 else {go.member: self._find_axes(go) for go in part}
+                records.append(self._make_record(step, part, members))
         return sorted(records, key=lambda step: step.requested_ns)
+
+    def _find_axes(self, go: RecordedRequest) -> Sequence[str]:
+        """The axes that a member was armed to move at last before it was started: what is left of an interrupted step
+        may be the motion of a few."""
+        arms = (arm for arm in self._recorder.find_requests("arm") if arm.step_id == go.step_id)
+        own_axes = [arm.fields["axes"] for arm in arms if arm.member == go.member and arm.sent_ns <= go.sent_ns]
+        return own_axes[-1] if own_axes else ()
+
+    def _make_record(
+        self, step: tuple[str, int], releases: Sequence[RecordedRequest], members: Mapping[str, Sequence[str]]
+    ) -> StepRecord:
+        """The record of a step, or of a part of it, by the requests that have started it."""
+        # With a trigger line each member has a T0 of its own.
+        t0_ns = min(go.fields["t0_fleet_ns"] for go in releases) + self.origin_ns()
+        begins_ns = {
+            (name, axis): self.earliest_motion_ns(step, t0_ns, name, axis)
+            for name, moved_axes in members.items()
+            for axis in moved_axes
+        }
+        return StepRecord(
+            job=step[0],
+            index=step[1],
+            requested_ns=releases[0].sent_ns,
+            begins_ns=begins_ns,
+            until_ns=None,
+            t0_ns=t0_ns,
+            axes=members,
+        )
 
     def earliest_motion_ns(self, step: tuple[str, int], t0_ns: int, name: str, axis: str) -> int:
         """Return the earliest instant at which a motion of an axis may belong to a step that moves it: near its T0,
         nearer than to that of the step that moved this axis before, and after the first arm request. Host ns."""
         earliest_ns = max(t0_ns - STEP_WINDOW_NS, self._recorder.first_arms_ns[step])
-        before_ns = self._recorder.preceding_t0_ns.get((step, name, axis))
+        own_ns = t0_ns - self.origin_ns()
+        preceding_ns = [
+            before_ns
+            for part_ns, before_ns in self._recorder.preceding_t0_ns.get((step, name, axis), {}).items()
+            if abs(part_ns - own_ns) <= STEP_WINDOW_NS
+        ]
         # A step is armed while a shorter one before it runs.
-        return earliest_ns if before_ns is None else max(earliest_ns, (before_ns + self.origin_ns() + t0_ns) // 2)
+        return max([earliest_ns, *((before_ns + self.origin_ns() + t0_ns) // 2 for before_ns in preceding_ns)])
 
     def completed_steps(self, report: JobReport | None) -> list[tuple[int, int | None]]:
         """Return index and T0 (host ns) of the completed steps of a job."""
@@ -226,3 +243,10 @@ class PhaseRecords:
         homed_ns = (home.sent_ns for home in homes if axis in home.fields["axes"])
         jogs = (jog.from_ns for jog in phase.jogs if (jog.controller, jog.motor) == (name, motor))
         yield from (begin_ns for begin_ns in (*homed_ns, *jogs) if begin_ns > t0_host_ns)
+
+
+def _add_to_part(parts: list[list[RecordedRequest]], go: RecordedRequest) -> None:
+    """Add a request to the part of its step that it starts: one that was interrupted is started again later."""
+    if not parts or abs(go.fields["t0_fleet_ns"] - parts[-1][0].fields["t0_fleet_ns"]) > STEP_WINDOW_NS:
+        parts.append([])
+    parts[-1].append(go)

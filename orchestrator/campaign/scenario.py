@@ -20,6 +20,7 @@ from orchestrator.campaign.computers import connect_computers, make_computers
 from orchestrator.campaign.fault_instants import FIRE_WINDOW_NS, FaultInstants
 from orchestrator.campaign.faults import FAULTS, FaultInjector
 from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
+from orchestrator.campaign.flight_acts import FlightActs
 from orchestrator.campaign.hand_jogs import STAGE_RENEWALS, HandJogs
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import (
@@ -34,7 +35,7 @@ from orchestrator.campaign.jobs import (
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
-from orchestrator.campaign.recorder import STAGES, BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.recorder import STAGES, STATED_STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase
 from orchestrator.campaign.rest import find_at_rest
 from orchestrator.campaign.start_requests import StartRequests
@@ -76,6 +77,7 @@ _KINDS: dict[Stage, MainKind] = {
     "at-once": "at-once",
     "live": "live",
     "armed-waiting": "armed",
+    "flying": "flight",
 }
 
 
@@ -120,16 +122,18 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
-    paths = any(cell.stage == "chunk" for cell in cells)
+    paths = any(cell.stage in ("chunk", "flying") for cell in cells)
     seed_run = SeedRun(seed, tuple(cells), make_campaign_fleet(seed, makes, paths=paths))
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
-        starts = StartRequests(scenario.virtual, seed, [cell.stage for cell in cells])
+        stages: list[Stage] = [cell.stage for cell in cells]
+        programs = StartRequests(scenario.virtual, seed, stages), FlightActs(scenario.virtual, seed, stages)
         try:
             await scenario.run_phases()
         finally:
-            starts.end()
+            for program in programs:
+                program.end()
             seed_run.lines = scenario.virtual.lines
             seed_run.violations = scenario.checker.violations
             seed_run.fleet_s = clock.now_ns() / NS_PER_S
@@ -184,6 +188,7 @@ class _Scenario:
                     break
         looking.cancel()
         self._programs.cancel_all()
+        self.checker.flights.end()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:
@@ -193,6 +198,8 @@ class _Scenario:
         while True:
             self.checker.check_velocities(self._clock.now_ns())
             phase = self._phase
+            if phase is not None:
+                self.checker.flights.watch(phase)
             if phase is not None and (phase.fault_ns is None or not phase.fault.must_stop):
                 self._paths.check_positions(phase)
             await sleep_ns(self._clock, POLL_NS)
@@ -301,7 +308,7 @@ class _Scenario:
         stage = (
             self._find_stage(step, phase.member) if cell.stage != "jog" else "jog" if self._jogs.is_jogging else None
         )
-        if stage is not None and cell.stage in ("chain", "chunk", "trigger", "at-once", "live", "armed-waiting"):
+        if stage is not None and cell.stage in STATED_STAGES:
             stage = cell.stage
         if stage is None:
             self._log_event(f"too late for {cell.fault}")
@@ -485,7 +492,7 @@ class _Scenario:
         act, cell, arrival = self._target
         if request.job_id not in act.jobs or request.member != act.member or arrival.done():
             return
-        at_ns = self._instants.find_instant(cell.stage, request, now_ns)
+        at_ns = self._instants.find_instant(cell.stage, request, act.jobs[request.job_id].job, now_ns)
         if at_ns is not None:
             self._target = None
             self._clock.call_at_ns(at_ns, lambda: _note_arrival(arrival, request.step_id), context=Context())

@@ -8,7 +8,7 @@ from random import Random
 from typing import Any
 
 from orchestrator.campaign.faults import FAULTS, FaultInjector, FaultKind
-from orchestrator.campaign.repairs import Repair, do_nothing
+from orchestrator.campaign.injection.repairs import Repair, do_nothing
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import sleep_ns
 from orchestrator.clock.virtual import VirtualClock

@@ -147,6 +147,30 @@ def test_no_fault_starts_a_step_twice_in_other_seeds(seed: int) -> None:
         assert not story.violations, story.summarize()
 
 
+FLYING = [
+    (9, "estop", "smc4000"),  # in a turn-around, with pulses
+    (1, "link-closed", "smc4000"),  # with pulses, behind a pause inside a line
+    (47, "journal-full", "cia402"),  # a change of speed made a drive jump to the end of a chunk
+    (45, "coordinator-killed", "cia402"),
+    (6, "stop", "smc4000"),
+    (15, "garbage", "cia402"),  # what was left of a line could not begin, and a good row was replaced
+    (20, "link-closed", "smc4000"),
+    (90, "link-closed", "cia402"),
+    (7, "host-killed", "smc4000"),
+    (13, "one-way-gap", "cia402"),
+]
+"""Faults in flights that are paused or go faster or slower; the first three in the suite, nightly all of them."""
+
+
+@pytest.mark.parametrize(
+    ("seed", "fault", "make"),
+    [*FLYING[:PHASES], *(pytest.param(*cell, marks=pytest.mark.nightly) for cell in FLYING[PHASES:])],
+)
+def test_no_fault_in_a_flight_makes_a_row_good_that_is_not(seed: int, fault: str, make: str) -> None:
+    story = run_scenario(seed, [FaultCell("flying", fault, make)])
+    assert not story.violations and story.hit, story.summarize()
+
+
 @pytest.mark.parametrize(
     ("seed", "fault", "make"),
     [

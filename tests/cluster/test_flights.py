@@ -92,6 +92,17 @@ async def begin_flight(fleet: VirtualFleet, steps: str, point: int) -> str:
     return job_id
 
 
+def test_members_that_are_apart_in_time_take_no_axis_off_its_line() -> None:
+    """At 50 mm/s the starts of two SMC-4000 would be 0.15 mm apart, and a quarter of a window is 0.125 mm."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truth = await fly(fleet, f"[{raster(3, 41, '10 ms', 'portal.x')}]", "gantry.y")
+        assert report.state == "done" and report.verdict == "green", report.reason
+        check_windows(rows, truth, "gantry.y")
+
+    run_fleet(main, two_gantries())
+
+
 def test_rows_are_given_out_while_the_lines_behind_them_are_flown() -> None:
     async def main(fleet: VirtualFleet) -> None:
         job_id = await begin_flight(fleet, raster(12, 41, "20 ms"), 200)

@@ -5,6 +5,7 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from math import inf
 from typing import Any, NamedTuple
 
 import pytest
@@ -37,6 +38,8 @@ from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.queue_gate import QueueGate
+from orchestrator.coordinator.jobs.run import flight_rows
+from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -51,6 +54,8 @@ from orchestrator.model.report import StepReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Patch = pytest.MonkeyPatch
+
+NEVER_NS = 2**62  # behind the end of every run
 
 
 def nothing(*_: object, **__: object) -> None:
@@ -307,6 +312,16 @@ def waits_on_without_a_permit(patch: Patch) -> None:
     patch.setattr(PermitWatch, "describe_loss", nothing)
 
 
+def confirms_lines_unseen(patch: Patch) -> None:
+    """The lines of a flight are good as soon as they are released, whatever its members publish behind them."""
+    patch.setattr(FlightRows, "_find_reading_ns", lambda *_: NEVER_NS)
+
+
+def calls_every_speed_good(patch: Patch) -> None:
+    """Windows of a flight are good at any speed."""
+    patch.setattr(flight_rows, "OTHER_TIME", inf)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -345,6 +360,8 @@ MUTATIONS = (
     Mutation("12", judges_starts_only, FaultCell("arm", "second-master", "smc4000"), 4),
     Mutation("16", pulses_after_a_stop, FaultCell("trigger", "stop", "smc4000"), 1),
     Mutation("16", claims_planned_pulses, FaultCell("trigger", "limit", "smc4000"), 1),
+    Mutation("18", confirms_lines_unseen, FaultCell("flying", "estop", "smc4000"), 2),
+    Mutation("18", calls_every_speed_good, FaultCell("flying", "none", "smc4000"), 7),
     Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.

@@ -10,7 +10,7 @@ import pytest
 from cluster.worlds import EXAMPLES, job, line_fleet, origin_host_ns, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
-from orchestrator.campaign.arbitrary_replies import ArbitraryReplies
+from orchestrator.campaign.injection.arbitrary_replies import ArbitraryReplies
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.conformance.examples import make_case
 from orchestrator.model.fleet import Fleet

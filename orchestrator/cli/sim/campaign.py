@@ -30,6 +30,7 @@ STAGE_NAMES = (
     "at-once",
     "live",
     "armed-waiting",
+    "flying",
 )
 """Those of the campaign, which is not loaded for the help text."""
 
@@ -45,7 +46,7 @@ STAGE_NAMES = (
     multiple=True,
     type=click.Choice(STAGE_NAMES),
     help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk, trigger, "
-    "at-once, live and armed-waiting.",
+    "at-once, live, armed-waiting and flying.",
 )
 @click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")

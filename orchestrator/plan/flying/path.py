@@ -18,7 +18,7 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.flying.flight import Flight, plan_flight
 from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.path_course import PathCourse
-from orchestrator.plan.path_profiles import Array, FittedMotion, make_profile
+from orchestrator.plan.path_profiles import FittedMotion, make_profile
 from orchestrator.plan.path_step import (
     MAX_STRETCHES,
     PathStart,
@@ -156,7 +156,6 @@ def plan_flight_step(
     profiles = {
         course.axes[column].name: make_profile(motion, column, course.axes[column]) for column in course.columns
     }
-    times_s, speeds = _sample_windows(part.flight)
     return PlannedPath(
         plan=StepPlan(course.duration_s, profiles, [start.name for start in starts if start.name not in profiles]),
         moves=[
@@ -173,8 +172,9 @@ def plan_flight_step(
         tolerance=part.lines.tolerance,
         fit_error=0.5 / min(abs(axis.counts_per_unit) for axis in course.axes),
         counts_per_unit={axis.name: axis.counts_per_unit for axis in course.axes},
-        times_s=times_s,
-        speeds={start.name: speeds[:, column] for column, start in enumerate(starts)},
+        # In the windows one axis moves: what sets members apart in time takes none off its line.
+        times_s=np.array([0.0, course.duration_s]),
+        speeds={start.name: np.zeros(2) for start in starts},
         course=course,
     )
 
@@ -187,16 +187,6 @@ def _make_course(motion: FittedMotion, starts: Sequence[PathStart], lines: Flown
     ]
     columns = [column for column in range(len(axes)) if np.ptp(motion.positions[:, column]) > 0.0]
     return PathCourse(motion, axes, columns, motion.positions[0], lines.tolerance * RAMP_SHARE)
-
-
-def _sample_windows(flight: Flight) -> tuple[Array, Array]:
-    """Instants of a flight, and the speeds of its axes then: their own in the windows, 0 in between, where they need
-    not keep together."""
-    edges = np.array([[line.begin_s, line.end_s] for line in flight.lines])
-    times_s = np.concatenate([[0.0], edges.ravel(), [flight.duration_s]])
-    speeds = np.zeros((len(times_s), flight.motion.positions.shape[1]))
-    speeds[1:-1] = np.abs(flight.motion.evaluate(edges.mean(axis=1))[1]).repeat(2, axis=0)
-    return times_s, speeds
 
 
 def _list_stretches(part: FlownPart) -> list[PathStretch]:

@@ -91,3 +91,20 @@ def test_a_motion_of_an_axis_that_no_step_has_belongs_to_none() -> None:
     fleet = RecordedFleet()
     fleet.request_step("first", 500, 1000, {"c": "", "d": "a"})
     assert fleet.find_job("c", "a", fleet.move("c", "a", 1000)) is None
+
+
+def test_a_step_that_is_started_again_has_two_parts() -> None:
+    """Of the first part all move, of the second one only c, behind another step of its axis."""
+    fleet = RecordedFleet()
+    fleet.request_step("first", 500, 1000, {"c": "ab", "d": "a"})
+    fleet.request_step("second", 2500, 3000, {"c": "a"})
+    fleet.request_step("first", 4500, 5000, {"c": "a"})
+    steps = fleet.records.find_steps(fleet.phase)
+    assert [(step.job, dict(step.axes)) for step in steps] == [
+        ("first", {"c": ["a", "b"], "d": ["a"]}),
+        ("second", {"c": ["a"]}),
+        ("first", {"c": ["a"]}),
+    ]
+    for start_ms, number in ((1000, 0), (3000, 1), (5000, 2)):
+        assert fleet.records.find_step("c", "a", fleet.move("c", "a", start_ms), steps) is steps[number]
+    assert fleet.records.find_step("c", "b", fleet.move("c", "b", 5000), steps) is steps[0]

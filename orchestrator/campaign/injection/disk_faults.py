@@ -3,7 +3,7 @@
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.repairs import Repair, do_nothing
+from orchestrator.campaign.injection.repairs import Repair, do_nothing
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 

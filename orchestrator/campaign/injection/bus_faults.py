@@ -5,7 +5,7 @@ from contextvars import Context
 from random import Random
 
 from orchestrator.bus.memory.router import MemoryRouter
-from orchestrator.campaign.repairs import Repair
+from orchestrator.campaign.injection.repairs import Repair
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.runtime.virtual.fleet import VirtualFleet
