@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -19,9 +20,8 @@ from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import plan_lines
-from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.forecast.job import JobForecaster
-from orchestrator.plan.forecast.line import find_first_path
+from orchestrator.plan.forecast.line import find_first_part, find_first_path
 from orchestrator.plan.forecast.ways import ForecastMotion
 
 MAX_STEPS = 1000  # that are drawn
@@ -50,17 +50,13 @@ def draw_job(
         return drawing.finish()
     index = 0
     while index < min(len(order), MAX_STEPS):
-        location = order.locate(index)
-        stands_for = 1
+        location, steps_drawn = order.locate(index), 1
         try:
-            step = location.choose_step(partial(_find_motion, fleet, location))
-            drawing.take(index, step)
-            if isinstance(step, FlightPath) and location.scan is not None:
-                lines = (step.part.end - step.part.first) // location.scan.points_together
-                stands_for = (lines - 1) * location.scan.points_steps + 1
+            drawing.take(index, location.choose_step(partial(_find_motion, fleet, location)))
+            steps_drawn = _count_flown(fleet, location)
         except Refusal as error:
             drawing.note_gap(index, error.text)
-        index += stands_for
+        index += steps_drawn
     if len(order) > MAX_STEPS:
         drawing.note_gap(MAX_STEPS, f"only the first {MAX_STEPS} of {len(order)} steps are drawn")
     return drawing.finish()
@@ -69,12 +65,14 @@ def draw_job(
 def draw_path(
     fleet: Fleet, positions: Sequence[PositionEntry], axes: Mapping[str, AxisForecast], location: StepPlace
 ) -> dict[str, Any]:
-    """The path of one step as a preview, from where it begins: the axes may stand elsewhere by now. Raises `Refusal`
-    for a step that is none."""
-    step = location.step
-    if not step.follows_path:
+    """The path of one step as a preview, from where it begins: the axes may stand elsewhere by now; of a scan that
+    flies, the lines that are flown together. Raises `Refusal` for a step that is none."""
+    if not location.is_path:
         raise Refusal("no-path", f"{location.describe()} is no path", "choose the step of a path")
-    (path,) = PositionResolver(fleet, positions).resolve_steps([step])
+    (path,) = PositionResolver(fleet, positions).resolve_steps([location.step])
+    scan = replace(location, step=path).scan
+    if scan is not None and location.point is not None:
+        path = find_first_path(fleet, plan_lines(scan, fleet), location.point)
     drawing = _Drawing(fleet, {name: axis.model_copy(update={"known": False}) for name, axis in axes.items()})
     drawing.take(location.index, path)
     return drawing.finish()
@@ -91,6 +89,16 @@ def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
         return find_first_path(fleet, lines, place.point) if place.is_flown_path else lines.make_move(place.point)
     position = GridPoints(scan.axes).find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
+
+
+def _count_flown(fleet: Fleet, place: StepPlace) -> int:
+    """The steps that the drawing of one stands for: lines of a scan that are flown together. Raises `Refusal`."""
+    if not place.is_flown_path or place.scan is None or place.point is None:
+        return 1
+    lines = plan_lines(place.scan, fleet)
+    part = find_first_part(fleet, lines, place.point)
+    line_count = 1 if part is None else (part.end - part.first) // lines.count
+    return (line_count - 1) * place.scan.points_steps + 1
 
 
 class _Drawing:

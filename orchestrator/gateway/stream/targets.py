@@ -9,7 +9,7 @@ from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import FINISHED_STATES, JobProgress
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
-from orchestrator.model.steps.order import StepOrder
+from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.units import UnitError, parse_quantity
 
 FindRest = Callable[[str], float | None]
@@ -47,17 +47,19 @@ class JobTargets:
         if begun_job is None or fleet is None or self._steps.get(job_id) == progress.step:
             return False
         self._steps[job_id] = progress.step
-        step = _find_step(begun_job, progress.step)
-        self._targets[job_id] = _find_targets(begun_job, step, fleet, find_rest)
+        step_place = _find_place(begun_job, progress.step)
+        self._targets[job_id] = _find_targets(
+            begun_job, None if step_place is None else step_place.step, fleet, find_rest
+        )
         self.paths.pop(job_id, None)
-        if step is not None and step.follows_path:
-            self.paths[job_id] = {"step": progress.step, "axes": step.named_axes}
+        if step_place is not None and step_place.is_path:
+            self.paths[job_id] = {"step": progress.step, "axes": step_place.step.named_axes}
         return True
 
 
-def _find_step(begun: JobBegun, number: int) -> Step | None:
+def _find_place(begun: JobBegun, number: int) -> StepPlace | None:
     order = StepOrder(begun.job.steps, begun.repeat)
-    return order.locate(number).step if number < len(order) else None
+    return order.locate(number) if number < len(order) else None
 
 
 def _find_targets(begun: JobBegun, step: Step | None, fleet: Fleet, find_rest: FindRest) -> dict[str, float]:

@@ -77,6 +77,11 @@ class StepPlace:
         return self.scan is not None and self.scan.fly is not None and self.part == self.scan.points_steps - 1
 
     @property
+    def is_path(self) -> bool:
+        """Whether axes follow a path in it."""
+        return self.is_flown_path or (self.scan is None and self.step.follows_path)
+
+    @property
     def step_name(self) -> str:
         """What progress calls it: its name, or what it does; of a live job, `live` and that."""
         if self.asked is not None:

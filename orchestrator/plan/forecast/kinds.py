@@ -16,6 +16,7 @@ from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
+from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.dwell import forecast_dwell
 from orchestrator.plan.forecast.home import forecast_home
@@ -40,6 +41,7 @@ def _forecast_repeat(state: ForecastState, at: ForecastContext, step: Repeat) ->
 FORECASTERS: Mapping[type[Step], Callable[[ForecastState, ForecastContext, Any], Span]] = {
     Move: forecast_move,
     FollowPath: forecast_path,
+    FlightPath: forecast_path,
     Scan: forecast_scan,
     Home: forecast_home,
     Enable: forecast_motors,

@@ -13,7 +13,14 @@ from orchestrator.model.names import controller_of
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines, check_room, plan_lines
-from orchestrator.plan.flying.path import ChunkAbility, FlightPath, explain_single_lines, list_members, plan_part
+from orchestrator.plan.flying.path import (
+    ChunkAbility,
+    FlightPath,
+    FlownPart,
+    explain_single_lines,
+    list_members,
+    plan_part,
+)
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.io import forecast_wait
 from orchestrator.plan.forecast.path import forecast_path
@@ -82,12 +89,19 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
 
 def find_first_path(fleet: Fleet, lines: FlownLines, point: int) -> FollowPath:
     """The motion through lines of a scan from a point on, as far as the fleet file says."""
+    part = find_first_part(fleet, lines, point)
+    return lines.make_path(point) if part is None else FlightPath.make(part)
+
+
+def find_first_part(fleet: Fleet, lines: FlownLines, point: int) -> FlownPart | None:
+    """The lines of a scan from a point on that are flown in one motion, as far as the fleet file says; None: each is
+    flown by itself."""
     if explain_single_lines(lines, fleet, dict.fromkeys(list_members(lines), USUAL_CHUNKS)):
-        return lines.make_path(point)
+        return None
     try:
-        return FlightPath.make(plan_part(lines, fleet, point, USUAL_CHUNKS.most_s))
+        return plan_part(lines, fleet, point, USUAL_CHUNKS.most_s)
     except PlanError:
-        return lines.make_path(point)
+        return None
 
 
 def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLines, path: FollowPath) -> Span:
