@@ -46,7 +46,11 @@ def test_an_axis_that_stands_elsewhere_is_named(fleet: Path) -> None:
     ("steps", "options", "words"),
     [
         ("{do: home}", (), "has no step `do: path`"),
-        (f"{{do: home}}, {PATH}", ("--step", "1"), "step 1 of job 'part' is no path its paths are the steps 2"),
+        (
+            f"{{do: home}}, {PATH}",
+            ("--step", "1"),
+            "step 1 of job 'part' is no path, and no scan that flies its paths, and scans that fly, are the steps 2",
+        ),
         (PATH.replace("gantry.y", "gantry.z"), (), "the fleet has no axis gantry.z"),
         (PATH.replace("[50, 40]", "[50, -40]"), (), "below its soft limit -10"),
         (PATH.replace("100 um", "0"), (), "the tolerance is 0; it must be above 0"),
