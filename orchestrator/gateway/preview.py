@@ -20,8 +20,9 @@ from orchestrator.model.steps.order import StepOrder, StepPlace
 from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import plan_lines
+from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.forecast.job import JobForecaster
-from orchestrator.plan.forecast.line import find_first_part, find_first_path
+from orchestrator.plan.forecast.line import find_first_part
 from orchestrator.plan.forecast.ways import ForecastMotion
 
 MAX_STEPS = 1000  # that are drawn
@@ -52,8 +53,8 @@ def draw_job(
     while index < min(len(order), MAX_STEPS):
         location, steps_drawn = order.locate(index), 1
         try:
-            drawing.take(index, location.choose_step(partial(_find_motion, fleet, location)))
-            steps_drawn = _count_flown(fleet, location)
+            step, steps_drawn = _choose_step(fleet, location)
+            drawing.take(index, step)
         except Refusal as error:
             drawing.note_gap(index, error.text)
         index += steps_drawn
@@ -70,35 +71,35 @@ def draw_path(
     if not location.is_path:
         raise Refusal("no-path", f"{location.describe()} is no path", "choose the step of a path")
     (path,) = PositionResolver(fleet, positions).resolve_steps([location.step])
-    scan = replace(location, step=path).scan
-    if scan is not None and location.point is not None:
-        path = find_first_path(fleet, plan_lines(scan, fleet), location.point)
+    path, _ = _choose_step(fleet, replace(location, step=path))
     drawing = _Drawing(fleet, {name: axis.model_copy(update={"known": False}) for name, axis in axes.items()})
     drawing.take(location.index, path)
     return drawing.finish()
 
 
+def _choose_step(fleet: Fleet, place: StepPlace) -> tuple[Step, int]:
+    """The step that runs at a place, and for how many it stands: of lines of a scan that are flown together, the first
+    one stands for all. Raises `Refusal`."""
+    if not place.is_flown_path or place.scan is None or place.point is None:
+        return place.choose_step(partial(_find_motion, fleet, place)), 1
+    lines = plan_lines(place.scan, fleet)
+    part = find_first_part(fleet, lines, place.point)
+    if part is None:
+        return lines.make_path(place.point), 1
+    line_count = (part.end - part.first) // lines.count
+    return FlightPath.make(part), (line_count - 1) * place.scan.points_steps + 1
+
+
 def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
-    """The move to a point of a scan, or of a line that is flown its move or path. Raises `Refusal`."""
+    """The move to a point of a scan, or to the beginning of a line that is flown. Raises `Refusal`."""
     assert place.point is not None
     if scan.points is not None:
         raise Refusal("not-drawn", "points that were sent as a table are not drawn")
-    units = [fleet.axis(name).unit for name in scan.axis_names]
     if scan.fly is not None:
-        lines = plan_lines(scan, fleet)
-        return find_first_path(fleet, lines, place.point) if place.is_flown_path else lines.make_move(place.point)
+        return plan_lines(scan, fleet).make_move(place.point)
+    units = [fleet.axis(name).unit for name in scan.axis_names]
     position = GridPoints(scan.axes).find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
-
-
-def _count_flown(fleet: Fleet, place: StepPlace) -> int:
-    """The steps that the drawing of one stands for: lines of a scan that are flown together. Raises `Refusal`."""
-    if not place.is_flown_path or place.scan is None or place.point is None:
-        return 1
-    lines = plan_lines(place.scan, fleet)
-    part = find_first_part(fleet, lines, place.point)
-    line_count = 1 if part is None else (part.end - part.first) // lines.count
-    return (line_count - 1) * place.scan.points_steps + 1
 
 
 class _Drawing:

@@ -124,10 +124,7 @@ def plan_path_step(
         )
     path = PlannedPath(
         plan=StepPlan(fitted_line.duration_s, fitted_line.profiles, fitted_line.standing),
-        moves=[
-            make_axis_move(start.name, start.axis, start.start_counts, exact[start.name][1], start.order)
-            for start in starts
-        ],
+        moves=make_moves(starts, exact),
         exact=exact,
         report=PathReport(
             unit=unit,
@@ -145,6 +142,14 @@ def plan_path_step(
         lines=time_lines(step, plan),
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
+
+
+def make_moves(starts: Sequence[PathStart], exact: Mapping[str, tuple[Fraction, int]]) -> list[AxisMove]:
+    """The moves of the axes of a path to its end. exact: their ends, with their counts."""
+    return [
+        make_axis_move(start.name, start.axis, start.start_counts, exact[start.name][1], start.order)
+        for start in starts
+    ]
 
 
 def make_fitted_axis(start: PathStart, end_counts: int) -> FittedAxis:

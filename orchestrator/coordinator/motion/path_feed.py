@@ -119,9 +119,8 @@ class PathFeed:
         """Continue the path until it is held, or a chunk cannot be loaded. A task in parallel with the supervision of
         the step, which ends it: an override may take the last chunk back."""
         while self.failure is None and self.held_by is None:
-            if (
-                self._lock.locked()
-            ):  # an override continues the path: loading beside it would take the place of its chunk
+            if self._lock.locked():
+                # An override continues the path: loading beside it would take the place of its chunk.
                 async with self._lock:
                     continue
             due_s = self.chunk.end_s - self._first.load_s

@@ -104,21 +104,17 @@ class _FlightPlanner:
         return move_motion(self._turns[key], np.array([state.position for state in begin]))
 
     def _solve(self, begin: Sequence[WayEnd], end: Sequence[WayEnd]) -> FittedMotion:
-        flown_number, room, is_turn = (
-            self._flown,
-            self._lines.run_up,
-            begin[self._flown].velocity and end[self._flown].velocity,
-        )
-        limits = self._find_limits([state.position for state in end], 1.0 if not is_turn else self._use)
-        turn = solve_turn(begin, end, limits)
-        if not is_turn:
-            return turn
+        entry, leave, room = begin[self._flown], end[self._flown], self._lines.run_up
+        ways = [state.position for state in end]
+        if not (entry.velocity and leave.velocity):  # a run-up or a run-down
+            return solve_turn(begin, end, self._find_limits(ways, 1.0))
+        turn = solve_turn(begin, end, self._find_limits(ways, self._use))
         # No farther than lines that begin and end at rest, whose room is checked before anything moves.
-        least, most = (float(ends[flown_number]) for ends in find_extremes(turn))
-        ends = [begin[flown_number].position, end[flown_number].position]
+        least, most = (float(positions[self._flown]) for positions in find_extremes(turn))
+        ends = [entry.position, leave.position]
         if least >= min(ends) - room and most <= max(ends) + room:
             return turn
-        return solve_stop(begin, end, self._find_limits([state.position for state in end], 1.0), flown_number, room)
+        return solve_stop(begin, end, self._find_limits(ways, 1.0), self._flown, room)
 
     def _find_limits(self, ways: Sequence[float], use: float) -> list[WayLimits]:
         """The limits of the axes on their ways, with the speed that the scan states for its moves between lines."""

@@ -25,11 +25,11 @@ from orchestrator.plan.path_step import (
     PlannedPath,
     find_unit,
     make_fitted_axis,
+    make_moves,
     require_start,
 )
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
-from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, ResolvedTrigger
 
 CONSTANT, TURN = "constant speed through windows", "turn-around"
@@ -140,6 +140,20 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> Flo
     raise PlanError(f"lines of {lines.count} points of {lines.axis} are too short to be braked between two of them")
 
 
+def choose_part(
+    lines: FlownLines, fleet: Fleet, first: int, abilities: Mapping[str, ChunkAbility]
+) -> tuple[FlownPart | None, str]:
+    """The lines from a point on that are flown in one motion; None, and why, where they are flown one by one.
+    abilities: by controller, of `list_members`."""
+    reason = explain_single_lines(lines, fleet, abilities)
+    if reason:
+        return None, reason
+    try:
+        return plan_part(lines, fleet, first, min(ability.most_s for ability in abilities.values())), ""
+    except PlanError as error:
+        return None, str(error)
+
+
 def plan_flight_step(
     step: FlightPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
 ) -> PlannedPath:
@@ -158,10 +172,7 @@ def plan_flight_step(
     }
     return PlannedPath(
         plan=StepPlan(course.duration_s, profiles, [start.name for start in starts if start.name not in profiles]),
-        moves=[
-            make_axis_move(start.name, start.axis, start.start_counts, exact[start.name][1], start.order)
-            for start in starts
-        ],
+        moves=make_moves(starts, exact),
         exact=exact,
         report=PathReport(
             unit=unit,

@@ -17,16 +17,14 @@ from orchestrator.plan.flying.path import (
     ChunkAbility,
     FlightPath,
     FlownPart,
-    explain_single_lines,
+    choose_part,
     list_members,
-    plan_part,
 )
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.io import forecast_wait
 from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
-from orchestrator.plan.shape import PlanError
 
 USUAL_CHUNKS = ChunkAbility(7.5, switches=True)  # of the makes that load paths in chunks
 SLOWER = 0.002  # of the speed, by which a plan may be slower in a window
@@ -53,12 +51,7 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     if wait is not None:
         waiting_span = forecast_wait(state, replace(at, place=(*at.place, "fly", "wait")), wait)
         between = between.followed_by(waiting_span, lines.line_count)
-    reason, part = explain_single_lines(lines, state.fleet, abilities), None
-    if not reason:
-        try:
-            part = plan_part(lines, state.fleet, 0, min(ability.most_s for ability in abilities.values()))
-        except PlanError as error:
-            reason = str(error)
+    part, reason = choose_part(lines, state.fleet, 0, abilities)
     problems = len(state.problems)
     line = _forecast_motion(state, at, lines, lines.make_path(0))
     singly = line.followed_by(line, lines.line_count - 1).followed_by(between)
@@ -87,21 +80,10 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     return Span(min(together_s, singly.least), most_s)
 
 
-def find_first_path(fleet: Fleet, lines: FlownLines, point: int) -> FollowPath:
-    """The motion through lines of a scan from a point on, as far as the fleet file says."""
-    part = find_first_part(fleet, lines, point)
-    return lines.make_path(point) if part is None else FlightPath.make(part)
-
-
 def find_first_part(fleet: Fleet, lines: FlownLines, point: int) -> FlownPart | None:
     """The lines of a scan from a point on that are flown in one motion, as far as the fleet file says; None: each is
     flown by itself."""
-    if explain_single_lines(lines, fleet, dict.fromkeys(list_members(lines), USUAL_CHUNKS)):
-        return None
-    try:
-        return plan_part(lines, fleet, point, USUAL_CHUNKS.most_s)
-    except PlanError:
-        return None
+    return choose_part(lines, fleet, point, dict.fromkeys(list_members(lines), USUAL_CHUNKS))[0]
 
 
 def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLines, path: FollowPath) -> Span:

@@ -7,6 +7,7 @@ anew with each chunk. As with single lines, an axis that is off its plan by a di
 the speed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, floor, inf
 from typing import Literal
@@ -137,13 +138,13 @@ class FlightRows:
         rows = [] if verdict is None else self._take_until(inf, verdict)
         if not self._waiting:
             return FlightEnd(rows, self._part.end, late=is_late, is_interrupted=True)
-        line, flown_axis = self._waiting[0], 0
+        line, flown_count = self._waiting[0], 0
         if verdict is not None:
             edges = line.begin_s + line.window_s * np.arange(1, line.points + 1)
-            flown_axis = int(np.searchsorted(edges, self._find_released_s(), side="right"))
-            rows += self._make_rows(line, flown_axis, verdict)
-        broken_points = self._find_broken(line, flown_axis)
-        return FlightEnd(rows, line.first + flown_axis, late=is_late, broken=broken_points, is_interrupted=True)
+            flown_count = int(np.searchsorted(edges, self._find_released_s(), side="right"))
+            rows += self._make_rows(line, flown_count, verdict)
+        broken_points = self._find_broken(line, flown_count)
+        return FlightEnd(rows, line.first + flown_count, late=is_late, broken=broken_points, is_interrupted=True)
 
     def _take_until(self, certain_s: float, verdict: Verdict) -> list[PointRecord]:
         """The rows of lines that are over at an instant of the motion. verdict: on what is known of it."""
@@ -168,12 +169,13 @@ class FlightRows:
             return -inf
         return inf if feed.chunk.last else feed.chunk.clock.find_path_s(feed.chunk.end_s)
 
-    def _find_broken(self, line: FlightLine, flown_axis: int) -> range:
-        """The points behind the first `flown` ones of a line whose windows have begun when the flight was at rest."""
+    def _find_broken(self, line: FlightLine, flown_count: int) -> range:
+        """The points of a line behind its first ones that were flown, whose windows have begun when the flight was at
+        rest."""
         feed = None if self._motion is None else self._motion.feed
         stop_s = line.begin_s if feed is None else feed.chunk.stop_path_s
-        begun_count = max(flown_axis, min(line.points, ceil((stop_s - line.begin_s) / line.window_s)))
-        return range(line.first + flown_axis, line.first + begun_count)
+        begun_count = max(flown_count, min(line.points, ceil((stop_s - line.begin_s) / line.window_s)))
+        return range(line.first + flown_count, line.first + begun_count)
 
     def _judge_starts(self) -> Verdict | None:
         """The verdict on the starts of all members; None as long as one is not known."""
@@ -184,6 +186,7 @@ class FlightRows:
         """The rows of the first points of a line. A window at another speed than planned is not good, and neither is
         one in which the speed changes."""
         assert self._clock is not None
+        find_interval = self._make_interval_finder()
         parts = line.begin_s + line.window_s * np.arange(2 * count + 1) / 2
         at_s = self._clock.find_instants(parts)
         rates = self._clock.evaluate(at_s).rates
@@ -191,7 +194,7 @@ class FlightRows:
         for number in range(count):
             part = slice(2 * number, 2 * number + 3)
             lower, middle, upper = (
-                self._find_interval(instant_s, rate)
+                find_interval(instant_s, rate)
                 for instant_s, rate in zip(at_s[part].tolist(), rates[part].tolist(), strict=True)
             )
             took_s = float(at_s[part][-1] - at_s[part][0])
@@ -252,17 +255,22 @@ class FlightRows:
         points = range(begun_lines[0].first, begun_lines[-1].first + begun_lines[-1].points)
         return [self._make_row(point, words) for point in points]
 
-    def _find_interval(self, at_s: float, rate: float) -> TimeInterval:
-        """When the axis was where its plan has it so long after T0, at a rate of its planned speed."""
+    def _make_interval_finder(self) -> Callable[[float, float], TimeInterval]:
+        """A function that tells when the axis was where its plan has it so long after T0 (s), at a rate of its planned
+        speed."""
         motion, lines = self._motion, self._part.lines
         assert motion is not None and motion.agreement.first is not None and motion.agreement.path is not None
         agreement, first = motion.agreement, motion.agreement.first
         t0_ns, member = motion.start.state.t0_fleet_ns, controller_of(lines.axis)
         early_ns, late_ns = narrow_start(agreement, member, motion.watch.reports[member], t0_ns)
-        age_s = min(at_s, first.most_s + first.load_s)
-        error_s = find_error(motion.agreement.path, lines) / lines.speed / max(rate, LEAST_RATE)
-        beside_ns = (agreement.proposals[member].clock_ppm * 1e-6 * age_s + error_s) * NS_PER_S
-        planned_ns = t0_ns + at_s * NS_PER_S
-        return TimeInterval(
-            earliest_ns=floor(planned_ns + early_ns - beside_ns), latest_ns=ceil(planned_ns + late_ns + beside_ns)
-        )
+        most_age_s, clock_rate = first.most_s + first.load_s, agreement.proposals[member].clock_ppm * 1e-6
+        error_s = find_error(motion.agreement.path, lines) / lines.speed
+
+        def find_interval(at_s: float, rate: float) -> TimeInterval:
+            beside_s = clock_rate * min(at_s, most_age_s) + error_s / max(rate, LEAST_RATE)
+            planned_ns, beside_ns = t0_ns + at_s * NS_PER_S, beside_s * NS_PER_S
+            return TimeInterval(
+                earliest_ns=floor(planned_ns + early_ns - beside_ns), latest_ns=ceil(planned_ns + late_ns + beside_ns)
+            )
+
+        return find_interval

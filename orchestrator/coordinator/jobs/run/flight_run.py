@@ -75,7 +75,7 @@ class FlightRun:
     async def finish(self, flights: ScanFlights, place: StepPlace, report: StepReport) -> StepReport:
         """Take what has become of the flight: its last rows, and where the scan goes on. Raises `JournalError`."""
         end = self._flight.finish(report)
-        goes_on = report.state != "done" and end.is_interrupted
+        goes_on = end.is_interrupted
         await self._reports.add_flown_rows(end.rows, "; ".join(report.deviations) or report.reason)
         next_point = end.next_point
         if end.late:

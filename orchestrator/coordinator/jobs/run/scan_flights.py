@@ -8,13 +8,10 @@ from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.lines import FlownLines, plan_lines
-from orchestrator.plan.flying.path import FlightPath, FlownPart, explain_single_lines, list_members, plan_part
-from orchestrator.plan.shape import PlanError
+from orchestrator.plan.flying.path import FlightPath, FlownPart, choose_part, list_members
 
 MOST_STOPS = 3
 """Of one scan, because chunks came too late, after which it ends."""
-
-
 SCANS_KEPT = 2  # the present one, and one that is looked at ahead
 
 
@@ -86,14 +83,10 @@ class ScanFlights:
         `Refusal` for an absent member."""
         view = self._services.fleet.view
         abilities = {name: make_chunk_ability(await view.require_info(name)) for name in list_members(lines)}
-        if explain_single_lines(lines, self._fleet, abilities):
-            return None
-        most_s = min(ability.most_s for ability in abilities.values())
-        try:
-            return await self._services.plan(plan_part, lines, self._fleet, first, most_s)
-        except PlanError as error:
-            self._services.fleet.log.info(f"flown line by line: {error}")
-            return None
+        part, reason = await self._services.plan(choose_part, lines, self._fleet, first, abilities)
+        if part is None:
+            self._services.fleet.log.info(f"flown line by line: {reason}")
+        return part
 
     # Ends
 
