@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from _pytest.mark.structures import ParameterSet
 from cluster.test_contour import two_gantries
 from cluster.test_flying_scans import Truth, fly, path_fleet, prepare, wait_for_state
 from cluster.test_paths import delay_chunks
@@ -59,27 +60,36 @@ def count_motions(report: JobReport) -> int:
     return scan.scan.steps_done
 
 
+def whole(make: Callable[[], Fleet], outer: str, flown: str, late_s: float) -> ParameterSet:
+    """41 lines of 101 points, 10 ms each."""
+    return pytest.param(make, outer, flown, late_s, 41, 101, 10, marks=pytest.mark.nightly)
+
+
 @pytest.mark.parametrize(
-    ("make", "outer", "flown", "late_s"),
+    ("make", "outer", "flown", "late_s", "lines", "points", "window_ms"),
     [
-        (two_gantries, "gantry.x", "gantry.y", 0.0),
-        (two_gantries, "portal.x", "gantry.y", 0.0),
-        (path_fleet, "slide.y", "gantry.x", 0.0),
-        (path_fleet, "gantry.x", "slide.y", 0.0004),
+        (two_gantries, "gantry.x", "gantry.y", 0.0, 15, 41, 20),
+        (two_gantries, "portal.x", "gantry.y", 0.0, 15, 41, 20),
+        (path_fleet, "slide.y", "gantry.x", 0.0, 15, 41, 20),
+        (path_fleet, "gantry.x", "slide.y", 0.0004, 15, 41, 20),
+        whole(two_gantries, "portal.x", "gantry.y", 0.0),
+        whole(path_fleet, "slide.y", "gantry.x", 0.0),
+        whole(path_fleet, "gantry.x", "slide.y", 0.0004),
     ],
 )
 def test_a_raster_is_one_motion_that_takes_its_windows_and_its_turns(
-    make: Callable[[], Fleet], outer: str, flown: str, late_s: float
+    make: Callable[[], Fleet], outer: str, flown: str, late_s: float, lines: int, points: int, window_ms: int
 ) -> None:
     async def main(fleet: VirtualFleet) -> None:
-        report, rows, truth = await fly(fleet, f"[{raster(15, 41, '20 ms', outer, flown)}]", flown)
+        report, rows, truth = await fly(fleet, f"[{raster(lines, points, f'{window_ms} ms', outer, flown)}]", flown)
         assert report.state == "done" and report.verdict == "green", report.reason
-        assert [row.point for row in rows] == list(range(1, 15 * 41 + 1))
+        assert [row.point for row in rows] == list(range(1, lines * points + 1))
         check_windows(rows, truth, flown, late_s)
-        speed, limits = SPACING / 0.02, fleet.fleet.axis(flown).limits
+        speed, limits = SPACING / window_ms * 1000, fleet.fleet.axis(flown).limits
         turn_s = 2 * speed / limits.acceleration + limits.acceleration / (limits.jerk or np.inf)
         spent_s = rows[-1].window.upper.latest_ns - rows[0].window.lower.earliest_ns  # pyright: ignore
-        assert spent_s / NS_PER_S <= 1.1 * (15 * 41 * 0.02 + 14 * turn_s)
+        asked_s = lines * points * window_ms / 1000 + (lines - 1) * turn_s
+        assert spent_s / NS_PER_S <= 1.1 * asked_s
 
     run_fleet(main, make())
 
