@@ -136,6 +136,10 @@ class FleetKeys:
         """What outputs did on the way of a step; published by the coordinator."""
         return f"{self.prefix}/job/{_make_chunk(job, 'job')}/triggers"
 
+    def virtual(self, group: str | None = None) -> str:
+        """The state of a group of virtual axes; published by the coordinator."""
+        return f"{self.prefix}/virtual/{_make_chunk(group, 'group')}/state"
+
     @property
     def queue(self) -> str:
         """The queue of jobs; published by the coordinator."""

@@ -40,6 +40,7 @@ from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobPlan, JobPlanned
 from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.operation.statistics import StatisticsRead
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -846,6 +847,10 @@ class BlockingTutti(BlockingObject[Tutti]):
         """The state of every controller that has an adapter now, by id. An adapter that hangs costs `timeout_s`; what
         cannot be read is left out."""
         return self._run(self._wrapped.status(timeout_s))
+
+    def virtual_states(self) -> dict[str, VirtualState]:
+        """The state of every group of virtual axes, by its name; none of a fleet that has none. Raises `Refusal`."""
+        return self._run(self._wrapped.virtual_states())
 
     def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.

@@ -36,6 +36,7 @@ from orchestrator.model.messages import (
     TraceRequest,
 )
 from orchestrator.model.names import split_name
+from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import ControllerInfo, ControllerState
 from orchestrator.model.units import Unit
@@ -56,6 +57,11 @@ class FleetRequests(FleetConnection):
             with suppress(ValidationError):
                 states.append(ControllerState.read_message(payload))
         return FleetStates({state.controller: state for state in sorted(states, key=lambda state: state.controller)})
+
+    async def virtual_states(self) -> dict[str, VirtualState]:
+        """The state of every group of virtual axes, by its name; none of a fleet that has none. Raises `Refusal`."""
+        reply = await self.request_service("virtual", Request(**self.request_fields()), VirtualStates)
+        return {state.group: state for state in reply.groups}
 
     async def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.

@@ -23,6 +23,7 @@ from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
@@ -89,6 +90,7 @@ class Coordinator:
             plan_long=environment.plan_long,
         )
         self._targets = motion.targets
+        self._virtual = VirtualObserver(self._view, bus, keys)
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
@@ -106,6 +108,7 @@ class Coordinator:
             motion=motion,
             leases=self._leases,
             positions=self._positions,
+            virtual=self._virtual,
             alarms=self._alarms.register,
             statistics=self._statistics,
             leadership=self.leadership,
@@ -136,6 +139,7 @@ class Coordinator:
         await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self.leadership.on_lost = self._lose_leadership
         self._view.add_state_listener(self._receive_state)
+        self._virtual.start()
         await self._view.start()
         bus, keys = self._environment.bus, self._environment.keys
         await self._leases.start()

@@ -122,6 +122,7 @@ class UserRequests:
             "statistics": services.statistics.read_statistics,
             "commands": self._commands.list_commands,
             "names": self._list_names,
+            "virtual": services.virtual.answer,
             "configuration": self._show_configuration,
         }
 
@@ -292,6 +293,8 @@ class UserRequests:
             axes={name: fleet.axis(name).unit for name in fleet.axis_names},
             groups=fleet.groups,
             positions={entry.name: list(entry.axes) for entry in self._services.positions.list_entries()},
+            virtual={name: fleet.unit_of(name) for name in fleet.names.virtual},
+            virtual_groups={name: group.of for name, group in fleet.virtual.items()},
             inputs=[f"{c}.{name}" for c, controller in fleet.controllers.items() for name in controller.inputs],
             outputs=[f"{c}.{name}" for c, controller in fleet.controllers.items() for name in controller.outputs],
         )

@@ -83,6 +83,7 @@ class FleetReads:
             "/v1/jobs/{job_id}/export.csv": self._export_job,
             "/v1/alarms": self._list_alarms,
             "/v1/names": self._list_names,
+            "/v1/virtual": self._list_virtual,
             "/v1/positions": self._list_positions,
             "/v1/statistics": self._read_statistics,
             "/v1/recordings": self._list_recordings,
@@ -115,6 +116,9 @@ class FleetReads:
 
     async def _list_names(self, request: ReadRequest) -> Response:
         return await self._ask(request, "names")
+
+    async def _list_virtual(self, request: ReadRequest) -> Response:
+        return await self._ask(request, "virtual")
 
     async def _list_positions(self, request: ReadRequest) -> Response:
         return await self._ask(request, "positions")

@@ -76,7 +76,7 @@ def _make_coordinator(keys: FleetKeys, name: str, _: Mapping[str, Sequence[str]]
         _find_reading(keys)
         + _find_own(keys, "coordinator", None)
         + Rights(
-            puts=(keys.leader, keys.queue, keys.leases, keys.alarm(), *jobs),
+            puts=(keys.leader, keys.queue, keys.leases, keys.alarm(), keys.virtual(), *jobs),
             serves=(
                 keys.service(),
                 keys.time,

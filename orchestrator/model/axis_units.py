@@ -1,10 +1,19 @@
-"""The fields of an axis that files may give with a unit: `velocity: "200 mm/s"`."""
+"""The fields of an axis that have a unit: its range, and those that files may give with one, `velocity: "200 mm/s"`."""
 
 from collections.abc import Mapping
 from typing import Any, cast
 
+from orchestrator.model.base import Model
 from orchestrator.model.problems import Problem
-from orchestrator.model.units import Unit, UnitError, parse_rate
+from orchestrator.model.units import Quantity, Unit, UnitError, parse_rate
+
+
+class SoftLimits(Model):
+    """The range of absolute positions that commands may reach, ends included."""
+
+    min: Quantity
+    max: Quantity
+
 
 # field: power of seconds in its unit (1: per second)
 _RATES: dict[tuple[str, ...], int] = {

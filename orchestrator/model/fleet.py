@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
-from orchestrator.model.axis_units import convert_rates
+from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
@@ -31,6 +31,7 @@ from orchestrator.model.numbers import Hertz, Part, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
+from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualAxes, VirtualGroup, find_virtual_problems
 from orchestrator.model.web_views import WebSettings
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
@@ -47,13 +48,6 @@ class AxisLimits(Model):
     jerk: UnitNumber | None = Field(
         default=None, description="Without it the axis is planned with trapezoidal velocity profiles."
     )
-
-
-class SoftLimits(Model):
-    """The range of absolute positions that commands may reach, ends included."""
-
-    min: Quantity
-    max: Quantity
 
 
 class HomingSettings(Model):
@@ -514,6 +508,9 @@ class Fleet(Model):
     frames: dict[Id, FrameSpec] = Field(
         default={}, max_length=MAX_FRAMES, description="Coordinates for paths: named maps from coordinates to axes."
     )
+    virtual: dict[Id, VirtualGroup] = Field(
+        default={}, max_length=MAX_GROUPS, description="Virtual axes `group.axis`, which stand for several real ones."
+    )
     routers: list[str] = Field(
         default=[],
         max_length=8,
@@ -545,7 +542,8 @@ class Fleet(Model):
         problems: list[Problem] = []
         for name, position in self.positions.items():
             for axis, value in position.axes.items():
-                text = self._explain_position(axis, value) if axis in self.names.axes else None
+                known_names = (*self.names.axes, *self.names.virtual)
+                text = self._explain_position(axis, value) if axis in known_names else None
                 if text is not None:
                     problems.append(Problem(("positions", name, "axes", axis), text, value))
         raise_problems(problems, type(self).__name__)
@@ -571,8 +569,16 @@ class Fleet(Model):
         raise_problems(problems, type(self).__name__)
         return self
 
+    @model_validator(mode="after")
+    def _check_virtual(self) -> "Fleet":
+        """The maps of virtual axes; the names of their real axes are checked with the others."""
+        raise_problems(find_virtual_problems(self.virtual, self.axis), type(self).__name__)
+        return self
+
     def _explain_position(self, axis: str, value: int | float | str) -> str | None:
         """Why `value` cannot be a position of `axis` without a user offset; None if it can."""
+        if axis in self.names.virtual:
+            return self.virtual_axes.explain_target(axis, value)
         config = self.axis(axis)
         try:
             position = parse_quantity(value, config.unit)
@@ -646,13 +652,25 @@ class Fleet(Model):
             raise UnknownName(name, self.names.explain_unknown(name, "axis") or name)
         return self.controllers[controller].axes[axis]
 
+    @cached_property
+    def virtual_axes(self) -> VirtualAxes:
+        """The virtual axes, with the maps to their real ones."""
+        return VirtualAxes(self.virtual, self.axis)
+
+    def unit_of(self, name: str) -> Unit:
+        """The unit of an axis, also of a virtual one. Raises `UnknownName`."""
+        return self.virtual_axes.unit_of(name) if name in self.names.virtual else self.axis(name).unit
+
     @property
     def axis_names(self) -> list[str]:
         """All axes, as `controller.axis`, in the order of the file."""
         return [f"{c}.{a}" for c, controller in self.controllers.items() for a in controller.axes]
 
     def expand_name(self, name: str) -> list[str]:
-        """The axes that `name` stands for: a group, a controller, or one axis. Raises `UnknownName`."""
+        """The axes that `name` stands for: a group, a controller, one axis, or the real axes of virtual ones. Raises
+        `UnknownName`."""
+        if name in self.virtual or name in self.names.virtual:
+            return list(self.virtual[split_name(name)[0]].of)
         if name in self.groups:
             return list(self.groups[name])
         if name in self.controllers:
@@ -661,6 +679,12 @@ class Fleet(Model):
         if text is not None:
             raise UnknownName(name, text)
         return [name]
+
+    def find_real_axes(self, names: Iterable[str]) -> list[str]:
+        """Axes with those that virtual ones stand for in their place, each once, in order; other names as they are."""
+        virtual = self.names.virtual
+        axes = (axis for name in names for axis in (self.expand_name(name) if name in virtual else (name,)))
+        return list(dict.fromkeys(axes))
 
     def expand_names(self, names: Iterable[str]) -> list[str]:
         """The axes that `names` stand for, each once, in order. Raises `UnknownName`."""

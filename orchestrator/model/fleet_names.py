@@ -29,18 +29,26 @@ class DefinedNames:
     inputs: list[str] = field(default_factory=list[str])
     outputs: list[str] = field(default_factory=list[str])
     positions: list[str] = field(default_factory=list[str])
+    virtual_groups: list[str] = field(default_factory=list[str])
+    virtual: list[str] = field(default_factory=list[str])
 
     def explain_unknown(self, name: object, kind: str) -> str | None:
-        """Why `name` is no name of that kind: axis, axes (also groups and controllers), input or output; or None."""
-        known_names = {"axis": self.axes, "input": self.inputs, "output": self.outputs}.get(
-            kind, [*self.axes, *self.groups, *self.controllers]
-        )
+        """Why `name` is no name of that kind: axis (a real one), target (also a virtual one), axes (also groups and
+        controllers), input or output; or None."""
+        known_names = {
+            "axis": self.axes,
+            "target": [*self.axes, *self.virtual],
+            "input": self.inputs,
+            "output": self.outputs,
+        }.get(kind, [*self.axes, *self.groups, *self.controllers, *self.virtual_groups, *self.virtual])
         if name in known_names or not isinstance(name, str):
             return None  # another type is reported by the field itself
-        noun = "axis, group or controller" if kind == "axes" else kind
+        if name in self.virtual:
+            return f"{name} is a virtual axis, which moves only; name one of its real axes here"
+        noun = {"axes": "axis, group or controller", "target": "axis"}.get(kind, kind)
         if (odd_sign := name_odd_sign(name)) != "":
             return f"the fleet has no {noun} {name[:80]!r}; {odd_sign}"
-        listed_axes = self.axes if kind == "axes" else known_names
+        listed_axes = [*self.axes, *self.virtual] if kind == "axes" else known_names
         return f"the fleet has no {noun} {name[:80]}; {suggest_name(name, known_names)}{list_names(listed_axes, kind)}"
 
 
@@ -52,7 +60,7 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
 
 def list_names(names: list[str], kind: str) -> str:
     """`its axes are: …`, with at most `MAX_LISTED` names."""
-    plural = "axes" if kind in ("axis", "axes") else f"{kind}s"
+    plural = "axes" if kind in ("axis", "axes", "target") else f"{kind}s"
     listing = ", ".join(names[:MAX_LISTED]) + (f", … ({len(names)} in all)" if len(names) > MAX_LISTED else "")
     return f"its {plural} are: {listing}" if names else f"it has no {plural}"
 
@@ -65,7 +73,7 @@ def find_reference_problems(data: Any) -> list[Problem]:
     names = collect_names(plain)
     return [
         *_find_unknown(plain, names),
-        *_find_group_problems(plain, names),
+        *_find_group_problems(names),
         *_find_position_problems(plain, names),
         *_find_double_use(plain),
         *_find_homing_circles(plain),
@@ -79,6 +87,8 @@ def collect_names(plain: Mapping[str, Any]) -> DefinedNames:
         names.controllers.append(str(controller))
     for kind, collection in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
         collection += [f"{path[1]}.{path[3]}" for path, _ in select(plain, "controllers", EACH, kind, EACH)]
+    names.virtual_groups.extend(str(path[1]) for path, _ in select(plain, "virtual", EACH))
+    names.virtual.extend(f"{path[1]}.{path[3]}" for path, _ in select(plain, "virtual", EACH, "axes", EACH))
     names.groups.extend(str(path[1]) for path, _ in select(plain, "groups", EACH))
     names.positions.extend(str(path[1]) for path, _ in select(plain, "positions", EACH))
     return names
@@ -103,6 +113,7 @@ def select(data: Any, *pattern: str) -> Iterator[tuple[Place, Any]]:
 _REFERENCES: tuple[tuple[tuple[str, ...], str], ...] = (
     (("groups", EACH, EACH), "axis"),
     (("frames", EACH, "axes", EACH), "axis"),
+    (("virtual", EACH, "of", EACH), "axis"),
     (("home_order", EACH), "axes"),
     (("controllers", EACH, "axes", EACH, "homing", "after", EACH), "axis"),
     (("permits", EACH, "input"), "input"),
@@ -125,11 +136,17 @@ def _find_unknown(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Pro
             yield Problem(path, f"the controller has no output {output}; known outputs: {output_list}", output)
 
 
-def _find_group_problems(plain: Mapping[str, Any], names: DefinedNames) -> Iterator[Problem]:
+def _find_group_problems(names: DefinedNames) -> Iterator[Problem]:
     for group in names.groups:
         if group in names.controllers:
             yield Problem(("groups", group), f"group {group} has the name of a controller; rename one of them")
-    for kind, known_names in (("groups", names.groups), ("controllers", names.controllers)):
+    for group in names.virtual_groups:
+        for noun, known_names in (("controller", names.controllers), ("group", names.groups)):
+            if group in known_names:
+                text = f"the virtual axes {group} have the name of a {noun}; rename one of them"
+                yield Problem(("virtual", group), text)
+    kinds = (("groups", names.groups), ("controllers", names.controllers), ("virtual", names.virtual_groups))
+    for kind, known_names in kinds:
         if WHOLE_FLEET in known_names:
             text = (
                 f"`{WHOLE_FLEET}` stands for the whole fleet (`tutti axis disable {WHOLE_FLEET}`); choose another name"
@@ -145,7 +162,7 @@ def _find_position_problems(plain: Mapping[str, Any], names: DefinedNames) -> It
     for path, value in (*select(plain, "positions", EACH, EACH), *select(plain, "positions", EACH, "axes", EACH)):
         axis = str(path[-1])
         # Without a dot it is a field, which reports itself; only axes have a dot.
-        text = names.explain_unknown(axis, "axis") if "." in axis or "axes" in path[2:-1] else None
+        text = names.explain_unknown(axis, "target") if "." in axis or "axes" in path[2:-1] else None
         if text is not None:
             yield Problem(path, text, value)
 
@@ -157,7 +174,11 @@ def explain_position_name(name: str, names: DefinedNames) -> str | None:
             f"{name[:80]!r} is no name of a position; write a-z, 0-9, _ and -, first a letter, and no word that reads "
             "as a value"
         )
-    for kind, kind_names in (("controller", names.controllers), ("group", names.groups)):
+    for kind, kind_names in (
+        ("controller", names.controllers),
+        ("group", names.groups),
+        ("group of virtual axes", names.virtual_groups),
+    ):
         if name in kind_names:
             return f"position {name} has the name of a {kind}; rename the position"
     return None

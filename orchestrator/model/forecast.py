@@ -6,7 +6,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from orchestrator.model.base import Model, Rational
-from orchestrator.model.report import PathReport
+from orchestrator.model.report import PathReport, VirtualBound
 
 
 class AxisForecast(Model):
@@ -30,6 +30,7 @@ class AxisForecast(Model):
 
 class StepForecast(Model):
     """One step. least_s, most_s: its duration; most_s None: no bound is known. conditions: what only the world decides.
+    virtual: how far virtual axes may be off their line; only in a dry run.
     lines: of a scan that flies, how fast, and how long a line takes; path: of its first line.
 
     commands: by controller, what it would be sent; only in a dry run. refused: why a controller would refuse it.
@@ -43,6 +44,7 @@ class StepForecast(Model):
     conditions: list[str] = Field(default=[])
     budget: dict[str, Any] | None = None
     path: PathReport | None = None
+    virtual: dict[str, VirtualBound] = Field(default={})
     lines: str = ""
     commands: dict[str, list[str]] = Field(default={})
 

@@ -130,6 +130,14 @@ class PredictedSkew(Model):
     worst_member: str
 
 
+class VirtualBound(Model):
+    """How far a virtual axis may be off its line on the way, in its unit: guaranteed where the starts are as
+    promised."""
+
+    most: float
+    unit: Unit
+
+
 class SyncBudget(Model):
     """The guaranteed predicted start skew of a step and the member with the largest share; end and path skew once the
     step is lowered."""
@@ -456,6 +464,9 @@ class StepReport(Model):
     triggers: list[TriggerReport] = Field(default=[])
     latch: LatchReport | None = None
     path: PathReport | None = None
+    virtual: dict[str, VirtualBound] = Field(
+        default={}, description="Of a move of virtual axes: how far each may be off its straight line on the way."
+    )
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 
     @property

@@ -156,6 +156,10 @@ def _describe_deviations(step: StepReport) -> list[str]:
     """Describe a path with its bound, triggers, feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
     lines = [f"{name_step(step.index)}: {text}" for text in ([] if step.path is None else describe_path(step.path))]
+    lines += [
+        f"{name_step(step.index)}: {name} is off its line by at most {bound.most:.3g} {bound.unit} on the way"
+        for name, bound in step.virtual.items()
+    ]
     lines += [f"{name_step(step.index)}: {_describe_triggers(trigger)}" for trigger in step.triggers]
     latch = step.latch
     if latch is not None:

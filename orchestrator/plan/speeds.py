@@ -10,6 +10,7 @@ from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import UnitError, parse_rate
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
+from orchestrator.plan.virtual_moves import drop_virtual_speeds, limit_virtual_speeds
 
 TOLERANCE = 1e-9  # of a limit: a speed that was rounded
 
@@ -27,6 +28,10 @@ def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -
     speed = step.speed
     if isinstance(speed, float | int):
         return [replace(move, velocity=move.velocity * speed) for move in moves]
+    if (limited_moves := limit_virtual_speeds(fleet, step, moves)) is not None:
+        if not isinstance(speed, Mapping):
+            return limited_moves
+        moves, speed = limited_moves, drop_virtual_speeds(fleet, speed)
     if isinstance(speed, Mapping):
         return _limit_named(fleet, speed, moves)
     if speed == MANUAL:

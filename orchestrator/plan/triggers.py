@@ -144,6 +144,9 @@ def _resolve_trigger(fleet: Fleet, place: int, trigger: Trigger, find_offset: Fi
         if trigger.every is not None:
             return replace(plain, period_ns=trigger.period_ns)
         return replace(plain, times_ns=tuple(trigger.instants_ns))
+    if trigger.of in fleet.names.virtual:
+        text = f"`triggers.{place}`: {trigger.of} is a virtual axis, and triggers count positions of real ones"
+        raise Refusal("virtual-axis", text, "give instants (`every: 20 ms`), or name a real axis", plain.owner)
     axis = fleet.axis(trigger.of)
     try:
         if trigger.every is not None:

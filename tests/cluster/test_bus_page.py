@@ -17,6 +17,7 @@ import orchestrator.model.messages
 import orchestrator.model.operation.alarms
 import orchestrator.model.operation.approval
 import orchestrator.model.operation.recording
+import orchestrator.model.operation.virtual_state
 import orchestrator.model.report
 import orchestrator.model.state
 from orchestrator.bus.base import BusSample, RequestRefused
@@ -36,6 +37,7 @@ MODELS = {
         orchestrator.model.report,
         orchestrator.model.jobs.service,
         orchestrator.model.state,
+        orchestrator.model.operation.virtual_state,
     )
 } | {"live": orchestrator.model.jobs.live}
 
@@ -105,6 +107,7 @@ EXAMPLES: dict[str, Any] = {
 
 
 SILENT = {
+    "virtual/{group}/state": "the example fleet has no virtual axes",
     "alarm/{id}": "there is no alarm",
     "lease/{id}/{axis}": "no make here lets axes of one controller move for different holders",
     "leads/{coordinator}": "only served",

@@ -503,7 +503,14 @@ def test_what_is_read_of_a_run(tmp_path: Path) -> None:
         fleet_now = (await gateway.get("/v1/fleet")).json
         assert fleet_now["digests"]["gantry"]["file"] == fleet_now["digests"]["gantry"]["running"]
         assert fleet_now["configuration"]["notify"] is None
-        for path in ("/v1/alarms?all=1&history=5", "/v1/names", "/v1/positions", "/v1/statistics", "/v1/schemas/job"):
+        for path in (
+            "/v1/alarms?all=1&history=5",
+            "/v1/names",
+            "/v1/virtual",
+            "/v1/positions",
+            "/v1/statistics",
+            "/v1/schemas/job",
+        ):
             assert (await gateway.get(path)).status == 200, path
         assert (await gateway.get("/v1/schemas/nothing")).status == 404
         assert (await gateway.get("/v1/trace/nothing")).status == 503

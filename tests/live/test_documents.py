@@ -29,6 +29,7 @@ FIRST_HALF = (
     "how-to/write-a-job.md",
     "how-to/scan-points.md",
     "how-to/scan-without-stopping.md",
+    "how-to/think-in-other-axes.md",
     "how-to/move-along-a-path.md",
     "how-to/run-a-program-from-cam.md",
     "how-to/use-templates.md",

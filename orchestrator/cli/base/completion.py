@@ -34,8 +34,8 @@ def complete_names(choose: "Callable[[FleetNames], Iterable[str]]") -> Complete:
     return complete
 
 
-complete_axes = complete_names(lambda names: [*names.axes, *names.groups, *names.controllers])
-complete_targets = complete_names(lambda names: [f"{axis}=" for axis in names.axes])
+complete_axes = complete_names(lambda names: [*names.axes, *names.groups, *names.controllers, *names.virtual_groups])
+complete_targets = complete_names(lambda names: [f"{axis}=" for axis in (*names.axes, *names.virtual)])
 complete_single_axes = complete_names(lambda names: names.axes)
 complete_positions = complete_names(lambda names: names.positions)
 complete_controllers = complete_names(lambda names: names.controllers)

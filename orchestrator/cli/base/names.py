@@ -32,14 +32,14 @@ def unknown_name(kind: str, name: str, known: Iterable[str], remedy: str = "see 
     return Refusal("unknown-name", f"the fleet has no {kind} {name}; {hint}", remedy)
 
 
-def require_axes(names: "FleetNames", wanted: Iterable[str], *, groups: bool = True) -> list[str]:
-    """The axes that `wanted` stand for, each once. groups: groups and controllers are allowed. Raises `Refusal`."""
+def require_axes(names: "FleetNames", wanted: Iterable[str]) -> list[str]:
+    """The axes that axes, groups and controllers stand for, each once. Raises `Refusal`."""
     axis_names: list[str] = []
     for name in wanted:
-        axes = names.expand_name(name) if groups else [name for _ in range(name in names.axes)]
+        axes = names.expand_name(name)
         if not axes:
-            kind = "axis, group or controller" if groups else "axis"
-            raise unknown_name(kind, name, [*names.axes, *(names.groups if groups else ()), *names.controllers])
+            known_names = [*names.axes, *names.groups, *names.controllers, *names.virtual_groups]
+            raise unknown_name("axis, group or controller", name, known_names)
         axis_names += axes
     return list(dict.fromkeys(axis_names))
 

@@ -3,7 +3,7 @@
 They end with the command: see `orchestrator.cli.jobs.foreground`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from orchestrator.model.jobs.service import FleetNames
     from orchestrator.model.report import JobReport
     from orchestrator.model.steps.base import Step
+    from orchestrator.model.units import Unit
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -73,17 +74,19 @@ def _spread_fleet(names: "FleetNames", step: "Step") -> "Step":
 def _spread_groups(names: "FleetNames", step: "Step") -> "Step":
     """A move to a position, with the axes of it that its groups and controllers stand for. Raises `Refusal`."""
     from orchestrator.model.errors import Refusal
-    from orchestrator.model.names import is_position_name
+    from orchestrator.model.names import controller_of, is_position_name
     from orchestrator.model.steps.move import Move
 
     if not isinstance(step, Move) or not any(map(is_position_name, step.to.values())):
         return step
     targets = dict[str, Any]()
+    known_axes = names.axes | names.virtual
     for name, target in step.to.items():
-        if name in names.axes or not is_position_name(target) or not names.expand_name(name):
+        if name in known_axes or not is_position_name(target) or not names.expand_name(name):
             targets[name] = target
             continue
-        axes_inside = [axis for axis in names.expand_name(name) if axis in names.positions.get(str(target), ())]
+        axes = [axis for axis in known_axes if controller_of(axis) == name] or names.expand_name(name)
+        axes_inside = [axis for axis in axes if axis in names.positions.get(str(target), ())]
         if not axes_inside and str(target) in names.positions:
             text = f"position {target} has no axis of {name}; it has: {', '.join(names.positions[str(target)])}"
             raise Refusal("not-in-position", text, "name axes of it, or none for all of them")
@@ -94,11 +97,9 @@ def _spread_groups(names: "FleetNames", step: "Step") -> "Step":
 def _check_names(names: "FleetNames", step: "Step") -> list[str]:
     """Check names and quantities of a step; return its axes. Raises `Refusal`, which speaks of no job file."""
     from orchestrator.cli.base.names import require_axes, unknown_name
-    from orchestrator.model.errors import Refusal
     from orchestrator.model.names import ALL_AXES, is_position_name
     from orchestrator.model.steps.move import Move
     from orchestrator.model.steps.set_position import SetPosition
-    from orchestrator.model.units import UnitError, parse_quantity
 
     for output in step.switched_outputs:
         if output not in names.outputs:
@@ -114,16 +115,26 @@ def _check_names(names: "FleetNames", step: "Step") -> list[str]:
             raise unknown_name("position", name, names.positions, "see `tutti position ls`")
     if ALL_AXES in values:
         return list(names.positions[str(values[ALL_AXES])])
-    for name in require_axes(names, values, groups=False):
-        value = values[name]
-        if str(value) in position_names:
+    _check_quantities(names.axes | names.virtual if isinstance(step, Move) else names.axes, values)
+    return list(values)
+
+
+def _check_quantities(units: "Mapping[str, Unit]", values: "Mapping[str, int | float | str | None]") -> None:
+    """Check the axes and quantities of a step; names of positions are known. units: of all axes that it may name."""
+    from orchestrator.cli.base.names import unknown_name
+    from orchestrator.model.errors import Refusal
+    from orchestrator.model.names import is_position_name
+    from orchestrator.model.units import UnitError, parse_quantity
+
+    for name, value in values.items():
+        if name not in units:
+            raise unknown_name("axis", name, units)
+        if value is None or is_position_name(value):
             continue
         try:
-            if value is not None:
-                parse_quantity(value, names.axes[name])
+            parse_quantity(value, units[name])
         except UnitError as error:
             raise Refusal("bad-unit", f"{name}: {error}") from None
-    return list(values)
 
 
 def _exit_with_failure(report: "JobReport") -> None:
@@ -140,11 +151,19 @@ def _exit_with_failure(report: "JobReport") -> None:
 
 async def _print_outcome(tutti: "Tutti", report: "JobReport", axes: list[str], done: str, *, as_json: bool) -> None:
     """Print what has been done, with the names of the axes and where they are now."""
-    from orchestrator.cli.base.positions import describe_positions, list_positions
+    from orchestrator.cli.base.positions import (
+        describe_positions,
+        describe_virtual_positions,
+        list_positions,
+        list_virtual_positions,
+    )
     from orchestrator.model.state import ControllerState
 
     states: dict[str, ControllerState] = await tutti.status() if axes else {}
-    position_text = describe_positions(states, axes)
+    positions, position_text = list_positions(states, axes), describe_positions(states, axes)
+    if len(positions) < len(axes) and (virtual := await tutti.virtual_states()):
+        positions |= list_virtual_positions(virtual, axes)
+        position_text = ", ".join(filter(None, (position_text, describe_virtual_positions(virtual, axes))))
     words = f"{done}: {position_text}" if done and position_text else done or position_text
-    value = {"job_id": report.job_id, "state": report.state, "axes": list_positions(states, axes)}
+    value = {"job_id": report.job_id, "state": report.state, "axes": positions}
     print_result(value, words, as_json=as_json)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from orchestrator.bus.base import Bus
     from orchestrator.client import Tutti
     from orchestrator.model.operation.alarms import AlarmRecord
+    from orchestrator.model.operation.virtual_state import VirtualState
 
 
 @click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
@@ -28,11 +29,15 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
     from orchestrator.model.errors import Refusal
     from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
     from orchestrator.monitor.open_bus import find_openness
+    from orchestrator.monitor.virtual_view import make_virtual_table
 
     async def show_status(tutti: "Tutti") -> None:
         states = await require_states(tutti)
+        virtual: dict[str, VirtualState] = {}
+        with suppress(Refusal):  # without a coordinator
+            virtual = await tutti.virtual_states()
         if as_json:
-            print_json({name: state.to_plain() for name, state in states.items()})
+            print_json({name: state.to_plain() for name, state in (*states.items(), *virtual.items())})
         else:
             alarms: list[AlarmRecord] = []
             with suppress(Refusal):  # without a coordinator
@@ -42,6 +47,8 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
             leases = {lease.holder: lease for lease in await tutti.list_leases() if lease.holder is not None}
             queue = await load_queue(tutti)
             console.print(make_state_table(states, leases, permits=name_missing_permits(queue)))
+            if virtual:
+                console.print(make_virtual_table(virtual))
             print_queue_stop(queue)
             print_open_alarms(alarms)
 

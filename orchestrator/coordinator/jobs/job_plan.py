@@ -80,7 +80,8 @@ async def make_plan(view: FleetView, planned: PlannedJob, since_ns: int | None =
 @dataclass(slots=True)
 class _JobUses:
     """What a job uses, each kind in the order of its steps. absolute: axes with absolute targets. started: axes that
-    move, or are counted, from where they stand. homes_all: it homes the fleet in its order."""
+    move, or are counted, from where they stand. virtual: groups of virtual axes. homes_all: it homes the fleet in its
+    order."""
 
     controllers: set[str] = field(default_factory=set[str])
     axes: dict[str, None] = field(default_factory=dict[str, None])
@@ -90,6 +91,7 @@ class _JobUses:
     groups: dict[str, None] = field(default_factory=dict[str, None])
     outputs: dict[str, None] = field(default_factory=dict[str, None])
     frames: dict[str, None] = field(default_factory=dict[str, None])
+    virtual: dict[str, None] = field(default_factory=dict[str, None])
     homes_all: bool = False
 
     def take_step(self, fleet: Fleet, step: Step) -> None:
@@ -98,7 +100,11 @@ class _JobUses:
         self.axes |= axes
         if step.moves:
             self.moved |= axes
-        self.absolute |= dict.fromkeys(step.absolute_axes)
+        self.absolute |= dict.fromkeys(fleet.find_real_axes(step.absolute_axes))
+        virtual_names = [name for name in step.named_axes if name in fleet.names.virtual]
+        # Those of a group that the step does not name stay where they are.
+        self.started |= dict.fromkeys(fleet.find_real_axes(virtual_names))
+        self.virtual |= dict.fromkeys(split_name(name)[0] for name in virtual_names)
         self.frames |= dict.fromkeys(step.frames)
         self.groups |= dict.fromkeys(name for name in step.named_axes if name in fleet.groups)
         self.homes_all |= step.uses_whole_fleet
@@ -202,6 +208,7 @@ def _describe_entries(fleet: Fleet, uses: _JobUses) -> dict[str, str]:
     parts = {f"group {name}": ", ".join(fleet.groups[name]) for name in uses.groups}
     # A frame that does not exist is refused when the path is planned.
     parts |= {f"frame {name}": fleet.frames[name].to_json().decode() for name in uses.frames if name in fleet.frames}
+    parts |= {f"virtual axes {name}": fleet.virtual[name].to_json().decode() for name in uses.virtual}
     if uses.homes_all:
         order = "; ".join(", ".join(fleet.expand_name(name)) for name in fleet.home_order)
         parts["order of homing"] = order or "axis by axis"

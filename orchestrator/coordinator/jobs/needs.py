@@ -19,7 +19,7 @@ def find_needed_controllers(fleet: Fleet, steps: Sequence[Step]) -> frozenset[st
     moved_controllers, outputs, triggered_controllers = set[str](), set[str](), set[str]()
     for step in iterate_steps(steps):
         if step.moves and not step.searches:
-            moved_controllers |= {controller_of(axis) for axis in step.named_axes}
+            moved_controllers |= {controller_of(axis) for axis in step.find_axes(fleet)}
         triggered_controllers |= {controller_of(output) for output in step.trigger_outputs}
         outputs |= set(step.switched_outputs)
     drivers = {controller_of(wire.from_) for wire in find_wires(fleet, moved_controllers, outputs)}

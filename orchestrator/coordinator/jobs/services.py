@@ -17,6 +17,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -47,6 +48,7 @@ class JobServices:
     motion: MotionServices
     leases: LeaseRegistry
     positions: PositionBook
+    virtual: VirtualObserver
     alarms: AlarmRegister
     statistics: StatisticsCollector
     leadership: Leadership

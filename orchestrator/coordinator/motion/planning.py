@@ -34,13 +34,14 @@ MAX_REST_COUNTS = 1  # by which an axis may stand beside the place where its pat
 
 @dataclass(frozen=True, slots=True)
 class StepRequest:
-    """A motion step of a job: step number `index`, the move or path, and the job with its defaults. wait: the terms on
-    which it waits armed."""
+    """A motion step of a job: step number `index`, the move or path, and the job with its defaults. move: as it is
+    planned (`straighten`). axes: the real ones that it moves. wait: the terms on which it waits armed."""
 
     job_id: str
     job: Job
     index: int
     move: Motion
+    axes: Sequence[str]
     wait: ArmedTerms | None = None
 
     def choose_wires(self, wiring: Sequence[TriggerWire]) -> Sequence[TriggerWire]:
@@ -52,11 +53,6 @@ class StepRequest:
     def tick_share(self) -> float:
         """Of a tick, how far the members' ticks may drift apart over an advance of T0."""
         return MAX_TICK_RESIDUAL if self.wait is None else WAIT_TICK_RESIDUAL
-
-    @property
-    def axes(self) -> list[str]:
-        """The axes that it moves."""
-        return self.move.named_axes
 
     @property
     def start_class(self) -> StartWish:

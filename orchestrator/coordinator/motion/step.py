@@ -25,10 +25,12 @@ from orchestrator.coordinator.motion.trigger_rows import TriggerRows
 from orchestrator.coordinator.motion.watch import StepWatch
 from orchestrator.coordinator.switching.totals import TriggerTotals
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import PathStop, StepReport
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.flying.path import FlightPath
+from orchestrator.plan.virtual_bound import bound_virtual_axes
 
 BRAKED = "braked"  # code of a path that was braked along it, because a chunk was not loaded in time
 MAX_STOPS = 3  # of one path, after which it ends
@@ -403,9 +405,17 @@ class MotionStep:
             reason = f"paused by {start.state.paused_by}"
             report = make_step_report(request, agreement, start.state, watch.reports, ("stopped", reason))
             return report.model_copy(update={"refused": RefusalDetails(code=FEED_HOLD, text=reason)})
-        report = make_step_report(request, agreement, start.state, watch.reports, failure)
+        view = self._services.fleet.view
+        report = _make_report(view.fleet, request, motion, failure)
         if failure is not None:
             return report
-        view = self._services.fleet.view
         states = {member: state for member in agreement.proposals if (state := view.last_state(member)) is not None}
         return judge_completed_step(report, agreement, states).model_copy(update={"positions": watch.positions})
+
+
+def _make_report(
+    fleet: Fleet, request: StepRequest, motion: PlannedMotion, failure: tuple[str, str] | None
+) -> StepReport:
+    """The report of a step, with how far virtual axes may have been off their line. failure: what ended it, and why."""
+    report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
+    return report.model_copy(update={"virtual": bound_virtual_axes(fleet, request.move, motion.agreement)})

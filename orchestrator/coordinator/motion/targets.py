@@ -1,6 +1,6 @@
 """Convert the targets of a move, in units, to counts for the planner."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -14,6 +14,7 @@ from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.path_step import PathStart
 from orchestrator.plan.step import AxisMove, ExactTargets
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, make_axis_move
+from orchestrator.plan.virtual_moves import find_virtual_names, find_virtual_targets, group_virtual, require_apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,11 @@ class AxisContext:
     infos: Mapping[str, ControllerInfo]
     targets: ExactTargets
 
+    def find_position(self, name: str) -> Fraction:
+        """The motor position of an axis, exact where it was moved to an exact target."""
+        axis, state = self.fleet.axis(name), self.states[name]
+        return self.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+
 
 def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fraction]) -> ResolvedMove:
     """Absolute counts for all axes of `step`, checked against referenced, enabled and soft limits.
@@ -41,23 +47,9 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
     """
     moves: list[AxisMove] = []
     exact: dict[str, tuple[Fraction, int]] = {}
-    for name, value in (step.to | step.by).items():
+    for name, target in _iterate_targets(step, context, goal):
         axis, state = context.fleet.axis(name), context.states[name]
         controller = controller_of(name)
-        _require_ready(name, state, controller)
-        position_here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
-        try:
-            amount = parse_quantity(value, axis.unit)
-        except UnitError as error:
-            raise Refusal("bad-unit", f"{name}: {error}", controller=controller) from None
-        if name in goal:
-            target = goal[name]
-        else:
-            target = (
-                position_here + amount
-                if name in step.by
-                else choose_turn(axis, position_here, amount - state.offset, state.offset)
-            )
         counts = axis.to_target_counts(target)
         beyond_limits = explain_beyond_limits(name, axis, target, state.offset)
         if beyond_limits is not None:
@@ -70,6 +62,43 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
     return ResolvedMove(moves, exact)
 
 
+def _iterate_targets(step: Move, context: AxisContext, goal: Mapping[str, Fraction]) -> Iterator[tuple[str, Fraction]]:
+    """The exact motor targets of all real axes. goal: those that are known already. Raises `Refusal`."""
+    virtual_names = find_virtual_names(context.fleet, step)
+    for name, value in (step.to | step.by).items():
+        if name in virtual_names:
+            continue
+        axis, state = context.fleet.axis(name), context.states[name]
+        _require_ready(name, state, controller_of(name))
+        position_here = context.find_position(name)
+        try:
+            amount = parse_quantity(value, axis.unit)
+        except UnitError as error:
+            raise Refusal("bad-unit", f"{name}: {error}", controller=controller_of(name)) from None
+        if name in goal:
+            yield name, goal[name]
+        elif name in step.by:
+            yield name, position_here + amount
+        else:
+            yield name, choose_turn(axis, position_here, amount - state.offset, state.offset)
+    if virtual_names:
+        yield from _iterate_virtual(step, context, goal)
+
+
+def _iterate_virtual(step: Move, context: AxisContext, goal: Mapping[str, Fraction]) -> Iterator[tuple[str, Fraction]]:
+    """The motor targets of the real axes of all virtual ones."""
+    require_apart(context.fleet, step)
+    for group in group_virtual(context.fleet, step):
+        names = context.fleet.virtual_axes.maps[group].real
+        for name in names:
+            _require_ready(name, context.states[name], controller_of(name))
+        positions = [context.find_position(name) + context.states[name].offset for name in names]
+        targets = find_virtual_targets(context.fleet, step, group, positions)
+        assert targets is not None, "all positions are known"
+        for name, target in targets.items():
+            yield name, goal[name] if name in goal else target - context.states[name].offset
+
+
 def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
     """Where the axes of a path stand. Raises `Refusal` for one that is not enabled or referenced, and for a member that
     executes trapezoids only."""
@@ -77,7 +106,7 @@ def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
     for name in step.axes:
         axis, state, controller = context.fleet.axis(name), context.states[name], controller_of(name)
         _require_ready(name, state, controller)
-        position_here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+        position_here = context.find_position(name)
         order = max(context.infos[controller].orders)
         starts.append(
             PathStart(

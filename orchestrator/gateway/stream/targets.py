@@ -68,13 +68,13 @@ def _find_targets(begun: JobBegun, step: Step | None, fleet: Fleet, find_rest: F
     targets: dict[str, float] = {}
     for axis, value in _list_absolute(step, begun.positions_used).items():
         try:
-            targets[axis] = float(parse_quantity(value, fleet.axis(axis).unit))
+            targets[axis] = float(parse_quantity(value, fleet.unit_of(axis)))
         except (UnitError, ValueError):
             continue
     for axis, value in step.by.items():
         rest_position = find_rest(axis)
         try:
-            distance = float(parse_quantity(value, fleet.axis(axis).unit))
+            distance = float(parse_quantity(value, fleet.unit_of(axis)))
         except (UnitError, ValueError):
             continue
         if rest_position is not None:

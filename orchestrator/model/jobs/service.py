@@ -98,20 +98,25 @@ class JobRetried(JobSubmitted):
 
 
 class FleetNames(Reply):
-    """The names of a fleet, in the order of its file. axes: their units; groups, positions: their axes. Inputs and
-    outputs are `controller.name`."""
+    """The names of a fleet, in the order of its file. axes, virtual: their units; groups, positions: their axes;
+    virtual_groups: the real axes of their virtual ones. Inputs and outputs are `controller.name`."""
 
     controllers: list[str] = Field(default=[])
     axes: dict[str, Unit] = Field(default={})
     groups: dict[str, list[str]] = Field(default={})
     positions: dict[str, list[str]] = Field(default={})
+    virtual: dict[str, Unit] = Field(default={})
+    virtual_groups: dict[str, list[str]] = Field(default={})
     inputs: list[str] = Field(default=[])
     outputs: list[str] = Field(default=[])
 
     def expand_name(self, name: str) -> list[str]:
-        """The axes that a group, a controller or an axis stands for; none for an unknown name."""
+        """The axes that a group, a controller or an axis stands for, and the real ones of virtual axes; none for an
+        unknown name."""
         if name in self.groups:
             return self.groups[name]
+        if name in self.virtual_groups or name in self.virtual:
+            return self.virtual_groups[controller_of(name)]
         return [axis for axis in self.axes if name in (axis, controller_of(axis))]
 
 

@@ -86,7 +86,7 @@ class PositionResolver:
         problem = explain_value(self._fleet, axis, value)
         if problem is not None:
             raise Refusal("bad-position", f"position {entry.name}: {problem}", SAVE_REMEDY)
-        self.used.setdefault(entry.name, {})[axis] = format_quantity(value, self._fleet.axis(axis).unit)
+        self.used.setdefault(entry.name, {})[axis] = format_quantity(value, self._fleet.unit_of(axis))
         return value
 
 
@@ -97,10 +97,11 @@ def names_positions(step: Step) -> bool:
 
 def explain_value(fleet: Fleet, axis: str, value: Quantity) -> str | None:
     """Why `value` is no position of `axis` in this fleet; None if it is. Limits are checked with the job."""
-    if axis not in fleet.names.axes:
-        return fleet.names.explain_unknown(axis, "axis")
+    unknown = fleet.names.explain_unknown(axis, "target")
+    if unknown is not None:
+        return unknown
     try:
-        parse_quantity(value, fleet.axis(axis).unit)
+        parse_quantity(value, fleet.unit_of(axis))
     except UnitError as error:
         return f"{axis} is {value}: {error}"
     return None

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import ALL_AXES, MoveTarget, Target, is_position_name
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.armed_terms import describe_armed_obstacle
@@ -66,6 +67,9 @@ class Move(MotionOptions, MoveTargets):
     @property
     def named_axes(self) -> list[str]:
         return [axis for axis in (*self.to, *self.by) if axis != ALL_AXES]
+
+    def find_axes(self, fleet: Fleet) -> list[str]:
+        return fleet.find_real_axes(self.named_axes)
 
     @property
     def absolute_axes(self) -> list[str]:

@@ -22,6 +22,7 @@ from orchestrator.model.operation.recording import (
     StepStart,
     WallClockStepped,
 )
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.problems import describe_first_error
 from orchestrator.model.report import JobProgress, JobReport, LeaseState, QueueState, StepRecording
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
@@ -47,6 +48,7 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
         ("job", "points"): JobPoints,
         ("job", "live"): LiveResult,
         ("queue", "queue"): QueueState,
+        ("virtual", "state"): VirtualState,
         ("leader", "leader"): LeaderHeartbeat,
         ("estop", "estop"): EstopMessage,
         ("estop-reset", "estop-reset"): EstopReset,
@@ -63,7 +65,15 @@ _BY_FIRST: Mapping[str, type[Model]] = MappingProxyType(
 _NOT_RECORDED = frozenset({"session", "live"})
 # May be left out first when the disk is too slow: the next one replaces it.
 _REPLACED = frozenset(
-    {("ctl", "state"), ("ctl", "clock"), ("ctl", "link"), ("job", "state"), ("queue", "queue"), ("leader", "leader")}
+    {
+        ("ctl", "state"),
+        ("virtual", "state"),
+        ("ctl", "clock"),
+        ("ctl", "link"),
+        ("job", "state"),
+        ("queue", "queue"),
+        ("leader", "leader"),
+    }
 )
 
 

@@ -120,8 +120,10 @@ def find_first_places(ended: EndedJob, left_steps: Sequence[Step]) -> dict[str, 
         path = as_path(step)
         if path is not None:
             return find_start_by_axis(path, ended.fleet)
-        if step.relative_axes:
-            axes = ", ".join(step.relative_axes)
+        # Virtual axes that a step does not name keep their positions, so where it goes depends on where it began.
+        relative_axes = [*step.relative_axes, *(name for name in step.named_axes if name in ended.fleet.names.virtual)]
+        if relative_axes:
+            axes = ", ".join(dict.fromkeys(relative_axes))
             text = f"{step.describe()}, which is left, depends on where {axes} stood, and that is not known"
             raise Refusal("relative", text, "move the axes to where it began, then `tutti job retry` from its step")
         if step.is_motion:

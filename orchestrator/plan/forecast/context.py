@@ -9,16 +9,18 @@ from orchestrator.plan.forecast.passes import TargetCheck
 
 @dataclass(frozen=True, slots=True)
 class TargetField:
-    """The target of an axis in a step. key: the field of the step that has it, by axis."""
+    """The target of an axis in a step. key: the field of the step that has it, by axis. virtual_place: of the virtual
+    axis whose target it follows from."""
 
     key: str
     name: str
     axis: Axis
+    virtual_place: tuple[str, str] | None = None
 
     @property
     def place(self) -> tuple[str, str]:
         """Its place in the step."""
-        return self.key, self.name
+        return self.virtual_place or (self.key, self.name)
 
     @property
     def controller(self) -> str:

@@ -7,7 +7,9 @@ from orchestrator.plan.forecast.motion import check_record, check_triggers, plan
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
+from orchestrator.plan.forecast.virtual import take_virtual_targets
 from orchestrator.plan.forecast.ways import ForecastMotion, MoveWays
+from orchestrator.plan.virtual_moves import find_virtual_names, straighten
 
 
 def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span:
@@ -15,16 +17,29 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
     check_record(state, at, step)
     unknown = state.note_unknown_positions(step)
     if unknown:
-        named_axes = [
-            axis for axis in unknown if axis != ALL_AXES and state.find_axis(at, axis, ("to", axis)) is not None
-        ]
+        named_axes = state.find_named(at, [axis for axis in unknown if axis != ALL_AXES], "to")
         state.lose_positions(at, list(state.axes) if ALL_AXES in unknown else named_axes)
         known_move = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
         return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
     ways = MoveWays()
+    if not take_virtual_targets(state, at, ways, step):
+        return Span()
+    _take_real_targets(state, at, ways, step)
+    span = plan_ways(state, at, straighten(state.fleet, step), ways)
+    if ways.plan is not None and len(ways.exact) == len(step.find_axes(state.fleet)):
+        state.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
+    check_triggers(state, at, step)
+    return span
+
+
+def _take_real_targets(state: ForecastState, at: ForecastContext, ways: MoveWays, step: Move) -> None:
+    """Move the axes that the step names, but for virtual ones, and add their ways."""
+    virtual_names = find_virtual_names(state.fleet, step)
     for name, value in (step.to | step.by).items():
+        if name in virtual_names:
+            continue
         key = ("by" if name in step.by else "to", name)
-        axis = state.find_axis(at, name, key)
+        axis = state.find_axis(at, name, key, "target")
         if axis is None:
             continue
         field = TargetField(*key, axis)
@@ -32,8 +47,3 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
         if amount is not None:
             state.require_ready(at, name, key)
             take_target(state, at, ways, field, amount)
-    span = plan_ways(state, at, step, ways)
-    if ways.plan is not None and len(ways.exact) == len(step.to) + len(step.by):
-        state.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
-    check_triggers(state, at, step)
-    return span

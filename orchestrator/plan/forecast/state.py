@@ -88,12 +88,25 @@ class ForecastState:
         if not is_referenced:
             self.axes[name] = self.axes[name].model_copy(update={"referenced": True})
 
-    def find_axis(self, at: ForecastContext, name: str, place: tuple[str | int, ...]) -> Axis | None:
-        text = self.fleet.names.explain_unknown(name, "axis")
+    def find_axis(
+        self, at: ForecastContext, name: str, place: tuple[str | int, ...], kind: str = "axis"
+    ) -> Axis | None:
+        """The real axis of a name; an unknown one is a problem. kind: of the names that the message lists."""
+        text = self.fleet.names.explain_unknown(name, kind)
         if text is None:
             return self.fleet.axis(name)
         self.add_problem(at, place, _unknown_name(text))
         return None
+
+    def find_named(self, at: ForecastContext, names: Iterable[str], key: str) -> list[str]:
+        """The real axes of names that may be virtual axes; unknown names are problems. key: the field that has them."""
+        axes: list[str] = []
+        for name in names:
+            if name in self.fleet.names.virtual:
+                axes += self.fleet.expand_name(name)
+            elif self.find_axis(at, name, (key, name), "target") is not None:
+                axes.append(name)
+        return list(dict.fromkeys(axes))
 
     def expand_names(self, at: ForecastContext, names: Iterable[str], place: tuple[str | int, ...]) -> list[str]:
         """The axes of all names that exist; the others are problems."""

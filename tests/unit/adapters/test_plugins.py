@@ -9,7 +9,8 @@ import pytest
 from adapters.contract import ExamplePlace
 from adapters.host.makes import find_controller_problems, find_make, known_makes, list_makes, stops_by_line
 from orchestrator.clock.virtual import VirtualClock, run_virtual
-from orchestrator.model.fleet import Axis, Controller, Fleet, SoftLimits
+from orchestrator.model.axis_units import SoftLimits
+from orchestrator.model.fleet import Axis, Controller, Fleet
 from orchestrator.model.plugins import API_VERSION, PluginError, UnknownPlugin
 from orchestrator.runtime.checked import load_checked_fleet
 from orchestrator.runtime.example_fleet import load_example

@@ -6,7 +6,8 @@ from typing import Literal
 
 import pytest
 
-from orchestrator.model.fleet import Axis, AxisLimits, SoftLimits
+from orchestrator.model.axis_units import SoftLimits
+from orchestrator.model.fleet import Axis, AxisLimits
 from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.targets import explain_beyond_limits

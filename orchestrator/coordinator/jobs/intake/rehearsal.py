@@ -20,6 +20,8 @@ from orchestrator.model.jobs.service import DryRun, DryRunDone
 from orchestrator.model.steps.tree import as_motion
 from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.job import JobForecaster
+from orchestrator.plan.virtual_bound import bound_virtual_axes
+from orchestrator.plan.virtual_moves import straighten
 
 REHEARSALS_AT_ONCE = 3
 """Steps for which the members are asked at the same time, so that they work while messages are under way. Few, because
@@ -60,7 +62,8 @@ class JobRehearsal:
             asked_step = as_motion(step) if motion is None or motion.line is None else motion.line
             steps.append(forecast)
             if asked_step is not None and motion is not None and motion.plan.profiles:
-                asked_request = StepRequest("dry-run", request.job, index, asked_step)
+                asked_move, axes = straighten(view.fleet, asked_step), asked_step.find_axes(view.fleet)
+                asked_request = StepRequest("dry-run", request.job, index, asked_move, axes)
                 resolved_move = ResolvedMove(motion.moves, dict(motion.exact))
                 planned_step = PlannedStep(
                     asked_request,
@@ -117,6 +120,7 @@ class JobRehearsal:
                 "least_s": forecast.least_s if is_line else duration_s,
                 "most_s": forecast.most_s if is_line else duration_s,
                 "path": agreement.path,
+                "virtual": bound_virtual_axes(self._services.view.fleet, planned.request.move, agreement),
                 "budget": agreement.budget.to_plain() if agreement.budget else None,
                 "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},
             }

@@ -79,7 +79,7 @@ def _find_hindrance(fleet: Fleet, moving: Motion, step: Motion) -> str:
     """Why `step` cannot be loaded while `moving` moves; empty if it can."""
     if step.rests or moving.rests:
         return "a path begins and ends at rest"
-    settling = [name for name in moving.named_axes if fleet.axis(name).done == "in_position"]
+    settling = [name for name in moving.find_axes(fleet) if fleet.axis(name).done == "in_position"]
     if settling:
         return f"{settling[0]} must settle in position before it"
     for neighbour, occasion in ((moving, "before it"), (step, "for it")):

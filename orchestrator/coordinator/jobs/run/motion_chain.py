@@ -11,6 +11,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import StepChain, StepReport
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.plan.virtual_moves import straighten
 
 
 class MotionChain:
@@ -112,7 +113,8 @@ class MotionChain:
     def _make_request(self, index: int, move: Motion) -> StepRequest:
         if self.rate < 1.0:
             move = move.slow_down(self.rate, self._services.fleet.view.fleet)
-        return StepRequest(self._job_id, self._job, index, move, find_armed_terms(self._steps, index))
+        fleet, terms = self._services.fleet.view.fleet, find_armed_terms(self._steps, index)
+        return StepRequest(self._job_id, self._job, index, straighten(fleet, move), move.find_axes(fleet), terms)
 
     def _note_rest(self, index: int) -> None:
         """The motion step `index` begins from rest, for the reason that is known already or was found without its

@@ -1,0 +1,44 @@
+"""The states of virtual axes, published as those of their real axes come."""
+
+from orchestrator.bus.base import Bus
+from orchestrator.bus.keys import FleetKeys
+from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.model.messages import Request
+from orchestrator.model.names import controller_of
+from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates, observe_group
+from orchestrator.model.state import ControllerState
+
+
+class VirtualObserver:
+    """Publishes each group of virtual axes when a controller of its real axes has published."""
+
+    def __init__(self, view: FleetView, bus: Bus, keys: FleetKeys) -> None:
+        self._view = view
+        self._bus = bus
+        self._keys = keys
+
+    def start(self) -> None:
+        """Publish from now on, until the view is closed."""
+        self._view.add_state_listener(self._publish_groups)
+
+    async def answer(self, request: Request) -> VirtualStates:
+        """The states of all groups now."""
+        del request
+        return VirtualStates(groups=[self._observe(group) for group in self._view.fleet.virtual])
+
+    def _publish_groups(self, state: ControllerState) -> None:
+        for group, config in self._view.fleet.virtual.items():
+            if state.controller in map(controller_of, config.of):
+                self._bus.put(self._keys.virtual(group), self._observe(group).to_json())
+
+    def _observe(self, group: str) -> VirtualState:
+        fleet = self._view.fleet
+        virtual_map = fleet.virtual_axes.maps[group]
+        names = dict.fromkeys(map(controller_of, virtual_map.real))
+        # What has not come for too long says nothing of now.
+        states = {
+            name: state
+            for name in names
+            if (state := self._view.last_state(name)) is not None and not self._view.is_silent(name)
+        }
+        return observe_group(group, virtual_map, [fleet.unit_of(axis) for axis in virtual_map.virtual], states)

@@ -1,0 +1,133 @@
+"""States of virtual axes, computed from those of their real axes."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from pydantic import Field
+
+from orchestrator.model.base import Id, Int53, Model
+from orchestrator.model.messages import Reply
+from orchestrator.model.names import split_name
+from orchestrator.model.state import AxisState, ControllerState
+from orchestrator.model.virtual_axes import LinearMap
+
+NS_PER_S = 1_000_000_000
+
+
+class VirtualAxisState(Model):
+    """A virtual axis now, in its unit, user positions.
+
+    position: by the last readings of its real axes. low, high: where it was at one instant, when the last of them was
+    read: the axes that were read before it may have moved on at their speed. target: where it would be at the commanded
+    positions.
+    """
+
+    position: float
+    low: float
+    high: float
+    target: float
+    velocity: float
+    unit: str
+
+
+class VirtualState(Model):
+    """The state of a group of virtual axes: published by the coordinator with each state of its real axes.
+
+    referenced, enabled: of all its real axes. obstacle: why it cannot be moved, with the real axis that is the cause;
+    empty: it can. Without a state of every controller it has no axes.
+    """
+
+    schema_: Literal["tutti.virtual/1"] = Field(default="tutti.virtual/1", alias="schema")
+    group: Id
+    of: list[str]
+    axes: dict[str, VirtualAxisState]
+    moving: bool
+    enabled: bool
+    referenced: bool
+    obstacle: str
+    fleet_ns: Int53 | None
+
+
+class VirtualStates(Reply):
+    """The states of all groups of virtual axes, in the order of the fleet file."""
+
+    groups: list[VirtualState] = Field(default=[])
+
+
+def observe_group(
+    group: str, virtual_map: LinearMap, units: Sequence[str], states: Mapping[str, ControllerState]
+) -> VirtualState:
+    """The state of a group. units: of its virtual axes, in the order of the map. states: by controller."""
+    axes: dict[str, tuple[ControllerState, AxisState]] = {}
+    absent_controllers: list[str] = []
+    for name in virtual_map.real:
+        controller, axis = split_name(name)
+        state = states.get(controller)
+        if state is None or state.mode == "offline" or axis not in state.axes:
+            absent_controllers.append(controller)
+        else:
+            axes[name] = state, state.axes[axis]
+    obstacle = f"{absent_controllers[0]} is offline" if absent_controllers else _find_obstacle(axes)
+    instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
+    return VirtualState(
+        group=group,
+        of=list(virtual_map.real),
+        axes={} if absent_controllers else _observe_axes(virtual_map, units, [axes[name] for name in virtual_map.real]),
+        moving=any(axis.moving for _, axis in axes.values()),
+        enabled=not absent_controllers and all(axis.enabled for _, axis in axes.values()),
+        referenced=not absent_controllers and all(axis.referenced for _, axis in axes.values()),
+        obstacle=obstacle,
+        fleet_ns=max(instants, default=None),
+    )
+
+
+def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str:
+    """Why a group cannot be moved, by the first of its real axes that keeps it from it."""
+    for name, (state, axis) in axes.items():
+        if state.estop is not None:
+            return f"{state.controller}: e-stop"
+        if state.faults:
+            return f"{state.controller}: {state.faults[0].text}"
+        if axis.fault is not None:
+            return f"{name}: {axis.fault}"
+    for name, (_, axis) in axes.items():
+        if not axis.referenced:
+            return f"{name} is not referenced"
+        if not axis.enabled:
+            return f"{name} is not enabled"
+    return ""
+
+
+def _observe_axes(
+    virtual_map: LinearMap, units: Sequence[str], axes: Sequence[tuple[ControllerState, AxisState]]
+) -> dict[str, VirtualAxisState]:
+    """The virtual axes, by their name in the group."""
+    # Jobs resolve targets with exact numbers; a state shows floats.
+    matrix = [[float(factor) for factor in row] for row in virtual_map.matrix]
+    offsets = [float(offset) for offset in virtual_map.offset]
+    travels = _find_travels(axes)
+    observed_axes: dict[str, VirtualAxisState] = {}
+    for row, offset, unit, name in zip(matrix, offsets, units, virtual_map.virtual, strict=True):
+        pairs = list(zip(row, (axis for _, axis in axes), travels, strict=True))
+        position = offset + sum(factor * axis.position for factor, axis, _ in pairs)
+        observed_axes[split_name(name)[1]] = VirtualAxisState(
+            position=position,
+            low=position + sum(min(factor * travel for travel in (0.0, *span)) for factor, _, span in pairs),
+            high=position + sum(max(factor * travel for travel in (0.0, *span)) for factor, _, span in pairs),
+            target=offset + sum(factor * axis.commanded for factor, axis, _ in pairs),
+            velocity=sum(factor * axis.velocity for factor, axis, _ in pairs),
+            unit=unit,
+        )
+    return observed_axes
+
+
+def _find_travels(axes: Sequence[tuple[ControllerState, AxisState]]) -> list[tuple[float, float]]:
+    """How far each axis may have gone on from its reading until the last one ended, in its unit, (lowest, highest)."""
+    intervals = [state.read_within for state, _ in axes]
+    ends = [interval.latest_ns for interval in intervals if interval is not None]
+    travels: list[tuple[float, float]] = []
+    for interval, (_, axis) in zip(intervals, axes, strict=True):
+        spread_s = (max(ends) - interval.earliest_ns) / NS_PER_S if interval is not None else 0.0
+        travel = axis.velocity * max(spread_s, 0.0)
+        travels.append((min(travel, 0.0), max(travel, 0.0)))
+    return travels

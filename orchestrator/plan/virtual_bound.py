@@ -1,0 +1,81 @@
+"""How far virtual axes may be off their straight line on the way, because their real axes are not together in time.
+
+With e the offset in time of a real axis and v its highest speed, it is at most v x e from where the plan has it. An
+offset that all have in common only shifts the whole along the line. So each virtual axis is off by at most the sum over
+its real axes of |m| x (v x |e - c| + path error + rounding), with m its factor, and c the middle of all offsets.
+"""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import Proposal
+from orchestrator.model.names import split_name
+from orchestrator.model.report import SyncBudget, VirtualBound
+from orchestrator.model.steps.kinds import Motion
+from orchestrator.model.virtual_axes import LinearMap
+from orchestrator.plan.step import StepPlan
+from orchestrator.plan.virtual_moves import group_virtual
+
+ROUNDED_COUNTS = 1.0  # of a target to counts, and of a controller's profile on the way
+
+
+class AgreedStart(Protocol):
+    """What the members of a step have agreed on."""
+
+    @property
+    def plan(self) -> StepPlan: ...
+
+    @property
+    def proposals(self) -> Mapping[str, Proposal]: ...
+
+    @property
+    def budget(self) -> SyncBudget | None: ...
+
+
+def bound_virtual_axes(fleet: Fleet, step: Motion, agreement: AgreedStart) -> dict[str, VirtualBound]:
+    """The bound of each virtual axis of the groups that a step moves, in its unit; none without a budget."""
+    if agreement.budget is None:
+        return {}
+    bounds: dict[str, VirtualBound] = {}
+    for group in group_virtual(fleet, step):
+        virtual_map = fleet.virtual_axes.maps[group]
+        errors = _bound_real_axes(fleet, virtual_map, agreement)
+        for name, row in zip(virtual_map.virtual, virtual_map.matrix, strict=True):
+            most = sum(abs(float(factor)) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
+            bounds[name] = VirtualBound(most=most, unit=fleet.unit_of(name))
+    return bounds
+
+
+def _bound_real_axes(fleet: Fleet, virtual_map: LinearMap, agreement: AgreedStart) -> dict[str, float]:
+    """How far each real axis may be from where a common offset in time would have it, in its unit."""
+    offsets = {axis: _find_offsets(axis, agreement) for axis in virtual_map.real if axis in agreement.plan.profiles}
+    ends = [end for span in offsets.values() for end in span]
+    middle_ns = (min(ends) + max(ends)) / 2 if ends else 0.0
+    errors: dict[str, float] = {}
+    for axis in virtual_map.real:
+        counts = ROUNDED_COUNTS
+        if axis in offsets:
+            controller, name = split_name(axis)
+            most_ns = max(abs(end - middle_ns) for end in offsets[axis])
+            counts += agreement.plan.profiles[axis].peak_velocity * most_ns / NS_PER_S
+            counts += agreement.proposals[controller].path_error_counts.get(name, 0.0)
+        errors[axis] = abs(fleet.axis(axis).to_unit(counts))
+    return errors
+
+
+def _find_offsets(axis: str, agreement: AgreedStart) -> tuple[float, float]:
+    """The offsets in time of an axis on its way, ns: of its start, and what its controller's clock adds until the
+    end."""
+    assert agreement.budget is not None
+    controller, name = split_name(axis)
+    member, proposal = agreement.budget.members[controller], agreement.proposals[controller]
+    took_s = proposal.durations_s.get(name, agreement.plan.duration_s)
+    # A profile that the controller makes longer is late by that at its end.
+    longer_ns = (took_s - agreement.plan.duration_s) * NS_PER_S
+    crystal_ns = took_s * proposal.clock_ppm * 1e3
+    return (
+        member.earliest_ns + min(longer_ns, 0.0) - crystal_ns,
+        member.latest_ns + max(longer_ns, 0.0) + crystal_ns,
+    )

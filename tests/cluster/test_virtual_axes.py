@@ -1,0 +1,133 @@
+"""Moves of virtual axes on a table of three makes and a slit: targets, straight lines by truth, and what is refused."""
+
+import asyncio
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from cluster.worlds import EXAMPLES, job, outcome, run_fleet
+
+from orchestrator.bus.base import BusSample
+from orchestrator.clock.base import sleep_ns
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import load_fleet
+from orchestrator.model.operation.virtual_state import VirtualState
+from orchestrator.model.report import JobReport
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+
+PREPARE = "{do: enable, axes: [table, slit]}, {do: home, axes: [table, slit]}, {do: move, to: flat}"
+SAMPLE_NS = 2_000_000
+COUNT_MM = 1 / 2000
+
+
+def table_fleet() -> Fleet:
+    return load_fleet(EXAMPLES / "table.fleet.yaml")
+
+
+def read_truth(fleet: VirtualFleet, group: str) -> tuple[Fraction, ...]:
+    """The true positions of virtual axes, by the simulators' motors."""
+    positions: list[Fraction] = []
+    virtual_map = fleet.fleet.virtual_axes.maps[group]
+    for name in virtual_map.real:
+        axis = fleet.fleet.axis(name)
+        counts = fleet.controllers[name.partition(".")[0]].position(axis.motors[0])
+        positions.append(Fraction(counts) / axis.counts_per_unit)
+    return virtual_map.to_virtual(positions)
+
+
+async def run_watched(fleet: VirtualFleet, steps: str) -> tuple[JobReport, list[tuple[float, ...]]]:
+    """Run steps, with the true positions of the table meanwhile."""
+    seen: list[tuple[float, ...]] = []
+
+    async def watch() -> None:
+        while True:
+            seen.append(tuple(map(float, read_truth(fleet, "table"))))
+            await sleep_ns(fleet.clock, SAMPLE_NS)
+
+    watching = asyncio.get_running_loop().create_task(watch())
+    report = await outcome(fleet, job(f"[{steps}]"))
+    watching.cancel()
+    return report, seen
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(2, 201))])
+def test_a_table_of_three_makes_stays_level_while_it_rises(seed: int) -> None:
+    """Within the bound that is stated ahead, by truth; the other virtual axes of the group keep their positions."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{table.pitch: 3 mrad, table.roll: -1}}}}]"))
+        begun = tuple(map(float, read_truth(fleet, "table")))
+        report, seen = await run_watched(fleet, "{do: move, to: {table.height: 8}}")
+        assert report.state == "done" and report.verdict == "green", report.reason
+        bounds = report.steps[0].virtual
+        for number, name in ((1, "table.pitch"), (2, "table.roll")):
+            off = max(abs(sample[number] - begun[number]) for sample in seen)
+            assert COUNT_MM < off <= bounds[name].most, name
+        assert abs(float(read_truth(fleet, "table")[0]) - 8) <= COUNT_MM
+
+    run_fleet(main, table_fleet(), seed)
+
+
+def test_virtual_positions_are_reached_by_real_ones_and_come_back_exactly() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        steps = (
+            "{do: move, to: {slit.gap: 5, slit.centre: 1}}",
+            "{do: move, by: {slit.centre: 500 um}}",
+            "{do: repeat, times: 10, steps: [{do: move, by: {slit.gap: 0.0333}}, {do: move, by: {slit.gap: -0.0333}}]}",
+            "{do: move, to: {slit.gap: 4}, by: {table.roll: 1 mrad}, speed: {slit.gap: 2 mm/s}}",
+            "{do: move, to: open}",
+        )
+        report, _ = await run_watched(fleet, f"{PREPARE}, {', '.join(steps)}")
+        assert report.state == "done", report.reason
+        assert read_truth(fleet, "slit") == (5, 0)
+        by_speed = report.steps[-2]
+        assert by_speed.planned_s is not None and by_speed.planned_s >= 1 / 2
+
+    run_fleet(main, table_fleet())
+
+
+def test_states_of_virtual_axes_are_published_with_their_real_ones() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        published: list[VirtualState] = []
+
+        def receive(sample: BusSample) -> None:
+            published.append(VirtualState.read_message(sample.payload))
+
+        client = fleet.make_client()
+        assert "is not referenced" in (await client.virtual_states())["slit"].obstacle
+        await outcome(fleet, job(f"[{PREPARE}]"))
+        await client.bus.subscribe(client.keys.virtual("table"), receive)
+        _, seen = await run_watched(fleet, "{do: move, to: {table.height: 8, table.pitch: 2}}")
+        heights = np.array([sample[0] for sample in seen])
+        moving = [state for state in published if state.moving]
+        assert len(moving) > 5
+        for state in moving:
+            height = state.axes["height"]
+            # Each was there at some instant: the true way is continuous.
+            assert height.low <= heights.max() and height.high >= heights.min()
+            assert height.low <= height.position <= height.high
+        final_state = (await client.virtual_states())["table"]
+        assert final_state.obstacle == "" and final_state.enabled and final_state.referenced
+        assert final_state.axes["height"].position == pytest.approx(8, abs=COUNT_MM)
+        assert final_state.axes["pitch"].position == pytest.approx(2, abs=5 * COUNT_MM)
+
+    run_fleet(main, table_fleet())
+
+
+def test_the_real_axes_are_leased_and_a_fault_of_one_names_it() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job(f"[{PREPARE}]"))
+        client = fleet.make_client()
+        job_id = await client.submit(job("[{do: move, to: {table.height: 15}, speed: 0.1}]"))
+        async with asyncio.timeout(60):
+            while not (await client.virtual_states())["table"].moving:
+                await asyncio.sleep(0.05)
+        leases = {(lease.controller, lease.axis) for lease in await client.list_leases() if lease.holder}
+        assert {"front", "left", "right"} <= {controller for controller, _ in leases}
+        await client.stop()
+        report = await client.wait_for_job(job_id)
+        assert report.state in ("aborted", "failed", "cancelled", "interrupted")
+        height, pitch, roll = read_truth(fleet, "table")
+        assert 0 < height < 15 and abs(pitch) < 1 and abs(roll) < 1
+
+    run_fleet(main, table_fleet())
