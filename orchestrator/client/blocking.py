@@ -816,11 +816,12 @@ class BlockingTutti(BlockingObject[Tutti]):
         return self._run(self._wrapped.axis(name))
 
     def position(self, axis: str) -> float:
-        """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
+        """The present position of `controller.axis`, or of a virtual axis, in its unit. Raises `Refusal`: codes
+        `unknown-axis`, `offline`."""
         return self._run(self._wrapped.position(axis))
 
     def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> Iterator[dict[str, float]]:
-        """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
+        """The positions of axes (None: of all real ones), in their units, `hz` times a second, until the loop is left.
 
         For a display: where the axes are now, by the last state of each. What was where at an event is in the report of
         its move (`positions`), in the points of a scan, and in `states`, which have instants. An axis whose controller

@@ -2,7 +2,8 @@
 
 import asyncio
 import math
-from collections.abc import AsyncGenerator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
+from contextlib import suppress
 
 from pydantic import ValidationError
 
@@ -15,6 +16,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.fleet_names import DefinedNames
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 
 MAX_WAITING_EVENTS = 10_000  # of a reader that is too slow; the oldest are dropped
@@ -44,11 +46,16 @@ class ReadingRequests(FleetRequests):
         return describe_axis(name, config, axis_now, await self.controller_info(controller))
 
     async def position(self, axis: str) -> float:
-        """The present position of `controller.axis`, in its unit. Raises `Refusal`: codes `unknown-axis`, `offline`."""
+        """The present position of `controller.axis`, or of a virtual axis, in its unit. Raises `Refusal`: codes
+        `unknown-axis`, `offline`."""
         controller, name = split_name(axis)
         states = await self.status()
         if not states:
             raise await self.find_absence()
+        if controller not in states and (group := (await self._find_virtual([axis])).get(controller)) is not None:
+            if not group.axes:
+                raise Refusal("offline", f"{axis}: {group.obstacle}", "check its power and cable")
+            return group.axes[name].position
         if controller not in states or name not in states[controller].axes:
             raise _unknown_axis(axis, states)
         if states[controller].mode == "offline":
@@ -56,7 +63,7 @@ class ReadingRequests(FleetRequests):
         return states[controller].axes[name].position
 
     async def positions(self, axes: Sequence[str] | None = None, hz: float = 10.0) -> AsyncGenerator[dict[str, float]]:
-        """The positions of axes (None: of all), in their units, `hz` times a second, until the loop is left.
+        """The positions of axes (None: of all real ones), in their units, `hz` times a second, until the loop is left.
 
         For a display: where the axes are now, by the last state of each. What was where at an event is in the report of
         its move (`positions`), in the points of a scan, and in `states`, which have instants. An axis whose controller
@@ -69,29 +76,57 @@ class ReadingRequests(FleetRequests):
         wanted_axes = (
             [f"{name}.{axis}" for name, state in states.items() for axis in state.axes] if axes is None else axes
         )
+        virtual = await self._find_virtual([axis for axis in wanted_axes if split_name(axis)[0] not in states])
         for axis in wanted_axes:
             controller, name = split_name(axis)
-            if controller not in states or name not in states[controller].axes:
+            if controller not in virtual and (controller not in states or name not in states[controller].axes):
                 raise _unknown_axis(axis, states)
-
-        def receive_state(sample: BusSample) -> None:
-            try:
-                state = ControllerState.read_message(sample.payload)
-            except ValidationError:
-                return  # not of an adapter
-            states[state.controller] = state
-
-        subscriptions = [
-            await self.bus.subscribe(self.keys.state(controller), receive_state)
-            for controller in group_by_controller(wanted_axes)
-        ]
+        subscriptions = await self._follow_states(wanted_axes, states, virtual)
         try:
             while True:
-                yield {axis: _find_position(states, axis) for axis in wanted_axes}
+                yield {axis: _find_position(states, virtual, axis) for axis in wanted_axes}
                 await asyncio.sleep(1 / hz)
         finally:
             for declaration in subscriptions:
                 await declaration.undeclare()
+
+    async def _follow_states(
+        self, axes: Sequence[str], states: dict[str, ControllerState], virtual: dict[str, VirtualState]
+    ) -> list[BusDeclaration]:
+        """Keep the states of the controllers, and of the groups of virtual axes, that `axes` name."""
+
+        def receive_state(sample: BusSample) -> None:
+            with suppress(ValidationError):  # not of an adapter
+                state = ControllerState.read_message(sample.payload)
+                states[state.controller] = state
+
+        def receive_group(sample: BusSample) -> None:
+            with suppress(ValidationError):  # not of a coordinator
+                group = VirtualState.read_message(sample.payload)
+                virtual[group.group] = group
+
+        return [
+            await self.bus.subscribe(self.keys.virtual(name), receive_group)
+            if name in virtual
+            else await self.bus.subscribe(self.keys.state(name), receive_state)
+            for name in group_by_controller(axes)
+        ]
+
+    async def _find_virtual(self, axes: Sequence[str]) -> dict[str, VirtualState]:
+        """The groups of virtual axes that `axes` name, by name. Raises `Refusal` for an axis that a group has not."""
+        if not axes:
+            return {}
+        known_groups = await self.virtual_states()
+        groups: dict[str, VirtualState] = {}
+        for axis in axes:
+            group_name, name = split_name(axis)
+            group = known_groups.get(group_name)
+            if group is None:
+                continue
+            if group.axes and name not in group.axes:
+                raise _refuse_name(axis, [f"{group_name}.{axis_name}" for axis_name in group.axes])
+            groups[group_name] = group
+        return groups
 
     async def states(self, axes: Sequence[str] | None = None) -> AsyncGenerator[StateReading]:
         """Every state of the controllers of axes (None: of all) once, as they come, until the loop is left.
@@ -130,8 +165,11 @@ class ReadingRequests(FleetRequests):
                 yield event
 
 
-def _find_position(states: dict[str, ControllerState], axis: str) -> float:
+def _find_position(states: Mapping[str, ControllerState], virtual: Mapping[str, VirtualState], axis: str) -> float:
     controller, name = split_name(axis)
+    if controller in virtual:
+        group = virtual[controller]
+        return group.axes[name].position if name in group.axes else math.nan
     state = states[controller]
     return math.nan if state.mode == "offline" else state.axes[name].position
 

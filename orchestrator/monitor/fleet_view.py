@@ -12,6 +12,7 @@ from rich.text import Text
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 from orchestrator.model.steps.numbers import name_step
@@ -19,6 +20,7 @@ from orchestrator.monitor.open_bus import find_openness
 from orchestrator.monitor.queue_words import describe_queue
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
+from orchestrator.monitor.virtual_view import make_virtual_table
 
 _MODE_STYLE = {
     "idle": "green",
@@ -54,12 +56,14 @@ class LiveView:
     events: list[ControllerEvent] = field(default_factory=list[ControllerEvent])
     open_bus: dict[str, AlarmRecord] = field(default_factory=dict[str, AlarmRecord])
     """The alarms that other computers reach the bus without TLS, by id."""
+    virtual: dict[str, VirtualState] = field(default_factory=dict[str, VirtualState])
+    """Of virtual axes, by group."""
 
     @property
     def key_expressions(self) -> tuple[str, ...]:
         """The key expressions to subscribe to."""
         keys = self.keys
-        return (keys.state(), keys.event(), keys.job_state(), keys.queue, keys.leases, keys.alarm())
+        return (keys.state(), keys.event(), keys.job_state(), keys.queue, keys.leases, keys.alarm(), keys.virtual())
 
     @property
     def openness(self) -> str:
@@ -80,6 +84,10 @@ class LiveView:
                 return self._take_queue(QueueState.read_message(sample.payload))
             if "/lease/" in sample.key:
                 self._take_lease(LeaseState.read_message(sample.payload))
+                return None
+            if "/virtual/" in sample.key:
+                group = VirtualState.read_message(sample.payload)
+                self.virtual[group.group] = group
                 return None
             if "/alarm/" in sample.key:
                 old_openness = self.openness
@@ -140,6 +148,7 @@ class LiveView:
         permits = name_missing_permits(self.queue)
         parts: list[RenderableType] = [Text(self.openness, "bold red")] if self.openness else []
         parts += [make_state_table(self.states, self.leases, self.find_ages(), permits)]
+        parts += [make_virtual_table(self.virtual)] if self.virtual else []
         parts += self.render_jobs()
         if self.events:
             table = Table.grid(padding=(0, 2))

@@ -9,6 +9,7 @@ from cluster.worlds import EXAMPLES, job, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.operation.virtual_state import VirtualState
@@ -106,6 +107,12 @@ def test_states_of_virtual_axes_are_published_with_their_real_ones() -> None:
             # Each was there at some instant: the true way is continuous.
             assert height.low <= heights.max() and height.high >= heights.min()
             assert height.low <= height.position <= height.high
+        assert await client.position("table.height") == pytest.approx(8, abs=COUNT_MM)
+        async for positions in client.positions(["table.pitch", "front.upper"]):
+            assert positions["table.pitch"] == pytest.approx(2, abs=5 * COUNT_MM)
+            break
+        with pytest.raises(Refusal, match="did you mean table"):
+            await client.position("table.pitsch")
         final_state = (await client.virtual_states())["table"]
         assert final_state.obstacle == "" and final_state.enabled and final_state.referenced
         assert final_state.axes["height"].position == pytest.approx(8, abs=COUNT_MM)
