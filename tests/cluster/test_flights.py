@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 from cluster.test_contour import two_gantries
-from cluster.test_flying_scans import Truth, fly, path_fleet, prepare, wait_for_state
+from cluster.test_flying_scans import Truth, fly, fly_all, path_fleet, prepare, wait_for_state
 from cluster.test_paths import delay_chunks
 from cluster.test_triggers import TrueEdges
 from cluster.worlds import job, outcome, run_fleet, wait_for_point
@@ -31,7 +31,9 @@ def raster(
     return f"{{do: scan, axes: {axes}, fly: {{duration: {duration}{more}}}}}"
 
 
-def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: float = 0.0) -> None:
+def check_windows(
+    rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: float = 0.0, spacing: float = SPACING
+) -> None:
     """Each good row contains the truth, and its window was flown at its speed."""
     for row in rows:
         assert row.good and row.window is not None and row.took_s is not None, row
@@ -42,15 +44,15 @@ def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: 
         ends = truth.places[inside][[0, -1]]
         direction = 1.0 if ends[1] > ends[0] else -1.0
         for part, interval in zip((-0.5, 0.0, 0.5), intervals, strict=True):
-            at_s = truth.find_crossing(row.target[axis] + direction * part * SPACING, begin_s, end_s)
+            at_s = truth.find_crossing(row.target[axis] + direction * part * spacing, begin_s, end_s)
             assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, (row.point, part)
             crossings.append(at_s)
         error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
-        assert error <= max(0.005, 1.2 * truth.count / SPACING, late_s / row.took_s), (row.point, error)
+        assert error <= max(0.005, 1.2 * truth.count / spacing, late_s / row.took_s), (row.point, error)
         # And at one speed: each half took half of the time.
         halves = np.diff(crossings) / row.took_s * 2
         error = float(np.abs(halves - 1).max())
-        assert error <= max(0.006, 2.4 * truth.count / SPACING, 2 * late_s / row.took_s), (row.point, error)
+        assert error <= max(0.006, 2.4 * truth.count / spacing, 2 * late_s / row.took_s), (row.point, error)
 
 
 def count_motions(report: JobReport) -> int:
@@ -80,6 +82,33 @@ def test_a_raster_is_one_motion_that_takes_its_windows_and_its_turns(
         turn_s = 2 * speed / limits.acceleration + limits.acceleration / (limits.jerk or np.inf)
         spent_s = rows[-1].window.upper.latest_ns - rows[0].window.lower.earliest_ns  # pyright: ignore
         assert spent_s / NS_PER_S <= 1.1 * (15 * 41 * 0.02 + 14 * turn_s)
+
+    run_fleet(main, make())
+
+
+@pytest.mark.parametrize(
+    ("make", "outer", "flown", "late_s"),
+    [
+        (two_gantries, "portal.x", ("gantry.x", "gantry.y"), 0.0),
+        (two_gantries, "portal.x", ("portal.y", "gantry.y"), 0.0),
+        (path_fleet, "lift.z", ("slide.y", "gantry.x"), 0.0004),
+    ],
+)
+def test_axes_fly_together_along_one_line(
+    make: Callable[[], Fleet], outer: str, flown: tuple[str, str], late_s: float
+) -> None:
+    axes = f"{outer}: {{from: 2, to: 6, points: 3}}"
+    spacings = (0.2, SPACING)
+    for axis, spacing in zip(flown, spacings, strict=True):
+        axes += f", {axis}: {{from: 30, to: {30 + 20 * spacing:g}, points: 21, snake: true}}"
+    scan = f"{{do: scan, axes: {{{axes}}}, fly: {{axis: [{', '.join(flown)}], duration: 25 ms}}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truths = await fly_all(fleet, f"[{scan}]", flown)
+        assert report.state == "done" and report.verdict == "green", report.reason
+        assert [row.point for row in rows] == list(range(1, 64))
+        for axis, spacing, truth in zip(flown, spacings, truths, strict=True):
+            check_windows(rows, truth, axis, late_s, spacing)
 
     run_fleet(main, make())
 
@@ -236,6 +265,41 @@ def test_a_pause_in_a_flight_with_triggers_loses_no_window() -> None:
         assert [row.point for row in rows if row.good] == list(range(1, 12 * 41 + 1))
         # What was switched in a window that was broken is switched again.
         assert len(rows) <= len(true.rises()) <= len(rows) + 41
+
+    run_fleet(main, with_camera(two_gantries(), "gantry"))
+
+
+def test_axes_that_fly_together_are_paused_and_flown_again_from_a_point() -> None:
+    axes = "portal.x: {from: 2, to: 6, points: 5}"
+    for axis, spacing in (("gantry.x", 0.25), ("gantry.y", 0.5)):
+        axes += f", {axis}: {{from: 30, to: {30 + 20 * spacing:g}, points: 21, snake: true}}"
+    fly_field = "{axis: [gantry.x, gantry.y], duration: 30 ms, trigger: {output: gantry.camera}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        motors = (("gantry.x", "gantry", "X"), ("gantry.y", "gantry", "Y"))
+        true = TrueEdges(fleet, "gantry", motors, 1)
+        job_id = await begin_flight(fleet, f"{{do: scan, axes: {{{axes}}}, fly: {fly_field}}}", 30)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        again = await client.retry_job(job_id, (0, 65))
+        assert report.state == (await client.wait_for_job(again.job_id)).state == "done", report.reason
+        rows = [row for flown in (job_id, again.job_id) for row in await client.load_points(flown) if row.good]
+        assert [row.point for row in rows] == [*range(1, 106), *range(64, 106)]
+        places = [place for place, (_, level) in zip(true.places, true.edges, strict=True) if level]
+        rises = true.rises()
+        for row in rows:
+            assert row.window is not None
+            lower_ns, upper_ns = row.window.lower.earliest_ns, row.window.upper.latest_ns
+            (place,) = (
+                place
+                for at_ns, place in zip(rises, places, strict=True)
+                if lower_ns < at_ns < upper_ns and abs(place["gantry.y"] - row.target["gantry.y"]) < 0.2
+            )
+            # On the line of both axes, whatever the instant of the edge.
+            assert abs(place["gantry.x"] - 30 - (place["gantry.y"] - 30) / 2) <= 0.002
 
     run_fleet(main, with_camera(two_gantries(), "gantry"))
 

@@ -201,11 +201,14 @@ class PointTable(ScriptModel):
 class GridPoints:
     """The points of nested axes, the outermost first: the last axis moves fastest."""
 
-    def __init__(self, axes: Mapping[str, ScanAxis]) -> None:
+    def __init__(self, axes: Mapping[str, ScanAxis], joint: int = 1) -> None:
+        """joint: how many of the last axes are one level, and move together; they have as many positions each."""
         self.axes = axes
         self.counts = [axis.count for axis in axes.values()]
-        self.strides = [prod(self.counts[number + 1 :]) for number in range(len(self.counts))]
-        self.count = prod(self.counts)
+        self._levels = self.counts[: len(self.counts) - joint + 1]
+        strides = [prod(self._levels[number + 1 :]) for number in range(len(self._levels))]
+        self.strides = [*strides, *strides[-1:] * (joint - 1)]
+        self.count = prod(self._levels)
 
     def find_indices(self, point: int) -> list[int]:
         """The number of the position of each axis at a point."""
@@ -225,18 +228,19 @@ class GridPoints:
     def iterate_ways(self) -> Iterator[tuple[int, list[list[tuple[int, int]]]]]:
         """The kinds of ways between neighbouring points: how often each occurs, and by axis the pairs of positions
         between which it can lead; none for an axis that stands."""
-        rounds = 1
-        for moving_level, axis in enumerate(self.axes.values()):
-            often = rounds * (self.counts[moving_level] - 1)
-            rounds *= self.counts[moving_level]
+        rounds, last = 1, len(self._levels) - 1
+        for moving_level, count in enumerate(self._levels):
+            often = rounds * (count - 1)
+            rounds *= count
             if not often:
                 continue
+            moving_end = len(self.axes) if moving_level == last else moving_level + 1
             pairs: list[list[tuple[int, int]]] = [[] for _ in self.axes]
-            has_values = axis.values is not None
-            pairs[moving_level] = [(k, k + 1) for k in range(self.counts[moving_level] - 1 if has_values else 1)]
-            for inner, other_axis in list(enumerate(self.axes.values()))[moving_level + 1 :]:
-                if not other_axis.snake and self.counts[inner] > 1:
-                    pairs[inner] = [(self.counts[inner] - 1, 0)]
+            for number, axis in enumerate(self.axes.values()):
+                if moving_level <= number < moving_end:
+                    pairs[number] = [(k, k + 1) for k in range(count - 1 if axis.values is not None else 1)]
+                elif number >= moving_end and not axis.snake and self.counts[number] > 1:
+                    pairs[number] = [(self.counts[number] - 1, 0)]
             yield often, pairs
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from orchestrator.model.fleet import Fleet
 from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.motions import find_extremes, glide, join_motions, move_motion
-from orchestrator.plan.flying.turns import solve_stop, solve_turn
+from orchestrator.plan.flying.turns import LineStop, solve_stop, solve_turn
 from orchestrator.plan.path_profiles import FittedMotion
 from orchestrator.plan.shape import WayEnd, WayLimits
 from orchestrator.plan.speeds import limit_speeds
@@ -62,7 +62,8 @@ class _FlightPlanner:
         self._fleet = fleet
         self._use = use
         self._axes = {name: fleet.axis(name) for name in lines.scan.axes}
-        self._flown = len(self._axes) - 1
+        self._first_flown = len(self._axes) - len(lines.axes)
+        """The number of the first axis that flies; they are the last ones."""
         self._turns: dict[tuple[int, ...], FittedMotion] = {}
 
     def plan(self, first: int, end: int) -> Flight:
@@ -80,22 +81,25 @@ class _FlightPlanner:
         parts.append(self._turn(begin_state, self._find_rest(lines.find_ends(first - 1).end, first - 1)))
         return Flight(flown_lines, join_motions(parts))
 
-    def _find_rest(self, position: float, point: int) -> list[WayEnd]:
-        """All axes at rest, that which flies at a position, the others where they are at a point."""
+    def _find_rest(self, positions: Sequence[float], point: int) -> list[WayEnd]:
+        """All axes at rest, those that fly at positions, the others where they are at a point."""
         states = [WayEnd(value) for value in self._lines.find_target(point).values()]
-        return [*states[:-1], WayEnd(position)]
+        return [*states[: self._first_flown], *map(WayEnd, positions)]
 
     def _find_state(self, point: int, part: float) -> list[WayEnd]:
         """All axes in a part of the window of a point, while it is flown."""
         states = [WayEnd(value) for value in self._lines.find_target(point).values()]
-        velocity = self._lines.find_velocity(point)
-        way = (part - 0.5) * self._lines.window_s * velocity
-        return [*states[:-1], WayEnd(states[-1].position + way, velocity)]
+        velocities, after_s = self._lines.find_velocities(point), (part - 0.5) * self._lines.window_s
+        flown_states = zip(states[self._first_flown :], velocities, strict=True)
+        return [
+            *states[: self._first_flown],
+            *(WayEnd(state.position + after_s * velocity, velocity) for state, velocity in flown_states),
+        ]
 
     def _turn(self, begin: Sequence[WayEnd], end: Sequence[WayEnd]) -> FittedMotion:
         """The fastest motion between two states."""
         ways = [end_state.position - begin_state.position for begin_state, end_state in zip(begin, end, strict=True)]
-        speeds = [begin[self._flown].velocity, end[self._flown].velocity]
+        speeds = [state.velocity for states in (begin, end) for state in states[self._first_flown :]]
         key = tuple(round(value / NEAR) for value in (*ways, *speeds))
         if key not in self._turns:
             origin = [WayEnd(0.0, state.velocity) for state in begin]
@@ -104,17 +108,29 @@ class _FlightPlanner:
         return move_motion(self._turns[key], np.array([state.position for state in begin]))
 
     def _solve(self, begin: Sequence[WayEnd], end: Sequence[WayEnd]) -> FittedMotion:
-        entry, leave, room = begin[self._flown], end[self._flown], self._lines.run_up
-        ways = [state.position for state in end]
-        if not (entry.velocity and leave.velocity):  # a run-up or a run-down
-            return solve_turn(begin, end, self._find_limits(ways, 1.0))
+        ways, first = [state.position for state in end], self._first_flown
+        limits = self._find_limits(ways, 1.0)
+        straight_limits = self._share_out(limits[first:])
+        if not (begin[first].velocity and end[first].velocity):  # a run-up or a run-down
+            return solve_turn(begin, end, [*limits[:first], *straight_limits])
         turn = solve_turn(begin, end, self._find_limits(ways, self._use))
         # No farther than lines that begin and end at rest, whose room is checked before anything moves.
-        least, most = (float(positions[self._flown]) for positions in find_extremes(turn))
-        ends = [entry.position, leave.position]
-        if least >= min(ends) - room and most <= max(ends) + room:
+        rooms = np.array([float(self._lines.find_run_up(axis)) for axis in self._lines.axes])
+        ends = np.array([[state.position for state in states[first:]] for states in (begin, end)])
+        least, most = (positions[first:] for positions in find_extremes(turn))
+        if (least >= ends.min(axis=0) - rooms).all() and (most <= ends.max(axis=0) + rooms).all():
             return turn
-        return solve_stop(begin, end, self._find_limits(ways, 1.0), self._flown, room)
+        stops = [LineStop(*pair) for pair in zip(rooms.tolist(), straight_limits, strict=True)]
+        return solve_stop(begin, end, limits, stops)
+
+    def _share_out(self, limits: Sequence[WayLimits]) -> list[WayLimits]:
+        """The limits of the axes that fly, in proportion to their ways along a line: so they stay on it."""
+        shares = [axis.share for axis in self._lines.axes]
+        velocity, acceleration, jerk = (
+            min(value / share for value, share in zip(values, shares, strict=True))
+            for values in zip(*limits, strict=True)
+        )
+        return [WayLimits(velocity * share, acceleration * share, jerk * share) for share in shares]
 
     def _find_limits(self, ways: Sequence[float], use: float) -> list[WayLimits]:
         """The limits of the axes on their ways, with the speed that the scan states for its moves between lines."""
@@ -123,10 +139,9 @@ class _FlightPlanner:
             for way, (name, axis) in zip(ways, self._axes.items(), strict=True)
         ]
         limited_moves = limit_speeds(self._fleet, self._lines.scan, moves)
+        flown_speeds = {axis.name: self._lines.find_speed(axis) for axis in self._lines.axes}
         limits: list[WayLimits] = []
-        for axis, move in zip(self._axes.values(), limited_moves, strict=True):
-            speed = move.velocity / float(axis.scale)
-            if axis is self._axes[self._lines.axis]:
-                speed = max(speed, self._lines.speed)
+        for (name, axis), move in zip(self._axes.items(), limited_moves, strict=True):
+            speed = max(move.velocity / float(axis.scale), flown_speeds.get(name, 0.0))
             limits.append(WayLimits(speed, axis.limits.acceleration * use, find_jerk(axis) * use))
         return limits

@@ -137,7 +137,7 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> Flo
         flight = plan_flight(lines, fleet, (first, end), use)
         if _make_course(flight.motion, starts, lines).has_chunks(most_s):
             return FlownPart(lines, first, end, flight)
-    raise PlanError(f"lines of {lines.count} points of {lines.axis} are too short to be braked between two of them")
+    raise PlanError(f"lines of {lines.count} points of {lines.words} are too short to be braked between two of them")
 
 
 def choose_part(
@@ -170,6 +170,9 @@ def plan_flight_step(
     profiles = {
         course.axes[column].name: make_profile(motion, column, course.axes[column]) for column in course.columns
     }
+    flown_members = {controller_of(axis.name) for axis in part.lines.axes}
+    # Only in the windows does it matter what sets members apart in time, and only if axes of several move there.
+    speeds = {axis.name: part.lines.find_speed(axis) for axis in part.lines.axes} if len(flown_members) > 1 else {}
     return PlannedPath(
         plan=StepPlan(course.duration_s, profiles, [start.name for start in starts if start.name not in profiles]),
         moves=make_moves(starts, exact),
@@ -183,9 +186,8 @@ def plan_flight_step(
         tolerance=part.lines.tolerance,
         fit_error=0.5 / min(abs(axis.counts_per_unit) for axis in course.axes),
         counts_per_unit={axis.name: axis.counts_per_unit for axis in course.axes},
-        # In the windows one axis moves: what sets members apart in time takes none off its line.
         times_s=np.array([0.0, course.duration_s]),
-        speeds={start.name: np.zeros(2) for start in starts},
+        speeds={start.name: np.full(2, speeds.get(start.name, 0.0)) for start in starts},
         course=course,
     )
 

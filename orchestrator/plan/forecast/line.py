@@ -12,7 +12,9 @@ from orchestrator.model.forecast import StepProblem
 from orchestrator.model.names import controller_of
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flying.lines import FlownLines, check_room, plan_lines
+from orchestrator.plan.flying.line_plan import plan_lines
+from orchestrator.plan.flying.line_room import check_room
+from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.path import (
     ChunkAbility,
     FlightPath,
@@ -34,9 +36,9 @@ def take_lines(state: ForecastState, at: ForecastContext, step: Scan) -> FlownLi
     """The lines of a scan that flies; None, and a problem, if it cannot be flown."""
     try:
         lines = plan_lines(step, state.fleet)
-        axis_state = state.find_state(at, lines.axis)
-        if axis_state.offset_kind != "unknown":
-            check_room(lines, state.fleet.axis(lines.axis), axis_state.offset)
+        axis_states = {axis.name: state.find_state(at, axis.name) for axis in lines.axes}
+        offsets = {name: axis.offset for name, axis in axis_states.items() if axis.offset_kind != "unknown"}
+        check_room(lines, state.fleet, offsets.get)
     except Refusal as error:
         state.add_problem(at, ("fly",), error)
         return None
@@ -105,8 +107,9 @@ def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLine
 
 def _note_words(state: ForecastState, lines: FlownLines, how: str) -> None:
     """Say how lines are flown."""
+    flies, along = ("fly", " along their line") if len(lines.axes) > 1 else ("flies", "")
     words = (
-        f"{lines.axis} flies through {lines.count} points at {lines.speed:g} {lines.units[-1]}/s, "
+        f"{lines.words} {flies} through {lines.count} points at {lines.speed:g} {lines.units[-1]}/s{along}, "
         f"{lines.window_s * 1e3:g} ms each, with a run-up and a run-down of {lines.run_up:.4g} {lines.units[-1]}; {how}"
     )
     assert state.motion is not None
@@ -124,11 +127,13 @@ def _name_trigger(problem: StepProblem) -> StepProblem:
 def _check_speed(state: ForecastState, at: ForecastContext, lines: FlownLines) -> None:
     """Add a problem if the plan of a line is slower in a window."""
     assert state.motion is not None and state.motion.path is not None
-    times_s, speeds = state.motion.path.times_s, state.motion.path.speeds[lines.axis]
+    lead = lines.lead
+    speed, path = lines.find_speed(lead), state.motion.path
+    times_s, speeds = path.times_s, path.speeds[lead.name]
     middle_s = state.motion.plan.duration_s / 2
     in_windows = np.abs(times_s - middle_s) < lines.count * lines.window_s / 2
-    least = float(speeds[in_windows].min(initial=lines.speed))
-    if least < lines.speed * (1 - SLOWER):
+    least = float(speeds[in_windows].min(initial=speed))
+    if least < speed * (1 - SLOWER):
         unit = lines.units[-1]
-        text = f"{lines.axis} would fly at {least:g} {unit}/s in a window, instead of {lines.speed:g} {unit}/s"
-        state.add_problem(at, ("fly",), Refusal("fly-speed", text, "fly slower", controller_of(lines.axis)))
+        text = f"{lead.name} would fly at {least:g} {unit}/s in a window, instead of {speed:g} {unit}/s"
+        state.add_problem(at, ("fly",), Refusal("fly-speed", text, "fly slower", controller_of(lead.name)))
