@@ -113,6 +113,89 @@ def test_axes_fly_together_along_one_line(
     run_fleet(main, make())
 
 
+CURVE_POINTS = 20
+ARC = np.pi * (0.25 + np.linspace(0.0, 1.0, 2 * CURVE_POINTS + 1) ** 1.2)
+KNOTS = np.round(40 + 6 * np.stack([np.cos(ARC), np.sin(ARC)], axis=1), 4)
+"""Of half a circle, whose windows become longer: at the beginning of each, in its middle, and at the end of the last."""
+
+
+def curve(outer: str, flown: Sequence[str]) -> str:
+    """The axes of a scan along `KNOTS`, to and fro."""
+    axes = [outer] if outer else []
+    for axis, knots in zip(flown, KNOTS.T.tolist(), strict=True):
+        axes.append(f"{axis}: {{values: {knots[1::2]}, bounds: {knots[::2]}, snake: true}}")
+    return f"{{{', '.join(axes)}}}"
+
+
+def check_curve(rows: Sequence[PointRecord], truths: Sequence[Truth], late_s: float = 0.0) -> None:
+    """Each good row contains the truth of the axes that are not slow in its window, which took its time."""
+    for row in rows:
+        assert row.good and row.window is not None and row.took_s is not None, row
+        line, number = divmod(row.point - 1, CURVE_POINTS)
+        knots = (KNOTS[::-1] if line % 2 else KNOTS)[2 * number : 2 * number + 3]
+        intervals = (row.window.lower, row.window.middle, row.window.upper)
+        begin_s, end_s = intervals[0].earliest_ns / NS_PER_S - 0.003, intervals[2].latest_ns / NS_PER_S + 0.003
+        for truth, positions in zip(truths, knots.T.tolist(), strict=True):
+            ways = np.diff(positions)
+            if ways[0] * ways[1] <= 0.0 or np.abs(ways).min() < 0.15:
+                continue
+            direction = np.sign(ways[0])
+            moved = Truth(truth.times_s, truth.places * direction, truth.count)
+            crossings = [moved.find_crossing(position * direction, begin_s, end_s) for position in positions]
+            for at_s, interval in zip(crossings, intervals, strict=True):
+                assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, row.point
+            error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
+            assert error <= max(0.005, 2.4 * truth.count / abs(ways.sum()), late_s / row.took_s), (row.point, error)
+
+
+@pytest.mark.parametrize(
+    ("make", "outer", "flown", "late_s"),
+    [
+        (two_gantries, "", ("gantry.x", "gantry.y"), 0.0),
+        (path_fleet, "lift.z: {values: [2, 4]}", ("slide.y", "gantry.x"), 0.0004),
+    ],
+)
+def test_a_curve_is_flown_through_its_windows(
+    make: Callable[[], Fleet], outer: str, flown: tuple[str, str], late_s: float
+) -> None:
+    scan = f"{{do: scan, axes: {curve(outer, flown)}, fly: {{axis: [{', '.join(flown)}], duration: 60 ms}}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truths = await fly_all(fleet, f"[{scan}]", flown)
+        assert report.state == "done" and report.verdict == "green", report.reason
+        assert [row.point for row in rows] == list(range(1, len(rows) + 1)) and len(rows) in (20, 40)
+        check_curve(rows, truths, late_s)
+
+    run_fleet(main, make())
+
+
+def test_a_curve_is_paused_and_flown_again_from_the_window_that_was_broken() -> None:
+    flown = ("gantry.x", "gantry.y")
+    fly_field = "{axis: [gantry.x, gantry.y], duration: 60 ms, trigger: {output: gantry.camera}}"
+    scan = f"{{do: scan, axes: {curve('portal.x: {values: [2, 4, 6, 8]}', flown)}, fly: {fly_field}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        true = TrueEdges(fleet, "gantry", (("gantry.x", "gantry", "X"), ("gantry.y", "gantry", "Y")), 1)
+        job_id = await begin_flight(fleet, scan, 30)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        again = await client.retry_job(job_id, (0, 65))
+        assert (await client.wait_for_job(again.job_id)).state == "done"
+        rows = [row for flown_id in (job_id, again.job_id) for row in await client.load_points(flown_id) if row.good]
+        assert [row.point for row in rows] == [*range(1, 81), *range(61, 81)]
+        places = [place for place, (_, level) in zip(true.places, true.edges, strict=True) if level]
+        for row in rows:
+            # An edge comes within some ms of its instant, at 20 mm/s.
+            offs = [np.hypot(*(place[axis] - row.target[axis] for axis in flown)) for place in places]
+            assert min(offs) < 0.1, (row.point, min(offs))
+
+    run_fleet(main, with_camera(two_gantries(), "gantry"))
+
+
 async def begin_flight(fleet: VirtualFleet, steps: str, point: int) -> str:
     """Submit a flight, and return its job when it flies through a point."""
     await outcome(fleet, prepare(fleet))

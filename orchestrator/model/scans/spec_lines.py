@@ -1,8 +1,8 @@
 """A spec of scanspec 1.x that flies, as a scan that flies: its lines and its time at each point.
 
 Of the kinds of specs those that are lines in nested axes can be flown: `Linspace`, `Product` and `Snake`, and `Zip` of
-the innermost lines, with `Fly` and a duration around these. All others with `Fly` are refused, so that none is ever
-stepped.
+the innermost lines, with `Fly` and a duration around these. `Spiral`, and whatever else has no gap between its windows,
+is a curve. All others with `Fly` are refused, so that none is ever stepped.
 """
 
 from collections.abc import Mapping
@@ -15,12 +15,13 @@ from orchestrator.model.script import WrongValue
 from orchestrator.model.steps.scan import Scan
 
 _STEPPED = "leave out `Fly`, and it is stepped; or write the scan with `axes` and `fly`"
-_FLOWN = "`Linspace`, `Product`, `Snake` and `Zip` of lines can be flown"
+_FLOWN = "`Linspace`, `Product`, `Snake`, `Zip` of lines, and `Spiral` can be flown"
+_UNBENT = frozenset({"Range", "Static", "Squash"})  # kinds that are no curve, and could be written as one
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """A level of a spec: lines of axes that move together, by axis. flies, duration_s: what is around it."""
+    """A level of a spec: lines or curves of axes that move together, by axis. flies, duration_s: what is around it."""
 
     lines: dict[str, dict[str, Any]]
     flies: bool
@@ -30,7 +31,16 @@ class _Level:
     def shape(self) -> tuple[int, bool]:
         """Its points, and whether it snakes."""
         line = next(iter(self.lines.values()))
-        return int(line.get("points", 1)), bool(line["snake"])
+        return len(line["values"]) if "values" in line else int(line["points"]), bool(line["snake"])
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether it is a curve."""
+        return any("bounds" in line for line in self.lines.values())
+
+    def list_curves(self) -> dict[str, dict[str, Any]]:
+        """The same as curves."""
+        return {name: line if "bounds" in line else _bend_line(line) for name, line in self.lines.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +102,45 @@ def _list_levels(node: Mapping[str, Any] | int | None, around: _Around) -> list[
         return _zip_levels(*(_list_levels(node[part], around) for part in ("left", "right")))
     if kind == "Linspace":
         return [_Level({str(node["axis"]): _make_line(node, snake=around.snake)}, around.flies, around.duration_s)]
-    text = f"the spec has `Fly` with {kind}, which cannot be flown; {_FLOWN}"
-    raise Refusal("bad-scanspec", text, _STEPPED)
+    return [_make_curve(node, around)]
+
+
+def _make_curve(node: Mapping[str, Any], around: _Around) -> _Level:
+    """A spec of another kind as a curve. Raises `Refusal` for one that has gaps between its windows, or several
+    levels."""
+    _, spec_type = import_scanspec()
+    kind, dimensions, duration_s = str(node["type"]), list[Any](), around.duration_s
+    try:
+        spec: Any = spec_type.deserialize(dict(node))
+        if kind not in _UNBENT:
+            dimensions.extend(spec.calculate(bounds=True))
+        duration_s = duration_s if spec.duration() is None else float(spec.duration())
+    except Exception as error:  # whatever another project raises for a spec that it cannot calculate
+        raise Refusal("bad-scanspec", f"scanspec cannot calculate {kind}: {error}", "correct the spec") from None
+    if len(dimensions) != 1 or not _is_continuous(dimensions[0]):
+        text = f"the spec has `Fly` with {kind}, which cannot be flown; {_FLOWN}"
+        raise Refusal("bad-scanspec", text, _STEPPED)
+    dimension: Any = dimensions[0]
+    lines: dict[str, dict[str, Any]] = {}
+    for axis in dimension.axes():
+        bounds: list[float] = [*dimension.lower[axis].tolist(), float(dimension.upper[axis][-1])]
+        lines[str(axis)] = {"values": dimension.midpoints[axis].tolist(), "bounds": bounds, "snake": around.snake}
+    return _Level(lines, around.flies, duration_s)
+
+
+def _is_continuous(dimension: Any) -> bool:
+    """Whether the windows of a dimension follow each other without a gap, and two of them at least."""
+    ends = [(dimension.upper[axis][:-1], dimension.lower[axis][1:]) for axis in dimension.axes()]
+    return len(dimension) > 1 and all(bool((upper == lower).all()) for upper, lower in ends)
+
+
+def _bend_line(line: Mapping[str, Any]) -> dict[str, Any]:
+    """A line as a curve."""
+    count, first = int(line["points"]), float(line["from"])
+    spacing = (float(line["to"]) - first) / (count - 1)
+    values = [first + spacing * number for number in range(count)]
+    bounds = [first + spacing * (number - 0.5) for number in range(count + 1)]
+    return {"values": values, "bounds": bounds, "snake": line["snake"]}
 
 
 def _make_line(node: Mapping[str, Any], *, snake: bool) -> dict[str, Any]:
@@ -118,14 +165,16 @@ def _zip_levels(left: list[_Level], right: list[_Level]) -> list[_Level]:
         raise Refusal("bad-scanspec", text, "write as many points for both, and `~` before the Zip")
     _require_single([*inner.lines, *added_level.lines])
     duration_s = added_level.duration_s if inner.duration_s is None else inner.duration_s
-    return [*left[:-1], _Level({**inner.lines, **added_level.lines}, inner.flies and added_level.flies, duration_s)]
+    has_curve = inner.is_curved or added_level.is_curved
+    lines, added_lines = (level.list_curves() if has_curve else level.lines for level in (inner, added_level))
+    return [*left[:-1], _Level({**lines, **added_lines}, inner.flies and added_level.flies, duration_s)]
 
 
 def _join_levels(levels: list[_Level]) -> dict[str, dict[str, Any]]:
     """The axes of all levels. Raises `Refusal`."""
     for level in levels[:-1]:
         if len(level.lines) > 1:
-            text = f"the spec has `Fly` with Zip of {', '.join(level.lines)} outside of the axes that fly"
+            text = f"the spec has `Fly` with {', '.join(level.lines)} together outside of the axes that fly"
             raise Refusal("bad-scanspec", text, f"zip the innermost lines only; or {_STEPPED}")
     _require_single([name for level in levels for name in level.lines])
     return {name: line for level in levels for name, line in level.lines.items()}

@@ -74,7 +74,7 @@ class FlyOptions(ScriptModel):
         default=None,
         min_length=1,
         max_length=MAX_SCAN_AXES,
-        description="Axes that fly together along straight lines, the last of `axes`, with as many points each; the "
+        description="Axes that fly together along a line, the last of `axes`, with as many points each; the "
         "last one alone without it.",
     )
     duration: Duration | None = Field(
@@ -124,11 +124,11 @@ class FlyOptions(ScriptModel):
             raise ValueError(f"`fly`: a `duration` of {self.duration / 1e6:g} ms is too short; the least is 1 ms")
         return self
 
-    def describe(self) -> str:
-        """In words: `flown, 20 ms a point`."""
+    def describe(self, way: str = "one line") -> str:
+        """In words: `flown, 20 ms a point`. way: along which several axes fly together."""
         words = "flown"
         if self.axis is not None and len(self.axis) > 1:
-            words += f" by {', '.join(self.axis)} along one line"
+            words += f" by {', '.join(self.axis)} along {way}"
         if self.duration is not None:
             words += f", {self.duration / 1e6:g} ms a point"
         elif self.speed is None:

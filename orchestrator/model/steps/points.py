@@ -48,12 +48,20 @@ class ScanAxis(ScriptModel):
         max_length=MAX_LISTED,
         description="All positions, instead of `from` and `to`: quantities, or names of positions.",
     )
+    bounds: list[Quantity] | None = Field(
+        default=None,
+        max_length=MAX_LISTED + 1,
+        description="With `values`, of an axis that flies along a curve: where it is at the beginning of the window of "
+        "the first point, between two windows, and at the end of the last one; one more than `values`.",
+    )
     snake: bool = Field(
         default=False, description="Backwards on every second pass of the axes outside it: no way back between passes."
     )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
+        if self.bounds is not None and len(self.bounds) != len(self.values or []) + 1:
+            raise ValueError(f"`bounds` needs `values`, and one more than these; there are {len(self.bounds)}")
         if self.values is not None:
             if (self.from_, self.to, self.points, self.step) != (None,) * 4:
                 raise ValueError("has `values`, so `from`, `to`, `points` and `step` have no meaning; remove them")
@@ -87,6 +95,14 @@ class ScanAxis(ScriptModel):
         assert self.from_ is not None and self.to is not None
         first, last = parse_quantity(self.from_, unit), parse_quantity(self.to, unit)
         return first + (last - first) * Fraction(index, max(1, self.count - 1))
+
+    def list_knots(self, unit: Unit) -> list[float]:
+        """Its positions on a curve, in its unit: at the beginning of the first window, in its middle, at its end, and
+        so on. Raises `UnitError`."""
+        values, bounds = (
+            [float(parse_quantity(value, unit)) for value in row] for row in (self.values or [], self.bounds or [])
+        )
+        return [position for pair in zip(bounds, values, strict=False) for position in pair] + bounds[-1:]
 
 
 def _count_steps(first: float | str, last: float | str, step: float | str) -> int:

@@ -95,6 +95,7 @@ class Scan(MotionOptions, ScanPoints):
             )
         if self.fly is not None:
             self._check_line(self.fly.axis)
+        self._check_curve()
         if self.point_count > MAX_POINTS:
             raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
         if self.fly is not None:
@@ -117,6 +118,21 @@ class Scan(MotionOptions, ScanPoints):
             raise ValueError(f"`fly.axis`: axes on one line need as many points each; {words}")
         if len({self.axes[name].snake for name in last_names}) > 1:
             raise ValueError(f"`fly.axis`: write the same `snake` for {', '.join(last_names)}, which are on one line")
+
+    def _check_curve(self) -> None:
+        """Raise `ValueError` for bounds of windows of axes that are not flown along a curve."""
+        curved_names = [name for name, axis in self.axes.items() if axis.bounds is not None]
+        if not curved_names:
+            return
+        if self.fly is None or set(curved_names) != set(self.flown_axes):
+            raise ValueError(
+                f"`bounds` are for all axes that fly along a curve; {', '.join(curved_names)} have them, "
+                f"and {', '.join(self.flown_axes) if self.fly is not None else 'no axes'} fly"
+            )
+        if self.fly.wait is not None:
+            raise ValueError("`fly.wait` is for straight lines; put a step `do: wait` before a scan along a curve")
+        if self.fly.speed is not None:
+            raise ValueError("`fly.speed`: windows on a curve have several lengths, and one time; write `duration`")
 
     def _check_flown(self, fly: FlyOptions) -> None:
         """Raise `ValueError` for a scan that cannot be flown, whatever its axes are."""
@@ -145,6 +161,11 @@ class Scan(MotionOptions, ScanPoints):
     def flown_axis(self) -> str:
         """The last one of them."""
         return self.flown_axes[-1]
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether it flies along curves."""
+        return bool(self.axes) and self.axes[self.flown_axis].bounds is not None
 
     @property
     def grid(self) -> GridPoints:
@@ -257,7 +278,7 @@ class Scan(MotionOptions, ScanPoints):
 
     def complete_words(self, fields: list[str]) -> list[str]:
         at_each = ["at each " + "; ".join(step.describe() for step in self.at_each)] if self.at_each else []
-        flown_words = [] if self.fly is None else [self.fly.describe()]
+        flown_words = [] if self.fly is None else [self.fly.describe("a curve" if self.is_curved else "one line")]
         return [self._describe_points(), *flown_words, *fields, *at_each]
 
     def _describe_points(self) -> str:

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from math import ceil, sqrt
 
+import numpy as np
+
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
@@ -12,7 +14,11 @@ from orchestrator.model.names import controller_of
 from orchestrator.model.steps.fly import LEAST_WINDOW_NS, FlyOptions
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, UnitError, parse_quantity, parse_rate
-from orchestrator.plan.flying.lines import FlownAxis, FlownLines
+from orchestrator.plan.flying.curves import CurvedLines, find_way_s
+from orchestrator.plan.flying.lines import FlownLines
+from orchestrator.plan.flying.splines import find_longer, fit_curve, require_limits
+from orchestrator.plan.flying.straight import FlownAxis, StraightLines
+from orchestrator.plan.shape import WayEnd, WayLimits
 from orchestrator.plan.targets import find_jerk
 
 MARGIN_COUNTS = 2  # of each run-up: its ends are rounded to counts
@@ -21,6 +27,7 @@ LEAST_WINDOW_COUNTS = 2
 # with triggers is a little shorter than so many of these. A whole number of the usual periods.
 PERIOD_S, PERIOD_MARGIN_S = 0.02, 0.0002
 TOLERANCE = 0.25  # of a window
+CURVE_USE = 0.8  # of acceleration and jerk on a curve whose duration is found: the rest is for braking along it
 EVEN = 1e-9  # of a distance: rounding of values that are written as decimals
 
 
@@ -30,36 +37,79 @@ def plan_lines(scan: Scan, fleet: Fleet) -> FlownLines:
     assert scan.fly is not None
     axes = {name: fleet.axis(name) for name in scan.flown_axes}
     name, unit = scan.flown_axis, _require_axes(axes)
+    units = [Unit(fleet.axis(named_axis).unit) for named_axis in scan.axes]
     try:
-        flown_axes = _find_axes(scan, axes)
-        length = _find_length([axis.spacing for axis in flown_axes])
-        tolerance = _parse_tolerance(scan.fly, unit, name, length)
-        most_speed = min(axes[axis.name].limits.velocity / axis.share for axis in flown_axes)
-        speed = _find_speed(scan.fly, unit, length, most_speed)
+        return (_plan_curve if scan.is_curved else _plan_straight)(scan, scan.fly, axes, unit, units)
     except UnitError as error:
         raise Refusal("bad-unit", f"`fly`: {error}", "correct the unit", controller_of(name)) from None
+
+
+def _plan_straight(
+    scan: Scan, fly: FlyOptions, axes: Mapping[str, Axis], unit: Unit, units: Sequence[Unit]
+) -> StraightLines:
+    """Straight lines. units: of all axes of the scan. Raises `Refusal`, `UnitError`."""
+    flown_axes = _find_axes(scan, axes)
+    length = _find_length([axis.spacing for axis in flown_axes])
+    tolerance = _parse_tolerance(fly, unit, scan.flown_axis, length)
+    most_speed = min(axes[axis.name].limits.velocity / axis.share for axis in flown_axes)
+    speed = _find_speed(fly, unit, length, most_speed)
     _require_windows(flown_axes)
     _require_speed(flown_axes, axes, length / speed)
-    _require_detector(scan.fly, name, length / speed)
+    _require_detector(fly, scan.flown_axis, length / speed)
     acceleration = min(axes[axis.name].limits.acceleration / axis.share for axis in flown_axes)
     ramp_s = acceleration / min(find_jerk(axes[axis.name]) / axis.share for axis in flown_axes)
     run_up_s = speed / acceleration + ramp_s
     run_up = speed * run_up_s / 2 + find_margin(flown_axes)
-    if scan.fly.trigger is not None:
+    if fly.trigger is not None:
         line_s = 2 * run_up / speed + run_up_s + scan.line_points * length / speed
         run_up += speed * (ceil(line_s / PERIOD_S) * PERIOD_S - PERIOD_MARGIN_S - line_s) / 2
-    return FlownLines(
+    return StraightLines(
         scan=scan,
-        units=[Unit(fleet.axis(named_axis).unit) for named_axis in scan.axes],
-        axes=flown_axes,
+        units=units,
+        counts_per_unit=[axis.counts_per_unit for axis in flown_axes],
         count=scan.line_points,
+        tolerance=tolerance,
+        run_up_s=run_up_s,
+        axes=flown_axes,
         length=length,
         speed=min(speed, most_speed),
         acceleration=acceleration,
-        run_up_s=run_up_s,
         ramp_s=ramp_s,
         run_up=run_up,
-        tolerance=tolerance,
+    )
+
+
+def _plan_curve(
+    scan: Scan, fly: FlyOptions, axes: Mapping[str, Axis], unit: Unit, units: Sequence[Unit]
+) -> CurvedLines:
+    """Curves. units: of all axes of the scan. Raises `Refusal`, `UnitError`."""
+    knots = np.array([scan.axes[name].list_knots(unit) for name in axes]).T
+    lengths, limited_axes = np.linalg.norm(np.diff(knots[::2], axis=0), axis=1), list(axes.values())
+    if not lengths.min() > 0.0:
+        text = f"the window of point {int(lengths.argmin()) + 1} of the curve begins where it ends"
+        raise Refusal("fly-window", text, "correct its bounds", controller_of(scan.flown_axis))
+    limits = [WayLimits(axis.limits.velocity, axis.limits.acceleration, find_jerk(axis)) for axis in limited_axes]
+    curve = fit_curve(knots, fly.duration / NS_PER_S if fly.duration is not None else _find_least_s(fly))
+    if fly.duration is None:
+        braking_limits = [
+            WayLimits(limit.velocity, limit.acceleration * CURVE_USE, limit.jerk * CURVE_USE) for limit in limits
+        ]
+        curve = curve.stretch_time(max(1.0, find_longer(curve, braking_limits)))
+    require_limits(curve, list(axes), unit, limits)
+    fastest_states = [
+        WayEnd(0.0, *peaks)
+        for peaks in zip(np.abs(curve.velocities).max(axis=0), curve.peak_accelerations.max(axis=0), strict=True)
+    ]
+    _require_detector(fly, scan.flown_axis, curve.duration_s / scan.line_points)
+    return CurvedLines(
+        scan=scan,
+        units=units,
+        counts_per_unit=[abs(Fraction(axis.counts_per_unit)) for axis in limited_axes],
+        count=scan.line_points,
+        tolerance=_parse_tolerance(fly, unit, scan.flown_axis, float(lengths.min())),
+        run_up_s=find_way_s(fastest_states, limits),
+        curve=curve,
+        limits=limits,
     )
 
 
@@ -162,8 +212,7 @@ def _find_speed(fly: FlyOptions, unit: Unit, length: float, most_speed: float) -
     if fly.duration is not None:
         return length / (fly.duration / NS_PER_S)
     if fly.speed is None:
-        least_s = max(LEAST_WINDOW_NS / NS_PER_S, 0.0 if fly.detector is None else fly.detector.least_window_s)
-        return min(most_speed, length / least_s)
+        return min(most_speed, length / _find_least_s(fly))
     value = fly.speed
     if isinstance(value, str) and value.strip().endswith("%"):
         raise Refusal("bad-unit", f"`fly`: a speed of {value} says no time for a point", 'write e.g. "5 mm/s"')
@@ -171,6 +220,11 @@ def _find_speed(fly: FlyOptions, unit: Unit, length: float, most_speed: float) -
     if not speed > 0.0:
         raise Refusal("fly-speed", f"`fly`: the speed is {value}; it must be above 0", "choose a value above 0")
     return speed
+
+
+def _find_least_s(fly: FlyOptions) -> float:
+    """The shortest window that controllers and the detector take, s."""
+    return max(LEAST_WINDOW_NS / NS_PER_S, 0.0 if fly.detector is None else fly.detector.least_window_s)
 
 
 def _parse_tolerance(fly: FlyOptions, unit: Unit, name: str, length: float) -> float:

@@ -66,7 +66,8 @@ def _merge(rows: Sequence[Sequence[JerkPart]], begin: Sequence[WayEnd], end: Seq
     times_s = _list_instants(rows)
     lengths, middles = np.diff(times_s)[:, None], (times_s[:-1] + times_s[1:]) / 2
     jerks = np.stack([_sample_jerks(row, middles) for row in rows], axis=1)
-    accelerations = np.concatenate([np.zeros((1, len(rows))), np.cumsum(jerks * lengths, axis=0)])[:-1]
+    changes = np.cumsum(jerks * lengths, axis=0)[:-1]
+    accelerations = [state.acceleration for state in begin] + np.concatenate([np.zeros((1, len(rows))), changes])
     steps = lengths * (accelerations + lengths * jerks / 2)
     velocities = np.concatenate([[[state.velocity for state in begin]], steps]).cumsum(axis=0)
     ways = lengths * (velocities[:-1] + lengths * (accelerations / 2 + lengths * jerks / 6))

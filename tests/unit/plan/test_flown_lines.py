@@ -15,8 +15,8 @@ from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.flight import plan_flight
 from orchestrator.plan.flying.line_plan import plan_lines
-from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.path import ChunkAbility
+from orchestrator.plan.flying.straight import StraightLines
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 
 FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "path.fleet.yaml")
@@ -29,9 +29,11 @@ def forecast(fields: str, before: str = HOME, fleet: Fleet = FLEET) -> JobForeca
     return forecast_job(fleet, parse_document(text, Job, "test").steps)
 
 
-def lines(fly: dict[str, Any], **axes: dict[str, Any]) -> FlownLines:
+def lines(fly: dict[str, Any], **axes: dict[str, Any]) -> StraightLines:
     named_axes = {name.replace("_", "."): axis for name, axis in axes.items()}
-    return plan_lines(Scan(axes=named_axes, fly=fly), FLEET)
+    found = plan_lines(Scan(axes=named_axes, fly=fly), FLEET)
+    assert isinstance(found, StraightLines)
+    return found
 
 
 def test_a_line_has_a_run_up_before_its_first_window_and_a_run_down_behind_its_last() -> None:

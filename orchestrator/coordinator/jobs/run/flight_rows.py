@@ -106,7 +106,7 @@ class FlightRows:
             return 0
         if state.instance != motion.planned.instances.get(member, state.instance):
             return 0
-        flown_axes = {axis.name for axis in self._part.lines.axes}
+        flown_axes = self._part.lines.scan.flown_axes
         members_moving: list[bool] = []
         for name in motion.agreement.profiles(member):
             axis = state.axes[name]
@@ -265,9 +265,9 @@ class FlightRows:
         motion, lines = self._motion, self._part.lines
         assert motion is not None and motion.agreement.first is not None and motion.agreement.path is not None
         agreement, first = motion.agreement, motion.agreement.first
-        t0_ns, members = motion.start.state.t0_fleet_ns, {controller_of(axis.name) for axis in lines.axes}
+        t0_ns, members = motion.start.state.t0_fleet_ns, {controller_of(name) for name in lines.scan.flown_axes}
         starts = {name: narrow_start(agreement, name, motion.watch.reports[name], t0_ns) for name in members}
-        most_age_s, error_s = first.most_s + first.load_s, find_error(motion.agreement.path, lines) / lines.speed
+        most_age_s, error_s = first.most_s + first.load_s, find_error(motion.agreement.path, lines) / lines.slowest
 
         def find_member_interval(member: str, at_s: float, rate: float) -> TimeInterval:
             clock_rate = agreement.proposals[member].clock_ppm * 1e-6

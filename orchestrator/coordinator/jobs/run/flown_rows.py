@@ -16,6 +16,7 @@ from orchestrator.model.report import PathReport, PointRecord, PointWindow, Step
 from orchestrator.model.state import AxisEvidence, TimeInterval
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.plan.flying.lines import FlownLines
+from orchestrator.plan.flying.straight import StraightLines
 
 OTHER_TIME = 0.005  # of a line: it was held, went at another rate, or its plan was made slower
 _ERRORS = ("profile-fit", "execution", "clock")
@@ -54,7 +55,7 @@ def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
     """The window of each point; none of a line that was not flown as planned, or whose evidence is not complete."""
     path = report.path
     is_broken = report.state != "done" or bool(report.feed_holds)
-    if is_broken or path is None or path.stops:
+    if is_broken or path is None or path.stops or not isinstance(lines, StraightLines):
         return []
     planned_s = min((lines.line_s, lines.line_s - lines.ramp_s), key=lambda line_s: abs(line_s - path.duration_s))
     if abs(path.duration_s / planned_s - 1) > OTHER_TIME:
@@ -114,8 +115,7 @@ def _fits(evidence: AxisEvidence, duration_s: float) -> bool:
 def find_error(path: PathReport, lines: FlownLines) -> float:
     """How far the axes may be off their plan, besides their start, in their unit; with a count of rounding."""
     terms = [] if path.bound is None else path.bound.terms
-    count = 1.0 / min(float(axis.counts_per_unit) for axis in lines.axes)
-    return sum(term.size for term in terms if term.name in _ERRORS) + count
+    return sum(term.size for term in terms if term.name in _ERRORS) + lines.coarsest
 
 
 class _InstantFinder:
