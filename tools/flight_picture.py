@@ -23,7 +23,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import PointRecord
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.flight import Flight, plan_flight
-from orchestrator.plan.flying.lines import plan_lines
+from orchestrator.plan.flying.line_plan import plan_lines
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 ROOT = Path(__file__).parents[1]

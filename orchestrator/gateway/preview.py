@@ -17,9 +17,8 @@ from orchestrator.model.profile import Profile
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder, StepPlace
-from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flying.lines import plan_lines
+from orchestrator.plan.flying.line_plan import plan_lines
 from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.forecast.line import find_first_part
@@ -98,7 +97,7 @@ def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
     if scan.fly is not None:
         return plan_lines(scan, fleet).make_move(place.point)
     units = [fleet.axis(name).unit for name in scan.axis_names]
-    position = GridPoints(scan.axes).find_position(place.point, units)
+    position = scan.grid.find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
 
 

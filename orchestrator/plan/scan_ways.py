@@ -5,7 +5,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import NamedTuple
 
-from orchestrator.model.steps.points import GridPoints, PointTable
+from orchestrator.model.steps.points import PointTable
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, parse_quantity
 
@@ -69,7 +69,7 @@ def _make_corner(positions: Mapping[str, Fraction | float], axis: str, point: in
 def _find_point(scan: Scan, point: int, units: Sequence[Unit]) -> list[Fraction]:
     if scan.points is not None and scan.points.rows is not None:
         return [parse_quantity(text, unit) for text, unit in zip(scan.points.rows[point], units, strict=True)]
-    return GridPoints(scan.axes).find_position(point, units)
+    return scan.grid.find_position(point, units)
 
 
 def _find_extreme_points(scan: Scan, units: Sequence[Unit]) -> list[list[int]]:
@@ -80,7 +80,7 @@ def _find_extreme_points(scan: Scan, units: Sequence[Unit]) -> list[list[int]]:
             values = [parse_quantity(row[column], unit) for row in scan.points.rows]
             points.append([0, values.index(min(values)), values.index(max(values)), len(values) - 1])
         return points
-    grid = GridPoints(scan.axes)
+    grid = scan.grid
     for axis, unit, count, stride in zip(scan.axes.values(), units, grid.counts, grid.strides, strict=True):
         listed_range = range(count) if axis.values is not None else (0, count - 1)
         values = {index: axis.position(index, unit) for index in listed_range}
@@ -96,7 +96,7 @@ def iterate_ways(scan: Scan, units: Sequence[Unit]) -> Iterator[ScanWays]:
     if table is not None:
         yield _find_table_ways(names, table, units)
         return
-    for count, pairs in GridPoints(scan.axes).iterate_ways():
+    for count, pairs in scan.grid.iterate_ways():
         nearest: dict[str, Way] = {}
         farthest: dict[str, Way] = {}
         for name, axis, unit, pair in zip(names, scan.axes.values(), units, pairs, strict=True):

@@ -215,11 +215,11 @@ def get_workspace(n: int) -> tuple[Any, Any, Any]:
 
 
 class WayEnd(NamedTuple):
-    """A state at which a way begins or ends, without acceleration: where an axis is and how fast, in its unit, per
-    s."""
+    """A state at which a way begins or ends: where an axis is and how fast, in its unit, per s, per s²."""
 
     position: float
     velocity: float = 0.0
+    acceleration: float = 0.0
 
 
 class WayLimits(NamedTuple):
@@ -231,19 +231,19 @@ class WayLimits(NamedTuple):
 
 
 def solve_ways(begin: Sequence[WayEnd], end: Sequence[WayEnd], limits: Sequence[WayLimits]) -> list[list[JerkPart]]:
-    """The fastest way of all axes from one state to another, in one time, as lengths (s) and jerks by axis; the
-    velocities of both states are within the limits. Raises `PlanError`."""
+    """The fastest way of all axes from one state to another, in one time, as lengths (s) and jerks by axis; both states
+    are within the limits. Raises `PlanError`."""
     count = len(begin)
     question: Any = InputParameter(count)  # pyright: ignore[reportUnknownVariableType]
     # Seconds at full speed: Ruckig's tolerances are absolute.
     scales = [limit.velocity for limit in limits]
     question.current_position = [0.0] * count
     question.current_velocity = [state.velocity / scale for state, scale in zip(begin, scales, strict=True)]
-    question.current_acceleration = [0.0] * count
+    question.current_acceleration = [state.acceleration / scale for state, scale in zip(begin, scales, strict=True)]
     ways = [end_state.position - begin_state.position for begin_state, end_state in zip(begin, end, strict=True)]
     question.target_position = [way / scale for way, scale in zip(ways, scales, strict=True)]
     question.target_velocity = [state.velocity / scale for state, scale in zip(end, scales, strict=True)]
-    question.target_acceleration = [0.0] * count
+    question.target_acceleration = [state.acceleration / scale for state, scale in zip(end, scales, strict=True)]
     question.max_velocity = [1.0] * count
     question.max_acceleration = [limit.acceleration / limit.velocity for limit in limits]
     question.max_jerk = [limit.jerk / limit.velocity for limit in limits]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from _pytest.mark.structures import ParameterSet
 from cluster.test_contour import two_gantries
-from cluster.test_flying_scans import Truth, fly, path_fleet, prepare, wait_for_state
+from cluster.test_flying_scans import Truth, fly, fly_all, path_fleet, prepare, wait_for_state
 from cluster.test_paths import delay_chunks
 from cluster.test_triggers import TrueEdges
 from cluster.worlds import job, outcome, run_fleet, wait_for_point
@@ -32,7 +32,9 @@ def raster(
     return f"{{do: scan, axes: {axes}, fly: {{duration: {duration}{more}}}}}"
 
 
-def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: float = 0.0) -> None:
+def check_windows(
+    rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: float = 0.0, spacing: float = SPACING
+) -> None:
     """Each good row contains the truth, and its window was flown at its speed."""
     for row in rows:
         assert row.good and row.window is not None and row.took_s is not None, row
@@ -43,15 +45,15 @@ def check_windows(rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: 
         ends = truth.places[inside][[0, -1]]
         direction = 1.0 if ends[1] > ends[0] else -1.0
         for part, interval in zip((-0.5, 0.0, 0.5), intervals, strict=True):
-            at_s = truth.find_crossing(row.target[axis] + direction * part * SPACING, begin_s, end_s)
+            at_s = truth.find_crossing(row.target[axis] + direction * part * spacing, begin_s, end_s)
             assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, (row.point, part)
             crossings.append(at_s)
         error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
-        assert error <= max(0.005, 1.2 * truth.count / SPACING, late_s / row.took_s), (row.point, error)
+        assert error <= max(0.005, 1.2 * truth.count / spacing, late_s / row.took_s), (row.point, error)
         # And at one speed: each half took half of the time.
         halves = np.diff(crossings) / row.took_s * 2
         error = float(np.abs(halves - 1).max())
-        assert error <= max(0.006, 2.4 * truth.count / SPACING, 2 * late_s / row.took_s), (row.point, error)
+        assert error <= max(0.006, 2.4 * truth.count / spacing, 2 * late_s / row.took_s), (row.point, error)
 
 
 def count_motions(report: JobReport) -> int:
@@ -92,6 +94,116 @@ def test_a_raster_is_one_motion_that_takes_its_windows_and_its_turns(
         assert spent_s / NS_PER_S <= 1.1 * asked_s
 
     run_fleet(main, make())
+
+
+@pytest.mark.parametrize(
+    ("make", "outer", "flown", "late_s"),
+    [
+        (two_gantries, "portal.x", ("gantry.x", "gantry.y"), 0.0),
+        (two_gantries, "portal.x", ("portal.y", "gantry.y"), 0.0),
+        (path_fleet, "lift.z", ("slide.y", "gantry.x"), 0.0004),
+    ],
+)
+def test_axes_fly_together_along_one_line(
+    make: Callable[[], Fleet], outer: str, flown: tuple[str, str], late_s: float
+) -> None:
+    axes = f"{outer}: {{from: 2, to: 6, points: 3}}"
+    spacings = (0.2, SPACING)
+    for axis, spacing in zip(flown, spacings, strict=True):
+        axes += f", {axis}: {{from: 30, to: {30 + 20 * spacing:g}, points: 21, snake: true}}"
+    scan = f"{{do: scan, axes: {{{axes}}}, fly: {{axis: [{', '.join(flown)}], duration: 25 ms}}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truths = await fly_all(fleet, f"[{scan}]", flown)
+        assert report.state == "done" and report.verdict == "green", report.reason
+        assert [row.point for row in rows] == list(range(1, 64))
+        for axis, spacing, truth in zip(flown, spacings, truths, strict=True):
+            check_windows(rows, truth, axis, late_s, spacing)
+
+    run_fleet(main, make())
+
+
+CURVE_POINTS = 20
+ARC = np.pi * (0.25 + np.linspace(0.0, 1.0, 2 * CURVE_POINTS + 1) ** 1.2)
+KNOTS = np.round(40 + 6 * np.stack([np.cos(ARC), np.sin(ARC)], axis=1), 4)
+"""Of half a circle, whose windows become longer: at the beginning of each, in its middle, and at the end of the last."""
+
+
+def curve(outer: str, flown: Sequence[str]) -> str:
+    """The axes of a scan along `KNOTS`, to and fro."""
+    axes = [outer] if outer else []
+    for axis, knots in zip(flown, KNOTS.T.tolist(), strict=True):
+        axes.append(f"{axis}: {{values: {knots[1::2]}, bounds: {knots[::2]}, snake: true}}")
+    return f"{{{', '.join(axes)}}}"
+
+
+def check_curve(rows: Sequence[PointRecord], truths: Sequence[Truth], late_s: float = 0.0) -> None:
+    """Each good row contains the truth of the axes that are not slow in its window, which took its time."""
+    for row in rows:
+        assert row.good and row.window is not None and row.took_s is not None, row
+        line, number = divmod(row.point - 1, CURVE_POINTS)
+        knots = (KNOTS[::-1] if line % 2 else KNOTS)[2 * number : 2 * number + 3]
+        intervals = (row.window.lower, row.window.middle, row.window.upper)
+        begin_s, end_s = intervals[0].earliest_ns / NS_PER_S - 0.003, intervals[2].latest_ns / NS_PER_S + 0.003
+        for truth, positions in zip(truths, knots.T.tolist(), strict=True):
+            ways = np.diff(positions)
+            if ways[0] * ways[1] <= 0.0 or np.abs(ways).min() < 0.15:
+                continue
+            direction = np.sign(ways[0])
+            moved = Truth(truth.times_s, truth.places * direction, truth.count)
+            crossings = [moved.find_crossing(position * direction, begin_s, end_s) for position in positions]
+            for at_s, interval in zip(crossings, intervals, strict=True):
+                assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, row.point
+            error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
+            assert error <= max(0.005, 2.4 * truth.count / abs(ways.sum()), late_s / row.took_s), (row.point, error)
+
+
+@pytest.mark.parametrize(
+    ("make", "outer", "flown", "late_s"),
+    [
+        (two_gantries, "", ("gantry.x", "gantry.y"), 0.0),
+        (path_fleet, "lift.z: {values: [2, 4]}", ("slide.y", "gantry.x"), 0.0004),
+    ],
+)
+def test_a_curve_is_flown_through_its_windows(
+    make: Callable[[], Fleet], outer: str, flown: tuple[str, str], late_s: float
+) -> None:
+    scan = f"{{do: scan, axes: {curve(outer, flown)}, fly: {{axis: [{', '.join(flown)}], duration: 60 ms}}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truths = await fly_all(fleet, f"[{scan}]", flown)
+        assert report.state == "done" and report.verdict == "green", report.reason
+        assert [row.point for row in rows] == list(range(1, len(rows) + 1)) and len(rows) in (20, 40)
+        check_curve(rows, truths, late_s)
+
+    run_fleet(main, make())
+
+
+def test_a_curve_is_paused_and_flown_again_from_the_window_that_was_broken() -> None:
+    flown = ("gantry.x", "gantry.y")
+    fly_field = "{axis: [gantry.x, gantry.y], duration: 60 ms, trigger: {output: gantry.camera}}"
+    scan = f"{{do: scan, axes: {curve('portal.x: {values: [2, 4, 6, 8]}', flown)}, fly: {fly_field}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        true = TrueEdges(fleet, "gantry", (("gantry.x", "gantry", "X"), ("gantry.y", "gantry", "Y")), 1)
+        job_id = await begin_flight(fleet, scan, 30)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert report.state == "done", report.reason
+        again = await client.retry_job(job_id, (0, 65))
+        assert (await client.wait_for_job(again.job_id)).state == "done"
+        rows = [row for flown_id in (job_id, again.job_id) for row in await client.load_points(flown_id) if row.good]
+        assert [row.point for row in rows] == [*range(1, 81), *range(61, 81)]
+        places = [place for place, (_, level) in zip(true.places, true.edges, strict=True) if level]
+        for row in rows:
+            # An edge comes within some ms of its instant, at 20 mm/s.
+            offs = [np.hypot(*(place[axis] - row.target[axis] for axis in flown)) for place in places]
+            assert min(offs) < 0.1, (row.point, min(offs))
+
+    run_fleet(main, with_camera(two_gantries(), "gantry"))
 
 
 async def begin_flight(fleet: VirtualFleet, steps: str, point: int) -> str:
@@ -246,6 +358,41 @@ def test_a_pause_in_a_flight_with_triggers_loses_no_window() -> None:
         assert [row.point for row in rows if row.good] == list(range(1, 12 * 41 + 1))
         # What was switched in a window that was broken is switched again.
         assert len(rows) <= len(true.rises()) <= len(rows) + 41
+
+    run_fleet(main, with_camera(two_gantries(), "gantry"))
+
+
+def test_axes_that_fly_together_are_paused_and_flown_again_from_a_point() -> None:
+    axes = "portal.x: {from: 2, to: 6, points: 5}"
+    for axis, spacing in (("gantry.x", 0.25), ("gantry.y", 0.5)):
+        axes += f", {axis}: {{from: 30, to: {30 + 20 * spacing:g}, points: 21, snake: true}}"
+    fly_field = "{axis: [gantry.x, gantry.y], duration: 30 ms, trigger: {output: gantry.camera}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        motors = (("gantry.x", "gantry", "X"), ("gantry.y", "gantry", "Y"))
+        true = TrueEdges(fleet, "gantry", motors, 1)
+        job_id = await begin_flight(fleet, f"{{do: scan, axes: {{{axes}}}, fly: {fly_field}}}", 30)
+        client = fleet.make_client()
+        await client.pause_job(job_id, now=True)
+        await wait_for_state(fleet, job_id, "paused")
+        await client.resume_job(job_id)
+        report = await client.wait_for_job(job_id)
+        again = await client.retry_job(job_id, (0, 65))
+        assert report.state == (await client.wait_for_job(again.job_id)).state == "done", report.reason
+        rows = [row for flown in (job_id, again.job_id) for row in await client.load_points(flown) if row.good]
+        assert [row.point for row in rows] == [*range(1, 106), *range(64, 106)]
+        places = [place for place, (_, level) in zip(true.places, true.edges, strict=True) if level]
+        rises = true.rises()
+        for row in rows:
+            assert row.window is not None
+            lower_ns, upper_ns = row.window.lower.earliest_ns, row.window.upper.latest_ns
+            (place,) = (
+                place
+                for at_ns, place in zip(rises, places, strict=True)
+                if lower_ns < at_ns < upper_ns and abs(place["gantry.y"] - row.target["gantry.y"]) < 0.2
+            )
+            # On the line of both axes, whatever the instant of the edge.
+            assert abs(place["gantry.x"] - 30 - (place["gantry.y"] - 30) / 2) <= 0.002
 
     run_fleet(main, with_camera(two_gantries(), "gantry"))
 

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from cluster.test_contour import two_gantries
 from cluster.test_triggers import TrueEdges
-from cluster.worlds import EXAMPLES, job, line_fleet, origin_host_ns, outcome, refusal, run_fleet, wait_for_point
+from cluster.worlds import (
+    EXAMPLES,
+    demo_fleet,
+    job,
+    line_fleet,
+    origin_host_ns,
+    outcome,
+    refusal,
+    run_fleet,
+    wait_for_point,
+)
 from numpy.typing import NDArray
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -66,21 +76,30 @@ async def fly(
     fleet: VirtualFleet, steps: str, axis: str, count: float = COUNT
 ) -> tuple[JobReport, list[PointRecord], Truth]:
     """Run steps, with the true positions of an axis meanwhile. count: of the axis, in its unit."""
+    report, rows, (truth,) = await fly_all(fleet, steps, [axis], count)
+    return report, rows, truth
+
+
+async def fly_all(
+    fleet: VirtualFleet, steps: str, axes: Sequence[str], count: float = COUNT
+) -> tuple[JobReport, list[PointRecord], list[Truth]]:
+    """The same for several axes."""
     await outcome(fleet, prepare(fleet))
-    controller, motor = fleet.controllers[axis.partition(".")[0]], fleet.fleet.axis(axis).motors[0]
-    seen: list[tuple[int, float]] = []
+    motors = [(fleet.controllers[axis.partition(".")[0]], fleet.fleet.axis(axis).motors[0]) for axis in axes]
+    seen: list[tuple[float, ...]] = []
 
     async def watch() -> None:
         while True:
-            seen.append((fleet.clock.now_ns(), controller.position(motor)))
+            seen.append((fleet.clock.now_ns(), *(controller.position(motor) for controller, motor in motors)))
             await sleep_ns(fleet.clock, SAMPLE_NS)
 
     watching = asyncio.get_running_loop().create_task(watch())
     report = await outcome(fleet, job(steps))
     watching.cancel()
     rows = await fleet.make_client().load_points(report.job_id)
-    instants, places = np.array(seen).T
-    return report, rows, Truth((instants - origin_host_ns(fleet)) / NS_PER_S, places * count, count)
+    instants, *all_places = np.array(seen).T
+    times_s = (instants - origin_host_ns(fleet)) / NS_PER_S
+    return report, rows, [Truth(times_s, places * count, count) for places in all_places]
 
 
 def check_line(
@@ -336,3 +355,26 @@ def test_an_input_that_does_not_change_ends_the_scan_at_its_line() -> None:
         assert (row.point, row.good, row.state) == (1, False, "failed")
 
     run_fleet(main, two_gantries())
+
+
+@pytest.mark.parametrize(
+    ("flown", "counts"), [(("stage.u", "stage.v"), (1e-4, 1e-4)), (("stage.u", "gantry.x"), (1e-4, 1e-3))]
+)
+def test_axes_fly_together_line_by_line(flown: tuple[str, str], counts: tuple[float, float]) -> None:
+    """Of makes that move from rest to rest: a straight line, one trapezoid that all axes share."""
+    spacings = (0.05, 0.1)
+    axes = "gantry.y: {from: 20, to: 21, points: 2}"
+    for axis, spacing in zip(flown, spacings, strict=True):
+        axes += f", {axis}: {{from: 10, to: {10 + 10 * spacing:g}, points: 11, snake: true}}"
+    scan = f"{{do: scan, axes: {{{axes}}}, fly: {{axis: [{', '.join(flown)}], duration: 50 ms, tolerance: 0.1}}}}"
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, rows, truths = await fly_all(fleet, f"[{scan}]", flown, 1.0)
+        assert report.state == "done" and report.verdict == "green", report.reason
+        assert [row.point for row in rows] == list(range(1, 23))
+        for axis, spacing, count, truth in zip(flown, spacings, counts, truths, strict=True):
+            true = Truth(truth.times_s, truth.places * count, count)
+            for first in (0, 11):
+                check_line(rows[first : first + 11], true, axis, spacing)
+
+    run_fleet(main, demo_fleet())

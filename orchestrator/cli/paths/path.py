@@ -50,13 +50,14 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
 
     The steps before it are run forward, because a path begins where its axes stand.
     """
+    from orchestrator.client.points import place_flown_specs
     from orchestrator.model.templates.template import load_job
     from orchestrator.monitor.path_plot import PathAxes, plot_path
     from orchestrator.monitor.path_words import describe_path
     from orchestrator.plan.forecast.job import JobForecaster
     from orchestrator.runtime.checked import load_checked_fleet
 
-    loaded_fleet, job = load_checked_fleet(fleet), load_job(file)
+    loaded_fleet, job = load_checked_fleet(fleet), place_flown_specs(load_job(file))
     index, path = _find_path(job, step)
     forecaster = JobForecaster(loaded_fleet, _place_axes(loaded_fleet, parse_targets(at, "--at")))
     path_plan = _run_forward(forecaster, loaded_fleet, job, index)

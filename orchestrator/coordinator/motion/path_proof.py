@@ -32,7 +32,7 @@ def prove_path(agreement: StartAgreement, reports: Mapping[str, MemberReport], t
         return path
     own = float(np.sum([term.size for term in path.bound.terms if term.name in ("profile-fit", "execution")]))
     movers = agreement.movers
-    # A flight moves one axis in its windows, so that the times of its members take none off its line.
+    # Where the axes of one member alone fly, the times of members take none off its line.
     is_apart = any(term.size for term in path.bound.terms if term.name in ("start", "clock"))
     if len(movers) == 1 or not is_apart:
         return path.model_copy(update={"bound": path.bound.model_copy(update={"proven": own})})

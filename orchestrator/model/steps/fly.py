@@ -1,4 +1,4 @@
-"""How a scan flies: its innermost axis passes the points of a line at constant speed."""
+"""How a scan flies: its innermost axes pass the points of a line at constant speed."""
 
 from typing import Annotated, Literal, Self
 
@@ -8,6 +8,7 @@ from orchestrator.model.duration import Duration
 from orchestrator.model.paths.pieces import Rate
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.io import WaitInput
+from orchestrator.model.steps.points import MAX_SCAN_AXES
 from orchestrator.model.triggers import Trigger
 from orchestrator.model.units import Quantity
 
@@ -69,13 +70,22 @@ class FlyOptions(ScriptModel):
     """How fast a scan flies through the window of each point: from half of the way from the point before to half of
     the way to the next one."""
 
+    axis: list[str] | None = Field(
+        default=None,
+        min_length=1,
+        max_length=MAX_SCAN_AXES,
+        description="Axes that fly together along a line, the last of `axes`, with as many points each; the "
+        "last one alone without it.",
+    )
     duration: Duration | None = Field(
         default=None,
         description="The time in the window of each point; without it and without `speed` the shortest that the axis "
         "and the `detector` allow.",
     )
     speed: Rate | None = Field(
-        default=None, description="Instead of `duration`: the speed of the innermost axis, in units/s or with a unit."
+        default=None,
+        description="Instead of `duration`: the speed of the innermost axis, of several together along their line, in "
+        "units/s or with a unit.",
     )
     tolerance: Quantity | None = Field(
         default=None,
@@ -114,14 +124,17 @@ class FlyOptions(ScriptModel):
             raise ValueError(f"`fly`: a `duration` of {self.duration / 1e6:g} ms is too short; the least is 1 ms")
         return self
 
-    def describe(self) -> str:
-        """In words: `flown, 20 ms a point`."""
+    def describe(self, way: str = "one line") -> str:
+        """In words: `flown, 20 ms a point`. way: along which several axes fly together."""
+        words = "flown"
+        if self.axis is not None and len(self.axis) > 1:
+            words += f" by {', '.join(self.axis)} along {way}"
         if self.duration is not None:
-            words = f"flown, {self.duration / 1e6:g} ms a point"
+            words += f", {self.duration / 1e6:g} ms a point"
         elif self.speed is None:
-            words = "flown, as fast as its axis and the detector allow"
+            words += ", as fast as its axes and the detector allow"
         else:
-            words = f"flown, at {self.speed}" + ("" if isinstance(self.speed, str) else " units/s")
+            words += f", at {self.speed}" + ("" if isinstance(self.speed, str) else " units/s")
         if self.wait is not None:
             words += f", waits for {self.wait.input} before each line"
         trigger = self.trigger

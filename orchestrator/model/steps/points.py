@@ -48,12 +48,20 @@ class ScanAxis(ScriptModel):
         max_length=MAX_LISTED,
         description="All positions, instead of `from` and `to`: quantities, or names of positions.",
     )
+    bounds: list[Quantity] | None = Field(
+        default=None,
+        max_length=MAX_LISTED + 1,
+        description="With `values`, of an axis that flies along a curve: where it is at the beginning of the window of "
+        "the first point, between two windows, and at the end of the last one; one more than `values`.",
+    )
     snake: bool = Field(
         default=False, description="Backwards on every second pass of the axes outside it: no way back between passes."
     )
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
+        if self.bounds is not None and len(self.bounds) != len(self.values or []) + 1:
+            raise ValueError(f"`bounds` needs `values`, and one more than these; there are {len(self.bounds)}")
         if self.values is not None:
             if (self.from_, self.to, self.points, self.step) != (None,) * 4:
                 raise ValueError("has `values`, so `from`, `to`, `points` and `step` have no meaning; remove them")
@@ -87,6 +95,14 @@ class ScanAxis(ScriptModel):
         assert self.from_ is not None and self.to is not None
         first, last = parse_quantity(self.from_, unit), parse_quantity(self.to, unit)
         return first + (last - first) * Fraction(index, max(1, self.count - 1))
+
+    def list_knots(self, unit: Unit) -> list[float]:
+        """Its positions on a curve, in its unit: at the beginning of the first window, in its middle, at its end, and
+        so on. Raises `UnitError`."""
+        values, bounds = (
+            [float(parse_quantity(value, unit)) for value in row] for row in (self.values or [], self.bounds or [])
+        )
+        return [position for pair in zip(bounds, values, strict=False) for position in pair] + bounds[-1:]
 
 
 def _count_steps(first: float | str, last: float | str, step: float | str) -> int:
@@ -201,11 +217,14 @@ class PointTable(ScriptModel):
 class GridPoints:
     """The points of nested axes, the outermost first: the last axis moves fastest."""
 
-    def __init__(self, axes: Mapping[str, ScanAxis]) -> None:
+    def __init__(self, axes: Mapping[str, ScanAxis], joint: int = 1) -> None:
+        """joint: how many of the last axes are one level, and move together; they have as many positions each."""
         self.axes = axes
         self.counts = [axis.count for axis in axes.values()]
-        self.strides = [prod(self.counts[number + 1 :]) for number in range(len(self.counts))]
-        self.count = prod(self.counts)
+        self._levels = self.counts[: len(self.counts) - joint + 1]
+        strides = [prod(self._levels[number + 1 :]) for number in range(len(self._levels))]
+        self.strides = [*strides, *strides[-1:] * (joint - 1)]
+        self.count = prod(self._levels)
 
     def find_indices(self, point: int) -> list[int]:
         """The number of the position of each axis at a point."""
@@ -225,18 +244,19 @@ class GridPoints:
     def iterate_ways(self) -> Iterator[tuple[int, list[list[tuple[int, int]]]]]:
         """The kinds of ways between neighbouring points: how often each occurs, and by axis the pairs of positions
         between which it can lead; none for an axis that stands."""
-        rounds = 1
-        for moving_level, axis in enumerate(self.axes.values()):
-            often = rounds * (self.counts[moving_level] - 1)
-            rounds *= self.counts[moving_level]
+        rounds, last = 1, len(self._levels) - 1
+        for moving_level, count in enumerate(self._levels):
+            often = rounds * (count - 1)
+            rounds *= count
             if not often:
                 continue
+            moving_end = len(self.axes) if moving_level == last else moving_level + 1
             pairs: list[list[tuple[int, int]]] = [[] for _ in self.axes]
-            has_values = axis.values is not None
-            pairs[moving_level] = [(k, k + 1) for k in range(self.counts[moving_level] - 1 if has_values else 1)]
-            for inner, other_axis in list(enumerate(self.axes.values()))[moving_level + 1 :]:
-                if not other_axis.snake and self.counts[inner] > 1:
-                    pairs[inner] = [(self.counts[inner] - 1, 0)]
+            for number, axis in enumerate(self.axes.values()):
+                if moving_level <= number < moving_end:
+                    pairs[number] = [(k, k + 1) for k in range(count - 1 if axis.values is not None else 1)]
+                elif number >= moving_end and not axis.snake and self.counts[number] > 1:
+                    pairs[number] = [(self.counts[number] - 1, 0)]
             yield often, pairs
 
 

@@ -53,7 +53,9 @@ class ScanPoints(Step):
         description="Steps at each point: moves of other axes, dwells, outputs, waits for an input.",
     )
     fly: FlyOptions | None = Field(
-        default=None, description="The last of `axes` passes its points at constant speed, instead of a stop at each."
+        default=None,
+        description="The last of `axes`, or the last ones together, pass their points at constant speed, instead of a "
+        "stop at each.",
     )
 
 
@@ -91,11 +93,46 @@ class Scan(MotionOptions, ScanPoints):
             raise ValueError(
                 f"at_each[{number}] moves {', '.join(repetitions)}, which the scan positions; move other axes there"
             )
+        if self.fly is not None:
+            self._check_line(self.fly.axis)
+        self._check_curve()
         if self.point_count > MAX_POINTS:
             raise ValueError(f"has {self.point_count} points; the maximum is {MAX_POINTS}")
         if self.fly is not None:
             self._check_flown(self.fly)
         return self
+
+    def _check_line(self, names: Sequence[str] | None) -> None:
+        """Raise `ValueError` for axes that are named to fly together, and cannot be on one line. names: of them."""
+        if names is None or not self.axes:
+            return
+        last_names = list(self.axes)[-len(names) :]
+        if sorted(names) != sorted(last_names):
+            raise ValueError(
+                f"`fly.axis` has {', '.join(names)}, and the last of `axes` are {', '.join(last_names)}; those that "
+                "fly together must be the last ones, each once"
+            )
+        counts = {name: self.axes[name].count for name in last_names}
+        if len(set(counts.values())) > 1:
+            words = ", ".join(f"{name} has {count}" for name, count in counts.items())
+            raise ValueError(f"`fly.axis`: axes on one line need as many points each; {words}")
+        if len({self.axes[name].snake for name in last_names}) > 1:
+            raise ValueError(f"`fly.axis`: write the same `snake` for {', '.join(last_names)}, which are on one line")
+
+    def _check_curve(self) -> None:
+        """Raise `ValueError` for bounds of windows of axes that are not flown along a curve."""
+        curved_names = [name for name, axis in self.axes.items() if axis.bounds is not None]
+        if not curved_names:
+            return
+        if self.fly is None or set(curved_names) != set(self.flown_axes):
+            raise ValueError(
+                f"`bounds` are for all axes that fly along a curve; {', '.join(curved_names)} have them, "
+                f"and {', '.join(self.flown_axes) if self.fly is not None else 'no axes'} fly"
+            )
+        if self.fly.wait is not None:
+            raise ValueError("`fly.wait` is for straight lines; put a step `do: wait` before a scan along a curve")
+        if self.fly.speed is not None:
+            raise ValueError("`fly.speed`: windows on a curve have several lengths, and one time; write `duration`")
 
     def _check_flown(self, fly: FlyOptions) -> None:
         """Raise `ValueError` for a scan that cannot be flown, whatever its axes are."""
@@ -114,9 +151,26 @@ class Scan(MotionOptions, ScanPoints):
             )
 
     @property
+    def flown_axes(self) -> list[str]:
+        """The axes that fly, together along each line: the innermost one, or those that `fly` names. Only of a scan
+        with `axes`."""
+        joint = 1 if self.fly is None or self.fly.axis is None else len(self.fly.axis)
+        return list(self.axes)[-joint:]
+
+    @property
     def flown_axis(self) -> str:
-        """The axis that flies: the innermost one. Only of a scan with `axes`."""
-        return list(self.axes)[-1]
+        """The last one of them."""
+        return self.flown_axes[-1]
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether it flies along curves."""
+        return bool(self.axes) and self.axes[self.flown_axis].bounds is not None
+
+    @property
+    def grid(self) -> GridPoints:
+        """The points of `axes`. Only of a scan with them."""
+        return GridPoints(self.axes, len(self.flown_axes))
 
     @property
     def line_points(self) -> int:
@@ -137,7 +191,7 @@ class Scan(MotionOptions, ScanPoints):
     def point_count(self) -> int:
         """The number of points; 0 while they are in a file that was not read yet."""
         if self.axes:
-            return GridPoints(self.axes).count
+            return self.grid.count
         return 0 if self.points is None else self.points.point_count
 
     def make_move(self, positions: Mapping[str, float]) -> Move:
@@ -224,7 +278,7 @@ class Scan(MotionOptions, ScanPoints):
 
     def complete_words(self, fields: list[str]) -> list[str]:
         at_each = ["at each " + "; ".join(step.describe() for step in self.at_each)] if self.at_each else []
-        flown_words = [] if self.fly is None else [self.fly.describe()]
+        flown_words = [] if self.fly is None else [self.fly.describe("a curve" if self.is_curved else "one line")]
         return [self._describe_points(), *flown_words, *fields, *at_each]
 
     def _describe_points(self) -> str:

@@ -13,7 +13,6 @@ from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.path import FollowPath
-from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.tree import as_path, iterate_steps
 from orchestrator.model.units import Unit, parse_quantity
@@ -105,7 +104,7 @@ def _find_point(ended: EndedJob, place: StepPlace, scan: Scan) -> dict[str, Frac
     if record is not None and (record.step, record.point) == (place.first, number + 1):
         return {name: Fraction(str(value)) for name, value in record.target.items()}
     if scan.axes:
-        return dict(zip(names, GridPoints(scan.axes).find_position(number, units), strict=True))
+        return dict(zip(names, scan.grid.find_position(number, units), strict=True))
     rows = None if scan.points is None else scan.points.rows
     if rows is None:
         return {}

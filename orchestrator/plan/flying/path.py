@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import PrivateAttr
 
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.names import controller_of
@@ -16,9 +17,10 @@ from orchestrator.model.report import PathReport, PathStretch
 from orchestrator.model.steps.fly import WindowPlace
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.flying.flight import Flight, plan_flight
+from orchestrator.plan.flying.line_room import check_curve_room
 from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.path_course import PathCourse
-from orchestrator.plan.path_profiles import FittedMotion, make_profile
+from orchestrator.plan.path_profiles import MAX_PIECES, Array, FittedMotion, make_profile
 from orchestrator.plan.path_step import (
     MAX_STRETCHES,
     PathStart,
@@ -32,7 +34,7 @@ from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, ResolvedTrigger
 
-CONSTANT, TURN = "constant speed through windows", "turn-around"
+CONSTANT, CURVED, TURN = "constant speed through windows", "constant time in windows", "turn-around"
 USES = (1.0, 0.8, 0.6)
 """Of the acceleration and jerk of the axes in turn-arounds: the first that leaves room to brake along the path."""
 
@@ -97,7 +99,7 @@ def list_members(lines: FlownLines) -> list[str]:
 def explain_single_lines(lines: FlownLines, fleet: Fleet, abilities: Mapping[str, ChunkAbility]) -> str:
     """Why the lines of a scan are flown one by one; empty if several are one motion. abilities: by controller, of
     those of the axes and outputs of the scan."""
-    if lines.line_count < 2:
+    if lines.line_count < 2 and not lines.scan.is_curved:
         return "it has one line"
     if lines.scan.fly is not None and lines.scan.fly.wait is not None:
         return f"it waits for {lines.scan.fly.wait.input} before each"
@@ -127,7 +129,8 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> Flo
     rest_points = lines.count - first % lines.count
     line_s = lines.count * lines.window_s + 2 * lines.run_up_s
     most_flown_s = FLIGHT_MOST_S if lines.trigger is None else TRIGGERED_MOST_S
-    more = min(int(most_flown_s / line_s), FLIGHT_MOST_LINES, (most_points - rest_points) // lines.count)
+    most_lines = min(FLIGHT_MOST_LINES, MAX_PIECES // (2 * lines.count)) if lines.scan.is_curved else FLIGHT_MOST_LINES
+    more = min(int(most_flown_s / line_s), most_lines, (most_points - rest_points) // lines.count)
     end = min(first + rest_points + max(0, more) * lines.count, lines.scan.point_count)
     axes = [fleet.axis(name) for name in lines.scan.axes]
     starts = [
@@ -137,20 +140,27 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> Flo
         flight = plan_flight(lines, fleet, (first, end), use)
         if _make_course(flight.motion, starts, lines).has_chunks(most_s):
             return FlownPart(lines, first, end, flight)
-    raise PlanError(f"lines of {lines.count} points of {lines.axis} are too short to be braked between two of them")
+    stretch_words = "along it" if lines.scan.is_curved else "between two of them"
+    raise PlanError(f"lines of {lines.count} points of {lines.words} are too short to be braked {stretch_words}")
 
 
 def choose_part(
     lines: FlownLines, fleet: Fleet, first: int, abilities: Mapping[str, ChunkAbility]
 ) -> tuple[FlownPart | None, str]:
     """The lines from a point on that are flown in one motion; None, and why, where they are flown one by one.
-    abilities: by controller, of `list_members`."""
+    abilities: by controller, of `list_members`. Raises `Refusal` for a curve, which is not flown by itself."""
     reason = explain_single_lines(lines, fleet, abilities)
+    if reason and lines.scan.is_curved:
+        remedy = "leave out `Fly`, and it is stepped; or take axes of one unit, of makes that load paths in chunks"
+        raise Refusal("fly-curve", f"the curve of {lines.words} cannot be flown: {reason}", remedy)
     if reason:
         return None, reason
     try:
         return plan_part(lines, fleet, first, min(ability.most_s for ability in abilities.values())), ""
     except PlanError as error:
+        if lines.scan.is_curved:
+            remedy = f"write a longer `duration` than {lines.window_s * 1e3:.4g} ms; or leave out `Fly`"
+            raise Refusal("fly-curve", f"the curve of {lines.words} cannot be flown: {error}", remedy) from None
         return None, str(error)
 
 
@@ -162,6 +172,8 @@ def plan_flight_step(
     require_start(step, starts, frames or {})
     shift = np.array([float(start.offset) for start in starts])
     motion = part.flight.motion._replace(positions=part.flight.motion.positions - shift)
+    if part.lines.scan.is_curved:
+        check_curve_room(motion, [(start.name, start.axis) for start in starts])
     course = _make_course(motion, starts, part.lines)
     exact = {
         start.name: (Fraction(end), axis.end_counts)
@@ -170,6 +182,7 @@ def plan_flight_step(
     profiles = {
         course.axes[column].name: make_profile(motion, column, course.axes[column]) for column in course.columns
     }
+    edges_s, speeds = _sample_windows(part, motion)
     return PlannedPath(
         plan=StepPlan(course.duration_s, profiles, [start.name for start in starts if start.name not in profiles]),
         moves=make_moves(starts, exact),
@@ -183,11 +196,20 @@ def plan_flight_step(
         tolerance=part.lines.tolerance,
         fit_error=0.5 / min(abs(axis.counts_per_unit) for axis in course.axes),
         counts_per_unit={axis.name: axis.counts_per_unit for axis in course.axes},
-        # In the windows one axis moves: what sets members apart in time takes none off its line.
-        times_s=np.array([0.0, course.duration_s]),
-        speeds={start.name: np.zeros(2) for start in starts},
+        times_s=edges_s,
+        speeds={start.name: row for start, row in zip(starts, speeds, strict=True)},
         course=course,
     )
+
+
+def _sample_windows(part: FlownPart, motion: FittedMotion) -> tuple[Array, Array]:
+    """Instants of the windows, s, and the speed of each axis there, (axes, instants). Only in the windows does it
+    matter what sets members apart in time, and only if axes of several move there: else all speeds are 0."""
+    if len({controller_of(name) for name in part.lines.scan.flown_axes}) < 2:
+        return np.array([0.0, motion.duration_s]), np.zeros((motion.positions.shape[1], 2))
+    places = [line.begin_s + line.window_s * np.arange(2 * line.points + 1) / 2 for line in part.flight.lines]
+    edges_s = np.concatenate(places)
+    return edges_s, np.abs(motion.evaluate(edges_s)[1]).T
 
 
 def _make_course(motion: FittedMotion, starts: Sequence[PathStart], lines: FlownLines) -> PathCourse:
@@ -203,12 +225,13 @@ def _make_course(motion: FittedMotion, starts: Sequence[PathStart], lines: Flown
 def _list_stretches(part: FlownPart) -> list[PathStretch]:
     """The lines of a flight, and the turn-arounds between them; of a long one only itself."""
     lines, last = part.flight.lines, part.flight.duration_s
+    binds = CURVED if part.lines.scan.is_curved else CONSTANT
     if 2 * len(lines) + 1 > MAX_STRETCHES:
-        return [PathStretch(from_s=0.0, to_s=last, binds=f"{CONSTANT}, and {TURN}s")]
+        return [PathStretch(from_s=0.0, to_s=last, binds=f"{binds}, and {TURN}s")]
     stretches, at_s = list[PathStretch](), 0.0
     for line in lines:
         between_words = TURN if stretches else "run-up"
         stretches.append(PathStretch(from_s=at_s, to_s=line.begin_s, binds=between_words))
-        stretches.append(PathStretch(from_s=line.begin_s, to_s=line.end_s, binds=CONSTANT))
+        stretches.append(PathStretch(from_s=line.begin_s, to_s=line.end_s, binds=binds))
         at_s = line.end_s
     return [*stretches, PathStretch(from_s=at_s, to_s=last, binds="run-down")]

@@ -4,6 +4,7 @@ flies, so that every turn-around is rounded in all axes."""
 from collections.abc import Sequence
 from itertools import accumulate
 from math import copysign
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,14 @@ from orchestrator.plan.path_profiles import Array, FittedMotion
 from orchestrator.plan.shape import JerkPart, WayEnd, WayLimits, solve_ways
 
 SAME_S = 1e-9  # instants of two axes that are this close are one
+
+
+class LineStop(NamedTuple):
+    """How an axis that flies stops behind its windows, and begins before them. room: how far it goes at most, above 0;
+    limits: with which it stays on the line of all that fly."""
+
+    room: float
+    limits: WayLimits
 
 
 def solve_turn(begin: Sequence[WayEnd], end: Sequence[WayEnd], limits: Sequence[WayLimits]) -> FittedMotion:
@@ -22,26 +31,30 @@ def solve_turn(begin: Sequence[WayEnd], end: Sequence[WayEnd], limits: Sequence[
 
 
 def solve_stop(
-    begin: Sequence[WayEnd], end: Sequence[WayEnd], limits: Sequence[WayLimits], flown: int, room: float
+    begin: Sequence[WayEnd], end: Sequence[WayEnd], limits: Sequence[WayLimits], stops: Sequence[LineStop]
 ) -> FittedMotion:
-    """The same for an axis that flies, number `flown`, and goes no farther than `room` beyond where it is in `begin`,
-    and before where it is in `end`: it comes to rest there, while the others move. Raises `PlanError`."""
-    numbers = [number for number in range(len(begin)) if number != flown]
-    rows: list[list[JerkPart]] = [[] for _ in begin]
-    if numbers:
-        ways = solve_ways([begin[n] for n in numbers], [end[n] for n in numbers], [limits[n] for n in numbers])
-        for number, row in zip(numbers, ways, strict=True):
-            rows[number] = row
-    entry, leave = begin[flown], end[flown]
-    turn_end = WayEnd(entry.position + copysign(room, entry.velocity))
-    run_up = WayEnd(leave.position - copysign(room, leave.velocity))
-    parts = [
-        solve_ways([first], [second], [limits[flown]])[0]
-        for first, second in ((entry, turn_end), (turn_end, run_up), (run_up, leave))
+    """The same for axes that fly, the last ones, one for each of `stops`, and go no farther than its room beyond where
+    they are in `begin`, and before where they are in `end`: they come to rest there, while the others move. Raises
+    `PlanError`."""
+    first = len(begin) - len(stops)
+    rows = solve_ways(begin[:first], end[:first], limits[:first]) if first else []
+    entries, leaves, line_limits = begin[first:], end[first:], [stop.limits for stop in stops]
+    turn_ends = [
+        WayEnd(entry.position + copysign(stop.room, entry.velocity)) for entry, stop in zip(entries, stops, strict=True)
     ]
-    wait_s = max(map(_find_duration_s, rows)) - sum(map(_find_duration_s, parts))
-    rows[flown] = [*parts[0], *parts[1], *([(wait_s, 0.0)] if wait_s > 0.0 else []), *parts[2]]
-    return _merge(rows, begin, end)
+    run_ups = [
+        WayEnd(leave.position - copysign(stop.room, leave.velocity)) for leave, stop in zip(leaves, stops, strict=True)
+    ]
+    stopping = solve_ways(entries, turn_ends, line_limits)
+    crossing = solve_ways(turn_ends, run_ups, limits[first:])
+    starting = solve_ways(run_ups, leaves, line_limits)
+    moved_s = sum(max(map(_find_duration_s, part)) for part in (stopping, crossing, starting))
+    wait_s = max(map(_find_duration_s, rows), default=0.0) - moved_s
+    wait_parts = [(wait_s, 0.0)] if wait_s > 0.0 else []
+    flown_rows = [
+        [*parts[0], *parts[1], *wait_parts, *parts[2]] for parts in zip(stopping, crossing, starting, strict=True)
+    ]
+    return _merge([*rows, *flown_rows], begin, end)
 
 
 def _find_duration_s(row: Sequence[JerkPart]) -> float:
@@ -53,7 +66,8 @@ def _merge(rows: Sequence[Sequence[JerkPart]], begin: Sequence[WayEnd], end: Seq
     times_s = _list_instants(rows)
     lengths, middles = np.diff(times_s)[:, None], (times_s[:-1] + times_s[1:]) / 2
     jerks = np.stack([_sample_jerks(row, middles) for row in rows], axis=1)
-    accelerations = np.concatenate([np.zeros((1, len(rows))), np.cumsum(jerks * lengths, axis=0)])[:-1]
+    changes = np.cumsum(jerks * lengths, axis=0)[:-1]
+    accelerations = [state.acceleration for state in begin] + np.concatenate([np.zeros((1, len(rows))), changes])
     steps = lengths * (accelerations + lengths * jerks / 2)
     velocities = np.concatenate([[[state.velocity for state in begin]], steps]).cumsum(axis=0)
     ways = lengths * (velocities[:-1] + lengths * (accelerations / 2 + lengths * jerks / 6))

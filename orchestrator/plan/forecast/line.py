@@ -12,7 +12,9 @@ from orchestrator.model.forecast import StepProblem
 from orchestrator.model.names import controller_of
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flying.lines import FlownLines, check_room, plan_lines
+from orchestrator.plan.flying.line_plan import plan_lines
+from orchestrator.plan.flying.line_room import check_room
+from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.path import (
     ChunkAbility,
     FlightPath,
@@ -20,6 +22,7 @@ from orchestrator.plan.flying.path import (
     choose_part,
     list_members,
 )
+from orchestrator.plan.flying.straight import StraightLines
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.io import forecast_wait
 from orchestrator.plan.forecast.path import forecast_path
@@ -34,9 +37,10 @@ def take_lines(state: ForecastState, at: ForecastContext, step: Scan) -> FlownLi
     """The lines of a scan that flies; None, and a problem, if it cannot be flown."""
     try:
         lines = plan_lines(step, state.fleet)
-        axis_state = state.find_state(at, lines.axis)
-        if axis_state.offset_kind != "unknown":
-            check_room(lines, state.fleet.axis(lines.axis), axis_state.offset)
+        axis_states = {name: state.find_state(at, name) for name in step.flown_axes}
+        offsets = {name: axis.offset for name, axis in axis_states.items() if axis.offset_kind != "unknown"}
+        if isinstance(lines, StraightLines):
+            check_room(lines, state.fleet, offsets.get)
     except Refusal as error:
         state.add_problem(at, ("fly",), error)
         return None
@@ -51,8 +55,16 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     if wait is not None:
         waiting_span = forecast_wait(state, replace(at, place=(*at.place, "fly", "wait")), wait)
         between = between.followed_by(waiting_span, lines.line_count)
-    part, reason = choose_part(lines, state.fleet, 0, abilities)
+    try:
+        part, reason = choose_part(lines, state.fleet, 0, abilities)
+    except Refusal as error:
+        state.add_problem(at, ("fly",), error)
+        return between
     problems = len(state.problems)
+    if part is not None and lines.scan.is_curved:
+        is_known = all(name in state.chunks for name in abilities)
+        condition = "" if is_known else ", where all its controllers load paths in chunks"
+        return _forecast_curve(state, at, part, condition)
     line = _forecast_motion(state, at, lines, lines.make_path(0))
     singly = line.followed_by(line, lines.line_count - 1).followed_by(between)
     if len(state.problems) > problems:
@@ -80,6 +92,20 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     return Span(min(together_s, singly.least), most_s)
 
 
+def _forecast_curve(state: ForecastState, at: ForecastContext, part: FlownPart, condition: str) -> Span:
+    """Run the first motion along curves forward. condition: on which it is flown."""
+    lines, problems = part.lines, len(state.problems)
+    flown_span = _forecast_motion(state, at, lines, FlightPath.make(part))
+    if len(state.problems) > problems:
+        return flown_span
+    parts = lines.scan.point_count / (part.end - part.first)
+    words = f"it takes {flown_span.least:.3f} s with a run-up and a run-down"
+    if lines.line_count > 1:
+        words = f"{lines.line_count} curves are {ceil(parts)} motions of {flown_span.least:.3f} s"
+    _note_words(state, lines, words + condition)
+    return Span(flown_span.least * parts, flown_span.least * parts)
+
+
 def find_first_part(fleet: Fleet, lines: FlownLines, point: int) -> FlownPart | None:
     """The lines of a scan from a point on that are flown in one motion, as far as the fleet file says; None: each is
     flown by itself."""
@@ -97,7 +123,7 @@ def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLine
     state.axes |= axes_after
     state.problems[problems:] = map(_name_trigger, state.problems[problems:])
     if state.motion is not None and state.motion.path is not None and len(state.problems) == problems:
-        if not isinstance(path, FlightPath):
+        if not isinstance(path, FlightPath) and isinstance(lines, StraightLines):
             _check_speed(state, at, lines)
         state.motion = replace(state.motion, line=path)
     return span
@@ -105,12 +131,8 @@ def _forecast_motion(state: ForecastState, at: ForecastContext, lines: FlownLine
 
 def _note_words(state: ForecastState, lines: FlownLines, how: str) -> None:
     """Say how lines are flown."""
-    words = (
-        f"{lines.axis} flies through {lines.count} points at {lines.speed:g} {lines.units[-1]}/s, "
-        f"{lines.window_s * 1e3:g} ms each, with a run-up and a run-down of {lines.run_up:.4g} {lines.units[-1]}; {how}"
-    )
     assert state.motion is not None
-    state.motion = replace(state.motion, line_words=words)
+    state.motion = replace(state.motion, line_words=f"{lines.describe()}; {how}")
 
 
 def _name_trigger(problem: StepProblem) -> StepProblem:
@@ -121,14 +143,16 @@ def _name_trigger(problem: StepProblem) -> StepProblem:
     return problem.model_copy(update={"place": keys, "text": problem.text.replace("triggers.0", "fly.trigger")})
 
 
-def _check_speed(state: ForecastState, at: ForecastContext, lines: FlownLines) -> None:
+def _check_speed(state: ForecastState, at: ForecastContext, lines: StraightLines) -> None:
     """Add a problem if the plan of a line is slower in a window."""
     assert state.motion is not None and state.motion.path is not None
-    times_s, speeds = state.motion.path.times_s, state.motion.path.speeds[lines.axis]
+    lead = lines.lead_axis
+    speed, path = lines.find_speed(lead), state.motion.path
+    times_s, speeds = path.times_s, path.speeds[lead.name]
     middle_s = state.motion.plan.duration_s / 2
     in_windows = np.abs(times_s - middle_s) < lines.count * lines.window_s / 2
-    least = float(speeds[in_windows].min(initial=lines.speed))
-    if least < lines.speed * (1 - SLOWER):
+    least = float(speeds[in_windows].min(initial=speed))
+    if least < speed * (1 - SLOWER):
         unit = lines.units[-1]
-        text = f"{lines.axis} would fly at {least:g} {unit}/s in a window, instead of {lines.speed:g} {unit}/s"
-        state.add_problem(at, ("fly",), Refusal("fly-speed", text, "fly slower", controller_of(lines.axis)))
+        text = f"{lead.name} would fly at {least:g} {unit}/s in a window, instead of {speed:g} {unit}/s"
+        state.add_problem(at, ("fly",), Refusal("fly-speed", text, "fly slower", controller_of(lead.name)))

@@ -7,12 +7,11 @@ import pytest
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.scans.spec_lines import place_flown_spec
-from orchestrator.model.steps.points import GridPoints
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit
 
 specs = pytest.importorskip("scanspec.specs")
-X, Y = "gantry.x", "gantry.y"
+X, Y, Z = "gantry.x", "gantry.y", "lift.z"
 
 
 def flown(spec: Any, **fields: Any) -> Scan:
@@ -36,6 +35,12 @@ def outer() -> Any:
         outer() * specs.Fly(~(0.02 @ line())),
         specs.Fly(~(0.02 @ (outer() * line(4)))),
         specs.Linspace(Y, 3, 3, 1) * specs.Fly(0.02 @ line()),
+        specs.Fly(0.02 @ line(3).zip(outer())),
+        specs.Fly(0.02 @ (specs.Linspace(Z, 0, 4, 3) * ~outer().zip(line(3)))),
+        specs.Fly(0.02 @ specs.Spiral(X, 0, 10, 1, Y, 0, 10)),
+        specs.Fly(0.02 @ (specs.Linspace(Z, 0, 1, 2) * ~specs.Spiral(X, 0, 10, 1, Y, 0, 10))),
+        specs.Fly(0.02 @ specs.Spiral(X, 0, 10, 1, Y, 0, 10).zip(specs.Linspace(Z, 0, 1, 79))),
+        specs.Fly((specs.Linspace(Z, 0, 4, 2) * line(3)).zip(0.02 @ outer())),
     ],
 )
 def test_lines_with_a_duration_are_flown_through_the_points_of_the_spec(spec: Any) -> None:
@@ -45,7 +50,7 @@ def test_lines_with_a_duration_are_flown_through_the_points_of_the_spec(spec: An
     from scanspec.core import Path
 
     midpoints = Path(spec.calculate(bounds=False)).consume().midpoints
-    points = GridPoints(scan.axes)
+    points = scan.grid
     for column, name in enumerate(scan.axes):
         found = [float(points.find_position(k, [Unit("mm")] * len(scan.axes))[column]) for k in range(points.count)]
         assert np.allclose(found, midpoints[name])
@@ -58,8 +63,14 @@ def test_lines_with_a_duration_are_flown_through_the_points_of_the_spec(spec: An
         (specs.Fly(0.0 @ line()), "duration of 0 s"),
         (specs.Fly(1e-5 @ line()), "the least is 1 ms"),
         (specs.Fly(0.1 @ line(1)), "has one point"),
-        (specs.Fly(0.1 @ specs.Spiral(X, 0, 10, 1, Y, 0, 10)), "Spiral"),
-        (specs.Fly(0.1 @ outer().zip(specs.Linspace(X, 0, 1, 3))), "Zip"),
+        (specs.Fly(0.1 @ (specs.Spiral(X, 0, 10, 1, Y, 0, 10) * line())), "gantry.y, gantry.x together outside"),
+        (specs.Fly(0.1 @ specs.Ellipse(X, 0, 10, 1, Y, 0, 10, 1)), "Ellipse"),
+        (specs.Fly(0.1 @ specs.Spiral(X, 0, 10, 1, Y, 0, 10).zip(specs.Linspace(Z, 0, 1, 5))), "79 points"),
+        (specs.Fly(0.1 @ outer().zip(line(4))), "gantry.y with 3 points and gantry.x with 4 points"),
+        (specs.Fly(0.1 @ outer().zip(~line(3))), "gantry.x with 3 points, in a Snake"),
+        (specs.Fly(0.1 @ outer().zip(outer())), "axis gantry.y twice"),
+        (specs.Fly(0.1 @ (outer().zip(line(3)) * specs.Linspace(Z, 0, 1, 5))), "gantry.y, gantry.x together outside"),
+        (specs.Fly(0.1 @ (outer() * line()).zip(specs.Linspace(Z, 0, 1, 3) * line())), "Zip of several levels"),
         (specs.Fly(0.1 @ specs.Static(X, 0, 3)), "Static"),
         (specs.Fly(0.1 @ specs.Range(X, 0, 1, 0.1)), "Range"),
         (specs.Fly(0.1 @ line().concat(specs.Linspace(X, 20, 30, 5))), "Concat"),

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from orchestrator.model.errors import Refusal
@@ -12,8 +13,10 @@ from orchestrator.model.jobs.files import FileError, load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flying.lines import FlownLines, plan_lines
+from orchestrator.plan.flying.flight import plan_flight
+from orchestrator.plan.flying.line_plan import plan_lines
 from orchestrator.plan.flying.path import ChunkAbility
+from orchestrator.plan.flying.straight import StraightLines
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 
 FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "path.fleet.yaml")
@@ -26,9 +29,11 @@ def forecast(fields: str, before: str = HOME, fleet: Fleet = FLEET) -> JobForeca
     return forecast_job(fleet, parse_document(text, Job, "test").steps)
 
 
-def lines(fly: dict[str, Any], **axes: dict[str, Any]) -> FlownLines:
+def lines(fly: dict[str, Any], **axes: dict[str, Any]) -> StraightLines:
     named_axes = {name.replace("_", "."): axis for name, axis in axes.items()}
-    return plan_lines(Scan(axes=named_axes, fly=fly), FLEET)
+    found = plan_lines(Scan(axes=named_axes, fly=fly), FLEET)
+    assert isinstance(found, StraightLines)
+    return found
 
 
 def test_a_line_has_a_run_up_before_its_first_window_and_a_run_down_behind_its_last() -> None:
@@ -38,7 +43,7 @@ def test_a_line_has_a_run_up_before_its_first_window_and_a_run_down_behind_its_l
     assert (found.count, found.speed, found.window_s) == (21, pytest.approx(50), pytest.approx(0.01))
     # 50 ms at 1000 mm/s2, and 50 ms for the rise of the acceleration at 20000 mm/s3: 2.5 mm, and two counts.
     assert found.run_up_s == pytest.approx(0.1) and found.run_up == pytest.approx(2.502)
-    assert found.find_ends(0)[:2] == (pytest.approx(-2.752), pytest.approx(12.752))
+    assert found.find_ends(0)[:2] == ((pytest.approx(-2.752),), (pytest.approx(12.752),))
     assert found.find_ends(25) == found.find_ends(0)
     assert [float(place) for place in found.list_positions(0, "start")[:2]] == [-0.25, 0.25]
     assert found.make_path(0).start == [-2.752]
@@ -151,6 +156,17 @@ WRONG = [
     ),
     ("axes: {gantry.x: {values: [0]}}, fly: {duration: 10 ms}", "gantry.x has one point"),
     ("points: {axes: [gantry.x], rows: [[0], [1]]}, fly: {duration: 10 ms}", "needs the lines of `axes`"),
+    (f"axes: {{slide.y: {{values: [0]}}, {LINE}}}, fly: {{axis: [slide.y]}}", "the last of `axes` are gantry.x"),
+    (f"axes: {{{LINE}}}, fly: {{axis: [slide.y, gantry.x]}}", "must be the last ones"),
+    (f"axes: {{{LINE}}}, fly: {{axis: [gantry.x, gantry.x]}}", "each once"),
+    (
+        f"axes: {{slide.y: {{values: [0, 1]}}, {LINE}}}, fly: {{axis: [slide.y, gantry.x]}}",
+        "as many points each; slide.y has 2, gantry.x has 21",
+    ),
+    (
+        f"axes: {{slide.y: {{from: 0, to: 1, points: 21, snake: true}}, {LINE}}}, fly: {{axis: [slide.y, gantry.x]}}",
+        "the same `snake` for slide.y, gantry.x",
+    ),
     (f"axes: {{{LINE}}}, fly: {{duration: 10 ms, trigger: {{output: camera}}}}", "is not an output"),
     (
         "axes: {gantry.x: {from: 0, to: 300, points: 10001}}, fly: {duration: 10 ms, trigger: {output: gantry.camera}}",
@@ -198,3 +214,94 @@ def test_a_gate_ends_before_the_next_window_by_the_dead_time() -> None:
     found = lines(fly, gantry_x={"from": 0, "to": 10, "step": 0.5})
     (trigger,) = found.make_triggers(0)
     assert trigger.pulse == 35_000_000 and trigger.at is not None and trigger.at[:2] == [-0.25, 0.25]
+
+
+TOGETHER = (
+    "axes: {slide.y: {from: 10, to: 12.5, points: 21, snake: true}, gantry.x: {from: 20, to: 30, points: 21, "
+    "snake: true}}, fly: {axis: [gantry.x, slide.y], duration: 10 ms"
+)
+
+
+@pytest.mark.parametrize("snake", [True, False])
+def test_axes_that_fly_together_stay_on_their_line(snake: bool) -> None:
+    ends = {"slide_y": (10, 12.5), "gantry_x": (20, 30)}
+    axes = {name: {"from": begin, "to": end, "points": 21, "snake": snake} for name, (begin, end) in ends.items()}
+    found = lines(
+        {"axis": ["slide.y", "gantry.x"], "duration": "10 ms"}, lift_z={"from": 0, "to": 2, "points": 3}, **axes
+    )
+    flight = plan_flight(found, FLEET, (0, 63))
+    motion = flight.motion
+    times_s = np.linspace(0.0, motion.duration_s, 5001)
+    places, speeds, *_ = motion.evaluate(times_s)
+    off = np.abs((places[:, 2] - 20) - 4 * (places[:, 1] - 10))
+    is_on_line = (times_s <= flight.lines[0].end_s) | (times_s >= flight.lines[-1].begin_s)
+    for line in flight.lines:
+        in_line = (times_s > line.begin_s) & (times_s < line.end_s)
+        is_on_line |= in_line
+        assert np.abs(np.abs(speeds[in_line]) - [0.0, 12.5, 50.0]).max() < 1e-9
+    assert off[is_on_line].max() < 1e-9
+    # Each axis has its part of the run-up, also where they turn round.
+    begin, end, _ = found.ends
+    assert (places[:, 1:].min(axis=0) >= np.array(begin) - 1e-9).all()
+    assert (places[:, 1:].max(axis=0) <= np.array(end) + 1e-9).all()
+    assert (begin[1] - 20) == pytest.approx(4 * (begin[0] - 10)) and begin[0] < 10 - 0.0625
+
+
+def test_the_axes_of_a_line_stop_on_it_where_the_others_take_longer() -> None:
+    axes = {name: {"from": 20, "to": 30, "points": 21, "snake": True} for name in ("slide_y", "gantry_x")}
+    fly = {"axis": ["slide.y", "gantry.x"], "duration": "10 ms"}
+    found = lines(fly, lift_z={"from": 0, "to": 60, "points": 3}, **axes)
+    flight = plan_flight(found, FLEET, (0, 63))
+    places = flight.motion.evaluate(np.linspace(0.0, flight.duration_s, 5001))[0]
+    assert np.abs(places[:, 1] - places[:, 2]).max() < 1e-9
+    assert found.ends.begin[0] - 1e-9 <= places[:, 1].min() and places[:, 1].max() <= found.ends.end[0] + 1e-9
+
+
+def test_the_forecast_of_axes_that_fly_together() -> None:
+    found = forecast(TOGETHER + "}")
+    assert not found.problems, found.problems
+    assert found.steps[1].lines == (
+        "slide.y and gantry.x fly through 21 points at 51.5388 mm/s along their line, 10 ms each, with a run-up and a "
+        "run-down of 2.579 mm; a line takes 0.410 s"
+    )
+    outer = TOGETHER.replace("axes: {", "axes: {lift.z: {from: 0, to: 2, points: 5}, ")
+    found = forecast(outer + "}")
+    assert not found.problems, found.problems
+    assert "5 lines are one motion of 1.850 s" in found.steps[1].lines, found.steps[1].lines
+
+
+@pytest.mark.parametrize(
+    ("fields", "code", "words", "remedy"),
+    [
+        (
+            TOGETHER.replace("10 ms", "2 ms") + "}",
+            "fly-speed",
+            "gantry.x flies at 250 mm/s through windows of 0.5 mm; its limit is 200 mm/s",
+            "`duration: 2.501 ms`",
+        ),
+        (
+            TOGETHER.replace("from: 10, to: 12.5", "from: 297, to: 299.5") + "}",
+            "fly-room",
+            "slide.y needs 0.6255 mm before and behind its windows for 12.5 mm/s; its lines reach 300.188 mm, "
+            "0.188 mm beyond its soft limit 300 mm",
+            "`duration: 12",
+        ),
+        (TOGETHER.replace("from: 10, to: 12.5", "from: 10, to: 10") + "}", "fly-spacing", "slide.y", "of `fly.axis`"),
+        (TOGETHER.replace("slide.y", "slide.r") + "}", "unknown-name", "slide.r", ""),
+    ],
+)
+def test_axes_that_cannot_fly_together_are_refused_with_what_fits(
+    fields: str, code: str, words: str, remedy: str
+) -> None:
+    (problem,) = forecast(fields).problems
+    assert problem.code == code and words in problem.text and remedy in problem.remedy, problem
+    if "`duration" in remedy:
+        duration = problem.remedy.split("`")[1].removeprefix("duration: ")
+        assert not forecast(fields.replace(fields.split("duration: ")[1].rstrip("}"), duration)).problems
+
+
+def test_axes_that_fly_together_have_one_unit() -> None:
+    plain = FLEET.to_plain()
+    plain["controllers"]["slide"]["axes"]["y"]["unit"] = "deg"
+    (problem,) = forecast(TOGETHER + "}", fleet=Fleet.model_validate(plain)).problems
+    assert problem.code == "fly-axis" and "slide.y in deg, gantry.x in mm" in problem.text

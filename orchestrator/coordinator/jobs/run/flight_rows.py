@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error
+from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error, join_intervals
 from orchestrator.coordinator.motion.path_proof import narrow_start
 from orchestrator.coordinator.motion.report import judge_starts
 from orchestrator.coordinator.motion.services import MotionServices
@@ -106,12 +106,16 @@ class FlightRows:
             return 0
         if state.instance != motion.planned.instances.get(member, state.instance):
             return 0
-        flown_axis = self._part.lines.axis
+        flown_axes = self._part.lines.scan.flown_axes
+        members_moving: list[bool] = []
         for name in motion.agreement.profiles(member):
             axis = state.axes[name]
-            if not axis.enabled or axis.fault or (not axis.moving and f"{member}.{name}" == flown_axis):
+            if not axis.enabled or axis.fault:
                 return 0
-        return state.read_fleet_ns
+            if f"{member}.{name}" in flown_axes:
+                members_moving.append(axis.moving)
+        # One that is slow on a line may look as at rest; all of a member move by the same course.
+        return 0 if members_moving and not any(members_moving) else state.read_fleet_ns
 
     # Rows
 
@@ -256,21 +260,22 @@ class FlightRows:
         return [self._make_row(point, words) for point in points]
 
     def _make_interval_finder(self) -> Callable[[float, float], TimeInterval]:
-        """A function that tells when the axis was where its plan has it so long after T0 (s), at a rate of its planned
-        speed."""
+        """A function that tells when the axes were where their plan has them so long after T0 (s), at a rate of their
+        planned speed."""
         motion, lines = self._motion, self._part.lines
         assert motion is not None and motion.agreement.first is not None and motion.agreement.path is not None
         agreement, first = motion.agreement, motion.agreement.first
-        t0_ns, member = motion.start.state.t0_fleet_ns, controller_of(lines.axis)
-        early_ns, late_ns = narrow_start(agreement, member, motion.watch.reports[member], t0_ns)
-        most_age_s, clock_rate = first.most_s + first.load_s, agreement.proposals[member].clock_ppm * 1e-6
-        error_s = find_error(motion.agreement.path, lines) / lines.speed
+        t0_ns, members = motion.start.state.t0_fleet_ns, {controller_of(name) for name in lines.scan.flown_axes}
+        starts = {name: narrow_start(agreement, name, motion.watch.reports[name], t0_ns) for name in members}
+        most_age_s, error_s = first.most_s + first.load_s, find_error(motion.agreement.path, lines) / lines.slowest
 
-        def find_interval(at_s: float, rate: float) -> TimeInterval:
+        def find_member_interval(member: str, at_s: float, rate: float) -> TimeInterval:
+            clock_rate = agreement.proposals[member].clock_ppm * 1e-6
             beside_s = clock_rate * min(at_s, most_age_s) + error_s / max(rate, LEAST_RATE)
             planned_ns, beside_ns = t0_ns + at_s * NS_PER_S, beside_s * NS_PER_S
+            early_ns, late_ns = starts[member]
             return TimeInterval(
                 earliest_ns=floor(planned_ns + early_ns - beside_ns), latest_ns=ceil(planned_ns + late_ns + beside_ns)
             )
 
-        return find_interval
+        return lambda at_s, rate: join_intervals([find_member_interval(name, at_s, rate) for name in members])

@@ -1,11 +1,13 @@
-"""The rows of a line that was flown: when the axis was in the window of each point, by plan and evidence.
+"""The rows of a line that was flown: when its axes were in the window of each point, by plan and evidence.
 
-In its windows the axis has one speed, and its run-up and run-down are alike: so its plan is at the middle of the line
+In its windows an axis has one speed, and its run-up and run-down are alike: so its plan is at the middle of the line
 in the middle of its time. Its controller's clock runs evenly between start and end, both of which are known as
 intervals: so an instant of the plan is between the intervals in the proportion of its time. A profile that is off
-its path by a distance is off in time by that divided by the speed.
+its path by a distance is off in time by that divided by the speed. An instant of several axes is in the intervals of
+all of them.
 """
 
+from collections.abc import Sequence
 from math import ceil, floor
 
 from orchestrator.clock.base import NS_PER_S
@@ -14,6 +16,7 @@ from orchestrator.model.report import PathReport, PointRecord, PointWindow, Step
 from orchestrator.model.state import AxisEvidence, TimeInterval
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.plan.flying.lines import FlownLines
+from orchestrator.plan.flying.straight import StraightLines
 
 OTHER_TIME = 0.005  # of a line: it was held, went at another rate, or its plan was made slower
 _ERRORS = ("profile-fit", "execution", "clock")
@@ -50,18 +53,23 @@ def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines, begi
 
 def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
     """The window of each point; none of a line that was not flown as planned, or whose evidence is not complete."""
-    path, evidence = report.path, _find_evidence(report, lines.axis)
+    path = report.path
     is_broken = report.state != "done" or bool(report.feed_holds)
-    if is_broken or path is None or path.stops or evidence is None or evidence.end is None:
+    if is_broken or path is None or path.stops or not isinstance(lines, StraightLines):
         return []
     planned_s = min((lines.line_s, lines.line_s - lines.ramp_s), key=lambda line_s: abs(line_s - path.duration_s))
-    # A controller may stay at rest until its period is over, and calls that the end.
-    executed_s = report.members[controller_of(lines.axis)].lowered_s.get(lines.axis.partition(".")[2], path.duration_s)
-    if abs(path.duration_s / planned_s - 1) > OTHER_TIME or not _fits(evidence, executed_s):
+    if abs(path.duration_s / planned_s - 1) > OTHER_TIME:
         return []
     window_s = lines.window_s * path.duration_s / planned_s
-    error_s = find_error(path, lines) * window_s / abs(float(lines.spacing))
-    find_instant = _InstantFinder(evidence.start_for_verdict, evidence.end, executed_s, error_s)
+    error_s = find_error(path, lines) * window_s / lines.length
+    finders = [_find_instants(report, axis.name, path.duration_s, error_s) for axis in lines.axes]
+    complete_finders = [finder for finder in finders if finder is not None]
+    if len(complete_finders) < len(finders):
+        return []
+
+    def find_instant(at_s: float) -> TimeInterval:
+        return join_intervals([finder(at_s) for finder in complete_finders])
+
     first_s = path.duration_s / 2 - lines.count * window_s / 2
     return [
         PointWindow(
@@ -73,9 +81,26 @@ def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
     ]
 
 
-def _find_evidence(report: StepReport, axis: str) -> AxisEvidence | None:
-    member = report.members.get(controller_of(axis))
-    return None if member is None else member.evidence.get(axis.partition(".")[2])
+def join_intervals(intervals: Sequence[TimeInterval]) -> TimeInterval:
+    """The interval with all of them: when each of several axes was at its place."""
+    return TimeInterval(
+        earliest_ns=min(interval.earliest_ns for interval in intervals),
+        latest_ns=max(interval.latest_ns for interval in intervals),
+    )
+
+
+def _find_instants(report: StepReport, axis: str, duration_s: float, error_s: float) -> "_InstantFinder | None":
+    """When an axis was where its plan has it; None without its evidence, or if it took another time. duration_s: of the
+    plan."""
+    name, member = axis.partition(".")[2], report.members.get(controller_of(axis))
+    evidence = None if member is None else member.evidence.get(name)
+    if member is None or evidence is None or evidence.end is None:
+        return None
+    # A controller may stay at rest until its period is over, and calls that the end.
+    executed_s = member.lowered_s.get(name, duration_s)
+    if not _fits(evidence, executed_s):
+        return None
+    return _InstantFinder(evidence.start_for_verdict, evidence.end, executed_s, error_s)
 
 
 def _fits(evidence: AxisEvidence, duration_s: float) -> bool:
@@ -88,9 +113,9 @@ def _fits(evidence: AxisEvidence, duration_s: float) -> bool:
 
 
 def find_error(path: PathReport, lines: FlownLines) -> float:
-    """How far the axis may be off its plan, besides its start, in its unit; with a count of rounding."""
+    """How far the axes may be off their plan, besides their start, in their unit; with a count of rounding."""
     terms = [] if path.bound is None else path.bound.terms
-    return sum(term.size for term in terms if term.name in _ERRORS) + 1.0 / float(lines.counts_per_unit)
+    return sum(term.size for term in terms if term.name in _ERRORS) + lines.coarsest
 
 
 class _InstantFinder:

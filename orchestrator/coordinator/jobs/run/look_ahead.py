@@ -71,7 +71,7 @@ def find_armed_terms(steps: NumberedSteps, index: int) -> ArmedTerms | None:
         return None
     try:
         return steps[index - 1].armed_terms
-    except KeyError:  # a point of a scan that is not in memory any more
+    except (KeyError, Refusal):  # a point of a scan that is not in memory any more, a curve that was flown
         return None
 
 

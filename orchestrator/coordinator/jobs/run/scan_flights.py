@@ -7,7 +7,8 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
-from orchestrator.plan.flying.lines import FlownLines, plan_lines
+from orchestrator.plan.flying.line_plan import plan_lines
+from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.path import FlightPath, FlownPart, choose_part, list_members
 
 MOST_STOPS = 3

@@ -134,7 +134,7 @@ class StepSequence:
         units = [self._fleet.axis(name).unit for name in scan.axis_names]
         table = scan.points
         if table is None:
-            return _GridReader(GridPoints(scan.axes), units)
+            return _GridReader(scan.grid, units)
         if table.rows is not None:
             return _ListedReader(table.rows, units)
         if table.digest is None:
