@@ -289,11 +289,15 @@ class HostInterval:
 
 @dataclass(frozen=True, slots=True)
 class MoveOutcome:
-    """How a started move ended. `ended` is by axis; `reason` states why the move did not end as planned."""
+    """How a started move ended. `ended` is by axis; `reason` states why the move did not end as planned.
+
+    misplaced: axes that nothing has stopped and that are not at their targets, in words: their counts may be those of
+    another client, and they must be homed again."""
 
     state: Literal["done", "stopped", "fault"]
     ended: Mapping[str, HostInterval]
     reason: str = ""
+    misplaced: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,13 +84,14 @@ class ReadingEvaluation:
             )
 
     def _motion_failure(self, before: ControllerReading | None, reading: ControllerReading) -> str | None:
-        """Return the reason why a moving step must be aborted after this poll, or None; a failure of one axis is a
-        failure of the step."""
+        """Return the reason why a step that moves, or is about to move, must be aborted after this poll, or None; a
+        failure of one axis is a failure of the step."""
         armed_step = self._parts.steps.present
         moving_step = armed_step if armed_step is not None and armed_step.phase is StepPhase.MOVING else None
         outside_text = self._parts.surveillance.find_outside_motion(self._parts.steps.ordered_axes, reading)
+        misplaced_text = self._parts.surveillance.find_misplaced_axes(reading)
         if moving_step is None or before is None:
-            return None
+            return misplaced_text
         if self._parts.status.faults:
             return self._parts.status.faults[0].text
         for name in moving_step.axes:
@@ -102,4 +103,4 @@ class ReadingEvaluation:
                 return f"axis {name} has run into its {axis_reading.limit} limit switch"
             if old.enabled and not axis_reading.enabled:
                 return f"the motor of axis {name} has switched off"
-        return outside_text
+        return misplaced_text or outside_text

@@ -19,10 +19,12 @@ class SettlingResult:
     """Result of settling.
 
     settled_s: by axis, from the end of its profile until it was seen inside its window.
-    reason: which axis has not settled; empty if all have."""
+    reason: which axis has not settled; empty if all have.
+    wrong_ends: axes that rest elsewhere than where their step ends, in words."""
 
     settled_s: Mapping[str, float] = field(default_factory=dict[str, float])
     reason: str = ""
+    wrong_ends: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 class SettlingMonitor:

@@ -8,12 +8,14 @@ from collections.abc import Mapping, Sequence
 
 from adapters.abilities import find_differences
 from adapters.contract import AxisReading, ControllerReading, SettingDifference
+from adapters.controller.monitoring.step_positions import find_last_instant, find_misplaced_axes, find_wrong_ends
 from adapters.controller.publishing.publisher import StatePublisher
-from adapters.controller.state.armed_step import StepPhase
+from adapters.controller.state.armed_step import ArmedStep
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import Axis
 
 CHECK_PERIOD_NS = NS_PER_S
@@ -33,7 +35,8 @@ class Surveillance:
         self._status = status
         self._steps = steps
         self._publisher = publisher
-        self._was_busy = True
+        self._ordered_axes = frozenset(status.config.axes)
+        """Of the last reading: those that may have been moved by an order."""
         self._checked_ns = 0
         self._compared_ns = -NS_PER_S
         """When all settings were compared last, and were as expected."""
@@ -41,28 +44,38 @@ class Surveillance:
         """Axes outside the step under way, as they were when it began to move."""
         self._resting_until_ns: dict[str, int] = {}
 
-    def _has_ordered_motion(self) -> bool:
-        """Whether anything that this adapter has ordered may change positions now. A step that is only loaded moves
-        nothing."""
-        status = self._status
-        armed_step = self._steps.present
-        is_released = armed_step is not None and armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING)
-        busy = is_released or self._steps.is_followed or bool(status.homing | status.jogging)
-        return busy or status.stop_unseen or self._publisher.is_moving
+    def _has_other_motion(self) -> bool:
+        """Whether anything that this adapter has ordered, except the step that it executes now, may change
+        positions."""
+        status, present = self._status, self._steps.present
+        executes = present is not None and present.executes
+        has_ended_step = not executes and (self._steps.is_followed or self._publisher.is_moving)
+        return has_ended_step or bool(status.homing | status.jogging) or status.stop_unseen
+
+    def _find_ordered_axes(self, reading: ControllerReading) -> frozenset[str]:
+        """The axes that may have been moved by an order of this adapter when they were read. A step that is only loaded
+        moves nothing, and a released one nothing before its start."""
+        if self._has_other_motion():
+            return frozenset(self._status.config.axes)
+        present = self._steps.present
+        if present is None or not present.executes or present.is_before_begin(find_last_instant(reading)):
+            return frozenset()
+        return frozenset((*present.axes, *self._steps.ordered_axes))
 
     # Positions
 
     def find_jumps(self, before: ControllerReading | None, reading: ControllerReading) -> list[str]:
         """Drop the reference of axes whose count has changed at rest without an order; return these axes."""
-        busy, was_busy = self._has_ordered_motion(), self._was_busy
-        self._was_busy = busy
+        ordered_axes = self._find_ordered_axes(reading)
+        at_rest_axes = self._status.config.axes.keys() - ordered_axes - self._ordered_axes
+        self._ordered_axes = ordered_axes
         # A whole step may lie between two polls.
         ordered_ns = max(self._status.ordered_ns, self._steps.followed_ns)
-        if before is None or busy or was_busy or ordered_ns >= before.at_ns:
+        if before is None or ordered_ns >= before.at_ns:
             return []
         jumped_axes: list[str] = []
-        for name, axis_reading in reading.axes.items():
-            old, axis = before.axes[name], self._status.config.axes[name]
+        for name in sorted(at_rest_axes):
+            axis_reading, old, axis = reading.axes[name], before.axes[name], self._status.config.axes[name]
             by = axis_reading.commanded_counts - old.commanded_counts
             at_rest = not (axis_reading.moving or old.moving) and axis_reading.enabled and old.enabled
             if at_rest and abs(by) > JUMP_COUNTS and self._status.referenced[name]:
@@ -103,6 +116,28 @@ class Surveillance:
             if name not in self._outside or reading.at_ns < self._resting_until_ns.get(name, 0):
                 self._outside[name] = axis
 
+    def find_misplaced_axes(self, reading: ControllerReading) -> str | None:
+        """Drop the reference of axes that are where the step that is released or moves brings them at no time; return
+        that in words."""
+        present = self._steps.present
+        if present is None or not present.executes or reading.faults:
+            return None
+        misplaced_axes = find_misplaced_axes(self._status.config, present, reading)
+        self.doubt_positions(misplaced_axes)
+        return "; ".join(misplaced_axes.values()) or None
+
+    def find_wrong_ends(self, step: ArmedStep) -> dict[str, str]:
+        """Axes that the last reading shows elsewhere than where the step, which is done, ends, in words."""
+        reading = self._status.reading
+        return {} if reading is None else find_wrong_ends(self._status.config, step, reading)
+
+    def require_references(self, step: ArmedStep) -> None:
+        """Raise `Refusal` for an axis of a loaded step that has lost its reference since."""
+        for name in step.axes:
+            if not self._status.referenced[name]:
+                text = f"axis {name} has lost its reference since the step was loaded"
+                raise Refusal(NOT_REFERENCED, text, f"home it first: a step `do: home` for {name}")
+
     def doubt_positions(self, wrong: Mapping[str, str]) -> None:
         """Drop the reference of axes whose motion was not as it was loaded. wrong: by axis, what was found."""
         for name, text in wrong.items():
@@ -118,7 +153,7 @@ class Surveillance:
     async def check_next_settings(self) -> None:
         """Compare the next part of the settings, from time to time, while the controller is at rest."""
         now_ns = self._clock.now_ns()
-        if self._has_ordered_motion() or self._steps.has_step or now_ns - self._checked_ns < CHECK_PERIOD_NS:
+        if self._has_other_motion() or self._steps.has_step or now_ns - self._checked_ns < CHECK_PERIOD_NS:
             return
         self._checked_ns = now_ns
         self.note_differences(await find_differences(self._driver, everything=False))

@@ -82,7 +82,7 @@ class StepFollower:
             return
         if end is not None:
             self._steps.present = None
-            self._surveillance.doubt_positions(end.wrong_durations)
+            self._surveillance.doubt_positions(end.doubts)
             self._events.emit_step(
                 end.kind, end.reason or end.outcome.reason or end.kind, end.moving, end.make_evidence()
             )
@@ -112,7 +112,9 @@ class StepFollower:
         settled_end = await self._settle_end(armed_step.axes, outcome)
         if self._steps.present is not moving_step:
             return None
-        end = MotionEnd(moving_step, motion_start, outcome, settled_end)
+        # A step that follows closely leaves no time for a reading; it is loaded only from where this one ends.
+        wrong_ends = {} if self._steps.reading_is_old else self._surveillance.find_wrong_ends(moving_step)
+        end = MotionEnd(moving_step, motion_start, outcome, replace(settled_end, wrong_ends=wrong_ends))
         if end.kind != "done":
             await self._withdrawal.withdraw_following(end.reason or outcome.reason)
         elif self._steps.reading_is_old and self._steps.following.armed_step is None:

@@ -6,6 +6,7 @@ from adapters.contract import require_triggers
 from adapters.controller.slots.fleet_durations import find_last_instants, state_move, to_host_profiles, to_host_start
 from adapters.controller.slots.step_checks import StepChecks
 from adapters.controller.state.armed_step import ArmedStep
+from adapters.controller.state.axis_way import AxisWay
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.next_step import PreparedMove
@@ -94,5 +95,10 @@ class StepLowering:
             can_advance=lowered_step.can_advance,
             promised_s=dict(lowered_step.durations_s),
             clock_ppm=lowered_step.clock_ppm,
+            ways={
+                axis: AxisWay.from_profile(profile, lowered_step.path_error_counts.get(axis, 0.0))
+                for axis, profile in request.profiles.items()
+            },
+            early_ns=max(0, -lowered_step.window_ns[0]),
         )
         return PreparedMove(request, armed_step, lowered_step, mapping, began_ns)

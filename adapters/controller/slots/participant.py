@@ -71,11 +71,7 @@ class StepParticipant:
     def _may_follow(self, request: ArmRequest | StartAtOnceRequest, present: ArmedStep) -> bool:
         """Whether the step may be loaded behind the present one."""
         is_behind = (present.job, present.step) == (request.job, request.after_step)
-        return (
-            is_behind
-            and present.phase in (StepPhase.RELEASED, StepPhase.MOVING)
-            and self._steps.following.armed_step is None
-        )
+        return is_behind and present.executes and self._steps.following.armed_step is None
 
     async def _load_behind(self, move: PreparedMove) -> ArmedReply:
         """Load the move beside the present one where the controller can hold it; otherwise keep it until that has
@@ -114,6 +110,7 @@ class StepParticipant:
     async def _commit_present(self, request: CommitRequest) -> CommittedReply:
         async with self._steps.transition_lock:
             armed_step = self._require_phase(request, request.t0_fleet_ns, StepPhase.ARMED)
+            self._surveillance.require_references(armed_step)
             interruptions = self._steps.interruptions
             follows = armed_step is self._steps.following.armed_step
             await (self._steps.following.require_slot() if follows else self._steps.slots.present).verify()
@@ -142,6 +139,7 @@ class StepParticipant:
                 raise Refusal(
                     "not-sooner", "the step can only begin at the T0 for which it was armed", "arm it for another T0"
                 )
+            self._surveillance.require_references(armed_step)
             t0_ns = armed_step.scale.to_host_ns(request.t0_fleet_ns) if advance_ns else armed_step.t0_host_ns
             advance_ns = armed_step.t0_host_ns - t0_ns
             if self._context.clock.now_ns() >= t0_ns:

@@ -3,10 +3,10 @@
 import asyncio
 
 from adapters.abilities import PathDriver
-from adapters.contract import ChunkInstants, PathChunk
+from adapters.contract import ChunkFit, ChunkInstants, PathChunk
 from adapters.controller.slots.fleet_durations import make_fleet_time_term
 from adapters.controller.slots.present_motion import PresentMotion
-from adapters.controller.state.armed_step import ArmedStep, StepPhase
+from adapters.controller.state.armed_step import ArmedStep
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.model.errors import Refusal
@@ -28,7 +28,7 @@ class PathChunks:
         self._present = present
         self._loader = driver if isinstance(driver, PathDriver) else None
         self._lock = asyncio.Lock()
-        self._loaded: tuple[PathChunk, float] | None = None
+        self._loaded: tuple[PathChunk, ChunkFit] | None = None
 
     async def load(self, request: LoadChunkRequest) -> ChunkReply:
         """Load the next chunk, with the present clock mapping; it is not executed yet. One that is still being loaded
@@ -50,7 +50,7 @@ class PathChunks:
             raise Refusal("no-chunks", "the controller cannot load a path while it executes it", "")
         fit = await self._loader.load_chunk(chunk, context.driver.clock_mapping())
         self._require_step(request)
-        self._loaded = chunk, fit.stop_s
+        self._loaded = chunk, fit
         return ChunkReply(
             stop_s=_to_fleet_s(fit.stop_s, step, scale),
             drift_ns=fit.drift_ns,
@@ -67,10 +67,13 @@ class PathChunks:
             if self._loader is None or loaded_chunk is None or loaded_chunk[0].number != request.number:
                 raise Refusal("not-loaded", f"chunk {request.number} is not loaded", "load it first")
             self._loaded = None
+            chunk, fit = loaded_chunk
+            step.widen_ways(chunk.profiles, fit.path_error_counts)
             await self._loader.release_chunk(request.number)
             self._require_step(request)
             # What the step has promised so far grows with every chunk.
-            step.promised_s.update(dict.fromkeys(step.promised_s, loaded_chunk[1]))
+            step.promised_s.update(dict.fromkeys(step.promised_s, fit.stop_s))
+            step.note_ends(chunk.profiles)
             return Reply()
 
     def _require_step(self, request: LoadChunkRequest | ReleaseChunkRequest) -> ArmedStep:
@@ -78,7 +81,7 @@ class PathChunks:
         step = self._present.find_step(request)
         if step is None:
             raise self._present.refuse_absent(request)
-        if step.phase not in (StepPhase.RELEASED, StepPhase.MOVING):
+        if not step.executes:
             raise Refusal("wrong-phase", f"the path is {step.phase.value}, not moving", "")
         return step
 

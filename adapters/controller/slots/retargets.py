@@ -26,6 +26,8 @@ class MoveRetargets:
             raise present.refuse_absent(request)
         profiles = present.take_profiles(request, step, "other targets are for the axes of the present move")
         scale = present.context.require_scale()
+        step.widen_ways(profiles, {})
         durations_s = await driver.retarget(profiles, request.from_s * scale.host_share)
         step.promised_s.update(durations_s)
+        step.note_ends(profiles)
         return RetargetReply(durations_s={axis: taken_s * (1.0 + scale.rate) for axis, taken_s in durations_s.items()})

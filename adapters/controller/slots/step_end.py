@@ -42,8 +42,11 @@ class MotionEnd:
         self._begun = begun
         self._settled = settled
         is_done = outcome.state == "done"
-        self.wrong_durations = _find_wrong_durations(moving, begun.spans, outcome.ended) if is_done else {}
-        self.reason = settled.reason or "; ".join(self.wrong_durations.values())
+        wrong_durations = _find_wrong_durations(moving, begun.spans, outcome.ended) if is_done else {}
+        wrong_ends = settled.wrong_ends if is_done else outcome.misplaced
+        self.doubts = {**wrong_durations, **wrong_ends}
+        """Axes that are perhaps not where their counts say, in words."""
+        self.reason = settled.reason or ("; ".join(self.doubts.values()) if is_done else "")
         self.kind: EventKind = "failed" if self.reason else _KIND_OF_END[outcome.state]
 
     def make_evidence(self) -> dict[str, AxisEvidence]:

@@ -121,6 +121,7 @@ class StepWithdrawal:
         self._steps.requested_ns = -QUIET_AFTER_REQUEST_NS
         if follow and self._steps.present is not None and self._steps.present.phase is StepPhase.MOVING:
             self.drop_following("stopped", reason)
+            self._steps.present.ways.clear()  # the ramp of a stop may end beyond them
             await self.stop_driver(abort=abort)
             return
         armed_step, self._steps.present = self._steps.present, None
@@ -135,7 +136,7 @@ class StepWithdrawal:
         armed_step = self._steps.present
         if armed_step is None:
             return
-        if armed_step.phase in (StepPhase.RELEASED, StepPhase.MOVING):
+        if armed_step.executes:
             await self.stop(abort=False, reason=reason)
             return
         self._steps.interruptions += 1

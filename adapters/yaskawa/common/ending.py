@@ -16,6 +16,8 @@ from adapters.yaskawa.wire.record import DataRecord
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 
 WATCH_NS = 100 * NS_PER_MS
+_MISPLACED = "misplaced"
+"""The state of an axis that nothing has stopped and that is not at its target."""
 
 
 class SampleEnd:
@@ -88,7 +90,11 @@ class SampleEnd:
         (watchdog_fired,), _ = await self._device.session.read_numbers("XDOG")
         if watchdog_fired:
             text += "; by its own watchdog: the adapter did not extend its deadline, or its program had failed"
-        return MoveOutcome("fault" if "fault" in states else "stopped", end_spans, text)
+        misplaced_axes = {
+            axis: f"axis {axis} {words}" for axis, (state, words) in reasons.items() if state == _MISPLACED
+        }
+        is_fault = bool(states & {"fault", _MISPLACED})
+        return MoveOutcome("fault" if is_fault else "stopped", end_spans, text, misplaced_axes)
 
     def _spare_turn(self, loaded: LoadedMove, watch_ns: int) -> int:
         """Return how long to wait before the next query: queries take time from the program between a move and the one
@@ -131,7 +137,7 @@ class SampleEnd:
         axis = record.axes[move.index]
         code = stop_code_meaning(axis.stop_code)
         if code.state == "done" and axis.commanded != move.end:
-            return "fault", f"is at {axis.commanded} counts, not at {move.end}"
+            return _MISPLACED, f"is at {axis.commanded} counts, not at {move.end}; it must be homed again"
         return code.state, code.text
 
     async def _narrow_ends(self, loaded: LoadedMove, ended: dict[str, HostInterval]) -> str:

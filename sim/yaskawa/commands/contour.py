@@ -102,6 +102,7 @@ def _queue_record(c: CommandContext, contour: ContourMotion, increments: tuple[i
             axis = machine.find_axis(name)
             if axis.motor_off:
                 raise CommandError(20)
+        contour.begin_from(tuple(machine.find_axis(name).path.position(at) for name in contour.axes))
         for index, name in enumerate(contour.axes):
             axis = machine.find_axis(name)
             axis.path, axis.profile = ContourPath(contour, index), None

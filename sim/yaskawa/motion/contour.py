@@ -33,6 +33,11 @@ class ContourMotion:
         self._bases = [positions]
         self._records = [ContourRecord((0,) * len(axes), 1)]
 
+    def begin_from(self, positions: tuple[float, ...]) -> None:
+        """Records are increments: the first one counts from where its axes stand then, which `DP` may have redefined
+        since `CM` (D110)."""
+        self._bases = [positions]
+
     @property
     def is_executing(self) -> bool:
         return self.end != inf

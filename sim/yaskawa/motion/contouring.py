@@ -43,6 +43,8 @@ class ContourMode:
         contour, self.running = self.running, None
         if contour is None:
             return
+        if contour.started is None:
+            contour.begin_from(tuple(self._control.axes[name].path.position(at) for name in contour.axes))
         for index, name in enumerate(contour.axes):
             axis = self._control.axes[name]
             velocity = contour.velocity(index, at)
@@ -72,6 +74,8 @@ class ContourMode:
         contour, self.running = self.running, None
         if contour is None:
             return
+        if contour.started is None:
+            return  # its axes stand where they stood
         for index, name in enumerate(contour.axes):
             axis = self._control.axes[name]
             has_moved = axis.mode == "contour"

@@ -231,6 +231,12 @@ class Desk:
     def doubt_positions(self, _: object) -> None:
         return
 
+    def find_wrong_ends(self, _: object) -> dict[str, str]:
+        return {}
+
+    def require_references(self, _: object) -> None:
+        return
+
     async def require_settings(self, valid_ns: int = 0) -> None:
         self.valid_ns = valid_ns
         differences = await self.driver.check_settings(everything=True)

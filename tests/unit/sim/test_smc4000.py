@@ -65,6 +65,15 @@ def test_an_underrun_holds_the_path() -> None:
     assert desk.ask("SCX") == " 051\r\n:"
 
 
+@pytest.mark.parametrize(("then", "counts"), [(("DT 4", "CD 100"), 5100), (("DT 0;CD 0",), 5000)])
+def test_a_position_set_before_the_first_record_is_where_the_contour_begins(then: tuple[str, ...], counts: int) -> None:
+    """D110; a contour without a record leaves the axis where it stands."""
+    desk = Desk()
+    desk.ask("SHX", "CMX", "DPX=5000", *then)
+    desk.wait(0.5)
+    assert desk.unit.position("X") == counts
+
+
 def test_a_busy_loop_burns_few_events() -> None:
     desk = Desk()
     desk.ask("GO=0", "DL\r#A;SB1\r#G;JP #G,GO=0\rCB1;EN\r\x1a", "XQ #A")
