@@ -304,11 +304,13 @@ class ScanSummary(Model):
 
 class PointWindow(Model):
     """When an axis that flies passed the window of a point: its beginning, the point itself, and its end; fleet time,
-    by the plan and the evidence of the start and the end of its line."""
+    by the plan and the evidence of the start and the end of its line. positions: by axis, between which positions it
+    was at the centre of `middle`, in its unit."""
 
     lower: TimeInterval
     middle: TimeInterval
     upper: TimeInterval
+    positions: dict[str, tuple[float, float]] = Field(default={})
 
 
 class PointRecord(Model):

@@ -48,12 +48,29 @@ def check_windows(
             at_s = truth.find_crossing(row.target[axis] + direction * part * spacing, begin_s, end_s)
             assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, (row.point, part)
             crossings.append(at_s)
+        centre_ns = (row.window.middle.earliest_ns + row.window.middle.latest_ns) / 2
+        low, high = row.window.positions[axis]
+        assert low <= np.interp(centre_ns / NS_PER_S, truth.times_s, truth.places) <= high, (row.point, low, high)
         error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
         assert error <= max(0.005, 1.2 * truth.count / spacing, late_s / row.took_s), (row.point, error)
         # And at one speed: each half took half of the time.
         halves = np.diff(crossings) / row.took_s * 2
         error = float(np.abs(halves - 1).max())
         assert error <= max(0.006, 2.4 * truth.count / spacing, 2 * late_s / row.took_s), (row.point, error)
+
+
+def test_an_axis_that_stands_in_the_windows_is_where_the_rows_have_it() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        _, rows, truth = await fly(fleet, f"[{raster(4, 41, '10 ms', 'portal.x')}]", "portal.x")
+        assert len(rows) == 4 * 41
+        for row in rows:
+            assert row.window is not None
+            centre_ns = (row.window.middle.earliest_ns + row.window.middle.latest_ns) / 2
+            low, high = row.window.positions["portal.x"]
+            assert low <= np.interp(centre_ns / NS_PER_S, truth.times_s, truth.places) <= high
+            assert high - low < 0.1, "a bound, and no wide one"
+
+    run_fleet(main, two_gantries())
 
 
 def count_motions(report: JobReport) -> int:

@@ -11,6 +11,10 @@ ColumnKind = Literal["whole", "number", "text", "flag"]
 """Of whole numbers, which are never missing; numbers, texts and flags may be."""
 
 _MEASURED = "the last reading while the axis stood there; missing where it flew through, or left before the next one"
+_PASSED = {
+    "low": "the lowest position at the centre of `window_middle`",
+    "high": "the highest position then",
+}
 _WINDOW_PARTS = {"lower": "the beginning of the window", "middle": "the point", "upper": "the end of the window"}
 
 
@@ -21,13 +25,16 @@ class PointColumn(NamedTuple):
     kind: ColumnKind
     unit: str
     meaning: str
-    source: tuple[str, ...]
+    source: tuple[str | int, ...]
 
     def read_value(self, record: PointRecord) -> Any:
         """Its value of a row; None: the row has none."""
         value: Any = record
         for name in self.source:
-            value = getattr(value, name) if isinstance(value, Model) else value.get(name)
+            if isinstance(value, Model):
+                value = getattr(value, str(name))
+            else:
+                value = value[name] if isinstance(name, int) else value.get(name)
             if value is None:
                 break
         return value
@@ -41,6 +48,13 @@ def make_point_columns(units: Mapping[str, str]) -> list[PointColumn]:
     ]
     positions = [
         PointColumn(f"{axis} measured", "number", unit, _MEASURED, ("measured", axis)) for axis, unit in units.items()
+    ]
+    intervals = [
+        PointColumn(
+            f"{axis} {bound}", "number", unit, f"of one that is flown: {meaning}", ("window", "positions", axis, number)
+        )
+        for axis, unit in units.items()
+        for number, (bound, meaning) in enumerate(_PASSED.items())
     ]
     windows = [
         PointColumn(
@@ -68,6 +82,7 @@ def make_point_columns(units: Mapping[str, str]) -> list[PointColumn]:
         ),
         PointColumn("good", "flag", "", "its line was done as planned; missing where the axes stop", ("good",)),
         *windows,
+        *intervals,
     ]
 
 

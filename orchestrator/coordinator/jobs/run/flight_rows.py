@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error, join_intervals
+from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error, find_positions, join_intervals
 from orchestrator.coordinator.motion.path_proof import narrow_start
 from orchestrator.coordinator.motion.report import judge_starts
 from orchestrator.coordinator.motion.services import MotionServices
@@ -202,7 +202,8 @@ class FlightRows:
                 for instant_s, rate in zip(at_s[part].tolist(), rates[part].tolist(), strict=True)
             )
             took_s = float(at_s[part][-1] - at_s[part][0])
-            window = PointWindow(lower=lower, middle=middle, upper=upper)
+            positions = find_positions(self._part.lines, line.first + number, middle, self._error)
+            window = PointWindow(lower=lower, middle=middle, upper=upper, positions=positions)
             row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
             is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
             is_at_speed = is_at_speed and bool((np.abs(rates[part] - 1) <= OTHER_TIME).all())
@@ -258,6 +259,12 @@ class FlightRows:
             return [self._make_row(first, words)]
         points = range(begun_lines[0].first, begun_lines[-1].first + begun_lines[-1].points)
         return [self._make_row(point, words) for point in points]
+
+    @property
+    def _error(self) -> float:
+        """How far axes that stand in the windows may be off their places."""
+        assert self._motion is not None and self._motion.agreement.path is not None
+        return find_error(self._motion.agreement.path, self._part.lines)
 
     def _make_interval_finder(self) -> Callable[[float, float], TimeInterval]:
         """A function that tells when the axes were where their plan has them so long after T0 (s), at a rate of their

@@ -10,6 +10,8 @@ all of them.
 from collections.abc import Sequence
 from math import ceil, floor
 
+import numpy as np
+
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import PathReport, PointRecord, PointWindow, StepReport
@@ -28,7 +30,7 @@ def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines, begi
     without a row: those before it have theirs, from a flight that was interrupted."""
     first = place.point
     assert first is not None
-    windows = _find_windows(report, lines)
+    windows = _find_windows(report, lines, first)
     is_good = report.state == "done" and report.verdict != "red" and bool(windows)
     rows: list[PointRecord] = []
     count = lines.count if place.is_flown_path and report.t0_fleet_ns is not None else begin - first + 1
@@ -51,8 +53,9 @@ def make_line_rows(place: StepPlace, report: StepReport, lines: FlownLines, begi
     return rows
 
 
-def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
-    """The window of each point; none of a line that was not flown as planned, or whose evidence is not complete."""
+def _find_windows(report: StepReport, lines: FlownLines, first: int) -> list[PointWindow]:
+    """The window of each point of the line of point `first`, from 0; none of a line that was not flown as planned, or
+    whose evidence is not complete."""
     path = report.path
     is_broken = report.state != "done" or bool(report.feed_holds)
     if is_broken or path is None or path.stops or not isinstance(lines, StraightLines):
@@ -71,14 +74,34 @@ def _find_windows(report: StepReport, lines: FlownLines) -> list[PointWindow]:
         return join_intervals([finder(at_s) for finder in complete_finders])
 
     first_s = path.duration_s / 2 - lines.count * window_s / 2
-    return [
-        PointWindow(
-            lower=find_instant(first_s + number * window_s),
-            middle=find_instant(first_s + (number + 0.5) * window_s),
-            upper=find_instant(first_s + (number + 1) * window_s),
+    windows: list[PointWindow] = []
+    for number in range(lines.count):
+        middle = find_instant(first_s + (number + 0.5) * window_s)
+        windows.append(
+            PointWindow(
+                lower=find_instant(first_s + number * window_s),
+                middle=middle,
+                upper=find_instant(first_s + (number + 1) * window_s),
+                # Those that do not fly stand at their targets, with units of their own.
+                positions=find_positions(lines, first + number, middle, -1.0),
+            )
         )
-        for number in range(lines.count)
-    ]
+    return windows
+
+
+def find_positions(lines: FlownLines, point: int, middle: TimeInterval, error: float) -> dict[str, tuple[float, float]]:
+    """Between which positions axes were at the centre of the interval in which they passed a point. error: how far
+    those that do not fly may be off their place, in their unit; they are left out if it is negative."""
+    motion, half_s = lines.make_windows(point, 1), (middle.latest_ns - middle.earliest_ns) / 2 / NS_PER_S
+    # Between two knots a cubic is faster than at both by less than its acceleration makes of the way between them.
+    gains = np.abs(motion.accelerations).max(axis=0) * np.diff(motion.times_s).max()
+    speeds = np.abs(motion.velocities).max(axis=0) + gains
+    widths = dict(zip(lines.scan.flown_axes, (speeds * half_s).tolist(), strict=True))
+    return {
+        axis: (target - width, target + width)
+        for axis, target in lines.find_target(point).items()
+        if (width := widths.get(axis, error)) >= 0
+    }
 
 
 def join_intervals(intervals: Sequence[TimeInterval]) -> TimeInterval:
