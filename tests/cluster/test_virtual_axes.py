@@ -121,6 +121,22 @@ def test_states_of_virtual_axes_are_published_with_their_real_ones() -> None:
     run_fleet(main, table_fleet())
 
 
+def test_they_are_moved_live_and_what_a_retry_depends_on_is_named() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        report = await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{table.pitch: 1 mrad}}}}]"))
+        client = fleet.make_client()
+        async with client.live("slit") as live:
+            await live.move({"slit.gap": 3, "slit.centre": 1})
+            await live.move(by={"slit.gap": -1})
+        assert read_truth(fleet, "slit") == (2, 1)
+        retried = await client.retry_job(report.job_id, 3, dry_run=True)
+        assert [axis.axis for axis in retried.axes] == ["front.jack", "left.jack", "right.jack"]
+        text = "step 4 depends on where front.jack, left.jack, right.jack stand"
+        assert [warning.partition(":")[0] for warning in retried.warnings] == [text]
+
+    run_fleet(main, table_fleet())
+
+
 def test_the_real_axes_are_leased_and_a_fault_of_one_names_it() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job(f"[{PREPARE}]"))

@@ -102,8 +102,6 @@ class _JobUses:
             self.moved |= axes
         self.absolute |= dict.fromkeys(fleet.find_real_axes(step.absolute_axes))
         virtual_names = [name for name in step.named_axes if name in fleet.names.virtual]
-        # Those of a group that the step does not name stay where they are.
-        self.started |= dict.fromkeys(fleet.find_real_axes(virtual_names))
         self.virtual |= dict.fromkeys(split_name(name)[0] for name in virtual_names)
         self.frames |= dict.fromkeys(step.frames)
         self.groups |= dict.fromkeys(name for name in step.named_axes if name in fleet.groups)
@@ -119,7 +117,7 @@ class _JobUses:
 
 
 async def _find_uses(fleet: Fleet, steps: Sequence[Step]) -> _JobUses:
-    uses, places = _JobUses(), StartPlaces()
+    uses, places = _JobUses(), StartPlaces(fleet)
     for number, step in enumerate(iterate_steps(steps)):
         if number % STEPS_AT_ONCE == 0:
             await asyncio.sleep(0)

@@ -97,6 +97,10 @@ class Move(MotionOptions, MoveTargets):
         return self.model_copy(update={"to": self.to | other.to, "by": self.by | other.by, "speed": speed})
 
     def describe_relative(self, number: int, axes: str) -> str:
+        if not self.by:
+            return (
+                f"step {number} depends on where {axes} stand: virtual axes that it does not name stay where they are"
+            )
         return f"step {number} moves {axes} by a distance, from the current position"
 
     @property

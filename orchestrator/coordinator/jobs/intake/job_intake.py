@@ -16,6 +16,7 @@ from orchestrator.coordinator.jobs.start_places import StartPlaces
 from orchestrator.coordinator.journal.facts import QueueEntryOptions, RetryOrigin
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.service import AxisPosition, JobRetried, JobSubmitted, PruneJobs, RetryJob, SubmitJob
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS, QueueTerms, format_utc, parse_utc
@@ -80,7 +81,7 @@ class JobIntake:
         reply = JobRetried(
             steps=[f"{number_step(step.first)} {step.step.describe()}" for step in described_steps],
             axes=[self._axis_position(axis) for axis in axes],
-            warnings=_find_warnings(remaining),
+            warnings=_find_warnings(services.view.fleet, remaining),
         )
         if request.dry_run:
             return reply
@@ -255,9 +256,9 @@ def _find_first_step(job_id: str, order: StepOrder, request: RetryJob) -> int:
     return location.first + (request.from_point - 1) // scan.points_together * scan.points_steps
 
 
-def _find_warnings(remaining: list[RemainingStep]) -> list[str]:
+def _find_warnings(fleet: Fleet, remaining: list[RemainingStep]) -> list[str]:
     """Warnings for steps whose result depends on where the axes are now."""
-    places = StartPlaces()
+    places = StartPlaces(fleet)
     for index, _, written_step in remaining:
         for step in iterate_steps([written_step]):
             axes = ", ".join(places.take_step(step))

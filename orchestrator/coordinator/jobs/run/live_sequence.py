@@ -130,7 +130,7 @@ class LiveSequence(StepSequence):
             return {}
         fleet = self._services.view.fleet
         targets = place.asked.iterate_targets()
-        return {axis: float(parse_quantity(target, fleet.axis(axis).unit)) for axis, target in targets}
+        return {axis: float(parse_quantity(target, fleet.unit_of(axis))) for axis, target in targets}
 
     # Results
 
