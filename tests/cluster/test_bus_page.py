@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cluster.worlds import demo_fleet, demo_job, job, run_fleet
+from cluster.worlds import demo_fleet, demo_job, job, run_fleet, virtual_demo_fleet
 
 import orchestrator.model.jobs.live
 import orchestrator.model.jobs.service
@@ -107,7 +107,6 @@ EXAMPLES: dict[str, Any] = {
 
 
 SILENT = {
-    "virtual/{group}/state": "the example fleet has no virtual axes",
     "alarm/{id}": "there is no alarm",
     "lease/{id}/{axis}": "no make here lets axes of one controller move for different holders",
     "leads/{coordinator}": "only served",
@@ -231,7 +230,7 @@ def test_every_key_of_the_page_is_published_while_a_job_runs_and_contains_what_i
                 if sample.payload:
                     models[0].model_validate_json(sample.payload)
 
-    run_fleet(main)
+    run_fleet(main, virtual_demo_fleet())
 
 
 def test_a_request_that_comes_twice_is_done_once() -> None:

@@ -24,6 +24,7 @@ JOB = {"schema": "tutti.job/1", "name": "there", "steps": [{"do": "dwell", "dura
 RIGHTS: dict[Role, set[str]] = {
     "viewer": {
         *("alarms", "commands", "configuration", "find", "list", "names", "plan", "points", "positions", "recording"),
+        "virtual",
         *("show", "statistics", "stop", "estop", "preview-start", "read-live"),
     },
     "proposer": {"submit", "put-points", "dry-run", "check-job"},

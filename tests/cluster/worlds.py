@@ -30,6 +30,13 @@ def demo_fleet() -> Fleet:
     return load_fleet(EXAMPLES / "demo.fleet.yaml").model_copy(update={"positions": {}})
 
 
+def virtual_demo_fleet() -> Fleet:
+    """The example fleet, with virtual axes of its gantry."""
+    axes = {"u": {"unit": "mm"}, "v": {"unit": "mm"}}
+    turned = {"kind": "rotation", "of": ["gantry.x", "gantry.y"], "axes": axes, "angle": 30}
+    return Fleet.model_validate(demo_fleet().to_plain() | {"virtual": {"turned": turned}})
+
+
 def line_fleet(controller: str) -> Fleet:
     """The controllers of one link of the example fleet with all makes."""
     plain = load_fleet(EXAMPLES / "all.fleet.yaml").to_plain()

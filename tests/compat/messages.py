@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 from cluster.test_bus_page import EXAMPLES, requests
-from cluster.worlds import demo_fleet, demo_job, job, run_fleet
+from cluster.worlds import demo_job, job, run_fleet, virtual_demo_fleet
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority
 from orchestrator.bus.memory.bus import MemoryBus
@@ -29,7 +29,7 @@ from orchestrator.monitor.recording.channels import find_channel
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 MAX_BYTES = 20_000  # of a file; of the messages below this the longest one has the most fields
-_SHORT = frozenset({"ctl", "job", "host"})  # an id follows, and then the rest of the key
+_SHORT = frozenset({"ctl", "job", "host", "virtual"})  # an id follows, and then the rest of the key
 _LAST = frozenset({"alarm", "alarm-request", "kept-estop", "leads", "session"})  # an id ends the key
 _ANSWERS: dict[str, type[Model]] = {
     "ctl.event": EventsReply,
@@ -124,7 +124,7 @@ def record_messages() -> dict[GoldenName, bytes]:
         return await serve(self, expression, answer_and_log)
 
     with patch.object(MemoryBus, "put", put_and_log), patch.object(MemoryBus, "serve", serve_and_log):
-        run_fleet(_work)
+        run_fleet(_work, virtual_demo_fleet())
     return dict(sorted(log.found.items()))
 
 
@@ -142,7 +142,7 @@ async def _work(fleet: VirtualFleet) -> None:
         if "job" in fields:
             request["job"] = json.loads(job("[{do: dwell, duration: 0.1 s}]").to_json())
         if "configuration" in fields:
-            request["configuration"] = demo_fleet().to_plain()
+            request["configuration"] = virtual_demo_fleet().to_plain()
         request |= MORE.get(key, {})
         payload = json.dumps(request).encode() if fields else b""
         await client.bus.request(f"{client.keys.prefix}/{key}".replace("{id}", "gantry"), payload, 30.0)

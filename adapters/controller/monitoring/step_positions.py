@@ -13,10 +13,15 @@ def find_last_instant(reading: ControllerReading) -> int:
     return reading.at_ns if reading.sampled is None else reading.sampled.latest_ns
 
 
-def find_misplaced_axes(config: Controller, step: ArmedStep, reading: ControllerReading) -> dict[str, str]:
+def find_misplaced_axes(
+    config: Controller, step: ArmedStep, following: ArmedStep | None, reading: ControllerReading
+) -> dict[str, str]:
     """Axes that are where the step, which is released or moves, brings them at no time, in words. Before it begins they
-    are at its start."""
-    is_before = step.is_before_begin(find_last_instant(reading))
+    are at its start. following: the step behind it, which may have begun when the end of this one is not seen yet."""
+    read_ns = find_last_instant(reading)
+    is_before = step.is_before_begin(read_ns)
+    has_begun = following is not None and following.executes and not following.is_before_begin(read_ns)
+    ways_behind = following.ways if following is not None and has_begun else {}
     misplaced_axes: dict[str, str] = {}
     for name, way in step.ways.items():
         axis_reading, axis = reading.axes[name], config.axes[name]
@@ -24,6 +29,8 @@ def find_misplaced_axes(config: Controller, step: ArmedStep, reading: Controller
         # What a limit switch stops may come to rest beyond its way.
         is_stopped = not axis_reading.enabled or axis_reading.limit != "none"
         if is_stopped or not (way.is_off_start(counts) if is_before else way.is_outside(counts)):
+            continue
+        if name in ways_behind and not ways_behind[name].is_outside(counts):
             continue
         range_text = f"moves it from {axis.to_unit(way.low):g} to {axis.to_unit(way.high):g}"
         plan_text = f"the step begins at {axis.to_unit(way.start):g}" if is_before else f"the step {range_text}"

@@ -122,7 +122,7 @@ class Surveillance:
         present = self._steps.present
         if present is None or not present.executes or reading.faults:
             return None
-        misplaced_axes = find_misplaced_axes(self._status.config, present, reading)
+        misplaced_axes = find_misplaced_axes(self._status.config, present, self._steps.following.armed_step, reading)
         self.doubt_positions(misplaced_axes)
         return "; ".join(misplaced_axes.values()) or None
 
