@@ -287,10 +287,10 @@ async def wait_for_state(fleet: VirtualFleet, job_id: str, state: str) -> None:
             await asyncio.sleep(0.02)
 
 
-def test_a_raster_of_five_lines_takes_a_fraction_of_the_time_from_point_to_point() -> None:
+def test_a_raster_takes_a_fraction_of_the_time_from_point_to_point() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, prepare(fleet))
-        axes = "axes: {gantry.x: {from: 50, to: 52, points: 5}, gantry.y: {from: 20, to: 70, points: 101, snake: true}}"
+        axes = "axes: {gantry.x: {from: 50, to: 51, points: 3}, gantry.y: {from: 20, to: 60, points: 81, snake: true}}"
         took_s: list[float] = []
         for how in ("fly: {duration: 10 ms}", "at_each: [{do: dwell, duration: 10 ms}]"):
             report = await outcome(
