@@ -119,6 +119,17 @@ class TriggerDriver(Protocol):
 
 
 @runtime_checkable
+class ShownTriggerDriver(TriggerDriver, Protocol):
+    """A driver of which it can be read while a path in chunks is executed what its outputs with triggers have done
+    (`ChunkTriggers.shows`)."""
+
+    async def read_triggers(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
+        """Return what the outputs of the present step have done since the last time, by output: their edges behind the
+        first ones, whose numbers are in `known`. Called while it moves. Raises `Refusal`."""
+        ...
+
+
+@runtime_checkable
 class LatchDriver(Protocol):
     """A driver whose controller captures positions by inputs. Without it that is refused (code `no-latch`)."""
 
@@ -195,6 +206,7 @@ ABILITIES: tuple[type, ...] = (
     PathDriver,
     SamplingDriver,
     TriggerDriver,
+    ShownTriggerDriver,
     LatchDriver,
     ManualDriver,
     LimitDriver,

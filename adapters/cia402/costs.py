@@ -73,6 +73,6 @@ def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabili
         costs=costs,
         chunk_s=LONGEST_CHUNK_S,
         chunk_load_s=LOAD_S,
-        chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS),
+        chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS, shows=True),
         retarget_s=RETARGET_PERIODS * period_ms / 1000,
     )

@@ -13,7 +13,7 @@ from adapters.abilities import (
     SamplingDriver,
     SettingsDriver,
     SharedLineDriver,
-    TriggerDriver,
+    ShownTriggerDriver,
 )
 from adapters.cia402 import sharing, startup
 from adapters.cia402.canopen import objects as o
@@ -73,7 +73,7 @@ class Cia402Driver(
     PathDriver,
     RetargetDriver,
     SamplingDriver,
-    TriggerDriver,
+    ShownTriggerDriver,
     LatchDriver,
     ManualDriver,
     LimitDriver,
@@ -205,8 +205,7 @@ class Cia402Driver(
         self, profiles: Mapping[str, Profile], start: StartOptions, mapping: TickMapping | None
     ) -> Cia402Lowered:
         longest_s = max([self._ramp_s, *(max(profile.durations_s, default=0.0) for profile in profiles.values())])
-        bus = self._bus
-        times = BusTimes(bus.bitrate, bus.start_ns, len(bus.units), len(bus.switching))
+        times = BusTimes(self._bus.bitrate, self._bus.start_ns, len(self._bus.units), len(self._bus.switching))
         traits = ConnectionTraits(times, self._step_costs(longest_s), self._following, self._has_equal_ramps)
         lowered_step = lower_step(self._config, self._options, traits, profiles, start)
         return add_triggers(lowered_step, self._config, self._options, times, start)
@@ -236,8 +235,11 @@ class Cia402Driver(
             edge = find_edge(point, self._options.probe_inputs)
             return await TouchProbe(self.connection.node, axis, edge).take(point, within_ns)
 
+    async def read_triggers(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
+        return self.connection.mover.outputs.read_edges(known)
+
     async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
-        return self.connection.mover.take_edges()
+        return self.connection.mover.outputs.take_edges()
 
     def _make_sampling(self) -> PdoSampling:
         return PdoSampling(self.connection.node, self._options, self._axis)
@@ -308,8 +310,8 @@ class Cia402Driver(
         self._log.info("detached from the bus")
         self._sync_scheduler.mark_unknown(self._number)
         await old_connection.end_operation(watched=self._options.watchdog_ms is not None)
-        if old_connection.mover.switching.points:
-            self._broken_off = old_connection.mover.switching
+        if old_connection.mover.outputs.switching.points:
+            self._broken_off = old_connection.mover.outputs.switching
         old_connection.mover.cancel_waits()
         old_connection.power.cancel_stops()
         await self._bus.detach_node(self._number, old_connection.node)

@@ -14,13 +14,14 @@ from adapters.cia402.loading import StepLoader
 from adapters.cia402.lowering import Cia402Lowered
 from adapters.cia402.options import Cia402Options
 from adapters.cia402.power import PowerStage
-from adapters.cia402.shapes.switching import NOTHING_SWITCHED, OutputSchedule
+from adapters.cia402.shapes.switching import NOTHING_SWITCHED
 from adapters.cia402.starting import DriveStarter
 from adapters.cia402.step import DriveStep
+from adapters.cia402.stream_outputs import StreamOutputs
 from adapters.cia402.sync.starts import SyncScheduler
 from adapters.cia402.sync.stream import TAIL_SYNCS
 from adapters.cia402.timing import DriveTiming, standing_ns
-from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk, SwitchedOutput
+from adapters.contract import ChunkFit, HostInterval, MoveOutcome, PathChunk
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import Refusal
 from orchestrator.model.profile import Profile
@@ -178,13 +179,9 @@ class Cia402Mover:
     # Outputs that are switched on the way
 
     @property
-    def switching(self) -> OutputSchedule:
-        """What a stream has switched, until it is certain that it is passive again."""
-        return self._stream_outputs.switching
-
-    def take_edges(self) -> dict[str, SwitchedOutput]:
-        """Return what the outputs with triggers did in the last step."""
-        return self._stream_outputs.take_edges()
+    def outputs(self) -> StreamOutputs:
+        """What its streams do to outputs, and did."""
+        return self._stream_outputs
 
     # After the start
 

@@ -1,5 +1,6 @@
 """The outputs that a stream switches on the way: what they did, and whether they are passive again."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 
 from adapters.cia402.canopen import objects as o
@@ -46,6 +47,12 @@ class StreamOutputs:
             node.give_position(node.given)
             await node.sdo.write_value(o.OUTPUTS, node.outputs)
             self.switching = NOTHING_SWITCHED
+
+    def read_edges(self, known: Mapping[str, int]) -> dict[str, SwitchedOutput]:
+        """Return what the outputs of the present stream have done behind their first edges, whose numbers are in
+        `known`."""
+        times = find_edge_times(self._options, self._node.bus.bitrate)
+        return {} if self._last_move is None else self._last_move.edges.find_new_edges(times, known)
 
     def take_edges(self) -> dict[str, SwitchedOutput]:
         """Return what the outputs with triggers did in the last step."""

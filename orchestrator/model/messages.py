@@ -649,12 +649,14 @@ MAX_EDGES_PART = 2_000  # edges of an output in one answer: some 60 KB
 
 class TakeTriggers(FencedRequest):
     """Fetch what the outputs with triggers did in a step; at rest, after its end. first: the number of the first edge
-    of each output, from 0, of at most `limit`."""
+    of each output, from 0, of at most `limit`. moving: what they did up to now, in a step that moves; refused by
+    controllers whose `ChunkTriggers` do not show it."""
 
     job: Label
     step: Int53
     first: Int53 = Field(default=0, ge=0)
     limit: int = Field(default=MAX_EDGES_PART, ge=1, le=MAX_EDGES_PART)
+    moving: bool = False
 
 
 class TriggerEdges(Model):

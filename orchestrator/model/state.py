@@ -236,10 +236,11 @@ class RetargetAbility(Model):
 class ChunkTriggers(Model):
     """How a controller takes triggers with the chunks of a path. most: instants of a chunk, of all its outputs.
     load_ns: by how much an instant makes loading a chunk longer. How close they may be depends on pulse and path: it
-    is in the proposal."""
+    is in the proposal. shows: what it has switched can be fetched while it moves."""
 
     most: int
     load_ns: Int53 = 0
+    shows: bool = False
 
 
 class ControllerInfo(Model):

@@ -10,11 +10,14 @@ from cluster.test_contour import two_gantries
 from cluster.test_flying_scans import Truth, fly, fly_all, path_fleet, prepare, wait_for_state
 from cluster.test_paths import delay_chunks
 from cluster.test_triggers import TrueEdges
-from cluster.worlds import job, outcome, run_fleet, wait_for_point
+from cluster.worlds import job, origin_host_ns, outcome, run_fleet, wait_for_point
 
+from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.coordinator.jobs.run import scan_flights
+from orchestrator.coordinator.jobs.run.trigger_watch import TriggerWatch
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.operation.recording import JobPoints
 from orchestrator.model.report import JobReport, PointRecord
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -322,6 +325,28 @@ def test_chunks_that_are_late_too_often_end_the_scan(monkeypatch: pytest.MonkeyP
     run_fleet(main, two_gantries())
 
 
+class RowFeed:
+    """The rows of points on the bus. at_ns: when each came, fleet time."""
+
+    def __init__(self, fleet: VirtualFleet) -> None:
+        self.rows: list[PointRecord] = []
+        self.at_ns: list[int] = []
+        self._fleet = fleet
+
+    @classmethod
+    async def subscribe(cls, fleet: VirtualFleet) -> "RowFeed":
+        """Take the rows of all jobs from now on."""
+        client, feed = fleet.make_client(), cls(fleet)
+        await client.bus.subscribe(client.keys.job_points(), feed.take)
+        return feed
+
+    def take(self, sample: BusSample) -> None:
+        """Take a message of rows."""
+        rows = JobPoints.model_validate_json(sample.payload).rows
+        self.rows += rows
+        self.at_ns += [self._fleet.clock.now_ns() - origin_host_ns(self._fleet)] * len(rows)
+
+
 def with_camera(fleet: Fleet, controller: str) -> Fleet:
     """A fleet whose controller has an output."""
     plain = fleet.to_plain()
@@ -346,6 +371,7 @@ def test_a_pulse_comes_in_each_window_of_a_flight(
     async def main(fleet: VirtualFleet) -> None:
         motor = fleet.fleet.axis(flown).motors[0]
         true = TrueEdges(fleet, camera, ((flown, flown.partition(".")[0], motor),), 1)
+        feed = await RowFeed.subscribe(fleet)
         steps = f"[{raster(15, 41, f'{window_ms} ms', outer, flown, trigger)}]"
         report, rows, _ = await fly(fleet, steps, flown)
         assert report.state == "done" and report.verdict == "green", (report.reason, report.steps[0].scan)
@@ -354,8 +380,29 @@ def test_a_pulse_comes_in_each_window_of_a_flight(
         for row, at_ns in zip(rows, rises, strict=True):
             assert row.good and row.window is not None
             assert row.window.lower.earliest_ns < at_ns < row.window.upper.latest_ns
+        assert feed.rows == rows  # final when they were given out, within a second of their lines
+        for end in range(41, 15 * 41, 41):
+            window = rows[end - 1].window
+            assert window is not None and max(feed.at_ns[:end]) <= window.upper.latest_ns + NS_PER_S, end
 
     run_fleet(main, fleet_file)
+
+
+def test_rows_wait_for_the_end_where_nothing_is_seen_of_triggers_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def see_nothing(_: TriggerWatch) -> None:
+        return
+
+    monkeypatch.setattr(TriggerWatch, "look", see_nothing)
+
+    async def main(fleet: VirtualFleet) -> None:
+        feed = await RowFeed.subscribe(fleet)
+        steps = f"[{raster(3, 41, '20 ms', more=', trigger: {output: gantry.camera}')}]"
+        report, rows, _ = await fly(fleet, steps, "gantry.y")
+        window = rows[-1].window
+        assert report.state == "done" and len(rows) == 3 * 41 and all(row.good for row in rows)
+        assert window is not None and min(feed.at_ns) > window.upper.latest_ns
+
+    run_fleet(main, with_camera(two_gantries(), "gantry"))
 
 
 def test_a_pause_in_a_flight_with_triggers_loses_no_window() -> None:

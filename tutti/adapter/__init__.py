@@ -16,6 +16,7 @@ from adapters.abilities import (
     SamplingDriver,
     SettingsDriver,
     SharedLineDriver,
+    ShownTriggerDriver,
     TriggerDriver,
 )
 from adapters.compat.version1 import PluginConnectedDriver as ConnectedDriver
@@ -153,6 +154,7 @@ __all__ = [
     "SettingDifference",
     "SettingsDriver",
     "SharedLineDriver",
+    "ShownTriggerDriver",
     "SlotMover",
     "SlotState",
     "StartClass",

@@ -2,7 +2,7 @@
 number of the SYNC that applies them, and an edge is known by when that SYNC was written and answered."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 
@@ -132,6 +132,15 @@ class EdgeLog:
         self.taken = max(self.taken, number - 1)
         if number in self._numbers:
             self.answered_ns[number] = at_ns
+
+    def find_new_edges(self, times: EdgeTimes, known: Mapping[str, int]) -> dict[str, SwitchedOutput]:
+        """Return what each output has done behind its first edges, whose numbers are in `known`."""
+        new_edges: dict[str, SwitchedOutput] = {}
+        for point in self.schedule.points:
+            first = known.get(point.name, 0)
+            end = bisect_right(point.edges, self.taken)
+            new_edges[point.name] = SwitchedOutput([self._find_edge(edge, times) for edge in point.edges[first:end]])
+        return new_edges
 
     def find_edges(self, times: EdgeTimes) -> dict[str, SwitchedOutput]:
         """Return what each output did, by name."""

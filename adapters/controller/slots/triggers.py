@@ -1,9 +1,12 @@
-"""What outputs with triggers did in a step, fetched from the controller after it; and positions that it latches."""
+"""What outputs with triggers did in a step, fetched from the controller after it, or while it moves; and positions that
+it latches."""
 
+import asyncio
 from collections.abc import Callable, Mapping
 
-from adapters.abilities import LatchDriver, TriggerDriver
+from adapters.abilities import LatchDriver, ShownTriggerDriver, TriggerDriver
 from adapters.contract import SwitchedOutput
+from adapters.controller.state.armed_step import ArmedStep, StepPhase
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.status import ControllerStatus
@@ -18,6 +21,7 @@ from orchestrator.model.messages import (
     TriggerEdges,
     TriggersTaken,
 )
+from orchestrator.model.steps.numbers import name_step
 
 REST_NS = 5 * NS_PER_S  # for which a controller is waited for that still brakes: some answer only at rest
 LOOK_NS = 20 * NS_PER_MS
@@ -33,17 +37,47 @@ class TriggerCollection:
         self._status = status
         self._steps = steps
         self._edges: dict[str, TriggerEdges] = {}
+        self._shown = context.driver if isinstance(context.driver, ShownTriggerDriver) else None
+        self._shown_step: ArmedStep | None = None
+        self._shown_edges: dict[str, TriggerEdges] = {}
+        """What was fetched of a step while it moved: it stays as it was given out."""
+        self._reading = asyncio.Lock()
 
     async def take(self, request: TakeTriggers) -> TriggersTaken:
-        """Fetch what happened in the last step, and return a part of it: the first one, or a later one of the same
-        step. Raises `Refusal`."""
-        if not request.first:
-            self._edges = await self._fetch()
+        """Fetch what happened in the last step, or in the one that moves, and return a part of it: the first one, or a
+        later one of the same step. Raises `Refusal`."""
+        edges = self._edges
+        if request.moving:
+            edges = await self._read(request)
+        elif not request.first:
+            edges = self._edges = await self._fetch()
         end = request.first + request.limit
         return TriggersTaken(
-            outputs={output: _cut_part(edges, request.first, end) for output, edges in self._edges.items()},
-            more=any(len(edges.earliest_ns) > end for edges in self._edges.values()),
+            outputs={output: _cut_part(part, request.first, end) for output, part in edges.items()},
+            more=any(len(part.earliest_ns) > end for part in edges.values()),
         )
+
+    async def _read(self, request: TakeTriggers) -> dict[str, TriggerEdges]:
+        """What happened in the present step up to now."""
+        async with self._reading:
+            step = self._steps.present
+            is_asked_for = step is not None and (step.job, step.step) == (request.job, request.step)
+            if step is None or not is_asked_for or step.phase is not StepPhase.MOVING:
+                raise Refusal("not-moving", f"job {request.job} {name_step(request.step)} is not being executed", "")
+            if self._shown is None:
+                raise Refusal("not-shown", "what the controller has switched can be read at its end only", "")
+            if not step.is_same(self._shown_step):
+                self._shown_step, self._shown_edges = step, {}
+            counts = {output: len(edges.earliest_ns) for output, edges in self._shown_edges.items()}
+            scale = self._context.require_scale()
+            for output, switched_output in (await self._shown.read_triggers(counts)).items():
+                new_edges, edges = (
+                    _to_fleet(switched_output, scale),
+                    self._shown_edges.setdefault(output, TriggerEdges()),
+                )
+                edges.earliest_ns.extend(new_edges.earliest_ns)
+                edges.latest_ns.extend(new_edges.latest_ns)
+            return self._shown_edges
 
     async def _fetch(self) -> dict[str, TriggerEdges]:
         until_ns = self._clock.now_ns() + REST_NS
@@ -57,7 +91,11 @@ class TriggerCollection:
         if self._driver is not None:
             switched_outputs = await self._driver.take_triggers()
         scale = self._context.require_scale()
-        return {output: _to_fleet(switched_output, scale) for output, switched_output in switched_outputs.items()}
+        all_edges = {output: _to_fleet(switched_output, scale) for output, switched_output in switched_outputs.items()}
+        for output, shown_edges in self._shown_edges.items():
+            if output in all_edges:
+                _keep_shown(all_edges[output], shown_edges)
+        return all_edges
 
 
 class LatchControl:
@@ -90,6 +128,16 @@ def _cut_part(edges: TriggerEdges, first: int, end: int) -> TriggerEdges:
     return TriggerEdges(
         earliest_ns=edges.earliest_ns[first:end], latest_ns=edges.latest_ns[first:end], unknown=edges.unknown
     )
+
+
+def _keep_shown(edges: TriggerEdges, shown: TriggerEdges) -> None:
+    """Put what was given out in the place of what is known of the same edges at the end of their step."""
+    count = len(shown.earliest_ns)
+    is_same = 0 < count <= len(edges.earliest_ns) and (
+        shown.earliest_ns[0] <= edges.latest_ns[0] and edges.earliest_ns[0] <= shown.latest_ns[0]
+    )
+    if is_same:
+        edges.earliest_ns[:count], edges.latest_ns[:count] = shown.earliest_ns, shown.latest_ns
 
 
 def _to_fleet(switched: SwitchedOutput, scale: FleetScale) -> TriggerEdges:

@@ -12,7 +12,7 @@ from adapters.abilities import (
     RetargetDriver,
     SamplingDriver,
     SettingsDriver,
-    TriggerDriver,
+    ShownTriggerDriver,
 )
 from adapters.contract import (
     ChunkFit,
@@ -61,7 +61,7 @@ class YaskawaDriver(
     PathDriver,
     RetargetDriver,
     SamplingDriver,
-    TriggerDriver,
+    ShownTriggerDriver,
     ManualDriver,
     LimitDriver,
     OutputDriver,
@@ -167,6 +167,10 @@ class YaskawaDriver(
     async def take_samples(self) -> SampledPositions:
         with log_refusals(self._log, "the fetching of samples"):
             return await self._sampling.take()
+
+    async def read_triggers(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
+        with log_refusals(self._log, "the reading of triggers"):
+            return await self._start.player.read(known)
 
     async def take_triggers(self) -> Mapping[str, SwitchedOutput]:
         with log_refusals(self._log, "the fetching of triggers"):

@@ -124,6 +124,10 @@ class OutputPlayer(Protocol):
         """They are released."""
         ...
 
+    async def read(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
+        """What the output of a path has done behind its first edges, whose number is in `known`. Raises `Refusal`."""
+        ...
+
     async def take(self) -> Mapping[str, SwitchedOutput]:
         """What the output did, by the stamps of the program. Raises `Refusal`."""
         ...

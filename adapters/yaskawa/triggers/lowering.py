@@ -50,7 +50,7 @@ def find_chunk_triggers(context: LoweringContext) -> ChunkTriggers | None:
     if find_chunk_times(replace(context, beside_elements=RING), context.options.tick_ns)[0] < chunk_s:
         return None
     # An element is assigned, read back, and read again when it was played.
-    return ChunkTriggers(most=MOST_OF_CHUNK, load_ns=3 * context.options.decode_us * NS_PER_US)
+    return ChunkTriggers(most=MOST_OF_CHUNK, load_ns=3 * context.options.decode_us * NS_PER_US, shows=True)
 
 
 def add_triggers(

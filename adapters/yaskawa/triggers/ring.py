@@ -4,6 +4,8 @@ Arrays cannot be transferred while an axis moves (L8545-8577): elements are assi
 operand. An element that was played contains its stamp, which is read before the element is assigned anew.
 """
 
+import asyncio
+
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.program import TABLE
 from orchestrator.model.errors import Refusal
@@ -27,15 +29,17 @@ class TriggerRing:
         self.stamps: list[int] = []
         self._part: tuple[int, list[int]] | None = None
         self._loads = 0
+        self._reading = asyncio.Lock()
 
     async def read_stamps(self) -> None:
         """Read the stamps of what was played since the last time."""
-        session, done_count = self._device.session, len(self.stamps)
-        (index,), _ = await session.read_numbers("XRI")
-        count = (int(index) - done_count) % RING
-        names = [_element_name(number) for number in range(done_count, done_count + count)]
-        for at in range(0, count, AT_ONCE):
-            self.stamps += [int(value) for value in await session.read_many(names[at : at + AT_ONCE])]
+        async with self._reading:  # by the next chunk, while it moves, and at its end
+            session, done_count = self._device.session, len(self.stamps)
+            (index,), _ = await session.read_numbers("XRI")
+            count = (int(index) - done_count) % RING
+            names = [_element_name(number) for number in range(done_count, done_count + count)]
+            for at in range(0, count, AT_ONCE):
+                self.stamps += [int(value) for value in await session.read_many(names[at : at + AT_ONCE])]
 
     async def read_next(self) -> int:
         """Return the element behind those whose stamps are read."""

@@ -127,6 +127,17 @@ class TriggerPlayer:
             raise Refusal("not-armed", "the controller plays no triggers that can be continued", "arm them first")
         return self._played, self._played.ring
 
+    async def read(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
+        """What the output of a path has done behind its first edges, whose number is in `known`. Raises `Refusal`."""
+        played_table, ring = self._require_ring()
+        name = played_table.switches.output.name
+        first = known.get(name, 0)
+        try:
+            await ring.read_stamps()
+        except SmcCommandRefused as refusal:
+            raise _explain_missing_stamps(refusal) from None
+        return {name: SwitchedOutput(self._find_edges(played_table, ring.stamps[first:], first))}
+
     async def take(self) -> Mapping[str, SwitchedOutput]:
         """What the output did, by the stamps of the program. Raises `Refusal`."""
         played_table = self._played
@@ -135,10 +146,9 @@ class TriggerPlayer:
         try:
             stamps, following = await self._read_stamps(played_table)
         except SmcCommandRefused as refusal:
-            raise Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "") from None
+            raise _explain_missing_stamps(refusal) from None
         count = len(stamps)
-        mappings = self._find_mappings(played_table, stamps)
-        edges = [self._find_edge(played_table, number, stamps[number], mappings[number]) for number in range(count)]
+        edges = self._find_edges(played_table, stamps, 0)
         # The program may have been halted between a stamp and its count: before OB, or after it.
         unknown = count < len(played_table.table) and following != played_table.table[count]
         return {played_table.switches.output.name: SwitchedOutput(edges, unknown)}
@@ -155,6 +165,14 @@ class TriggerPlayer:
         (elements,) = await read_elements(session, [(TABLE, 0, len(table))], self._transfer)
         count = int(index)
         return elements[:count], elements[count] if count < len(table) else None
+
+    def _find_edges(self, played: _PlayedTable, stamps: Sequence[int], first: int) -> list[HostInterval]:
+        """The edges of stamps, from number `first` on."""
+        mappings = self._find_mappings(played, stamps)
+        return [
+            self._find_edge(played, number, stamp, mapping)
+            for number, (stamp, mapping) in enumerate(zip(stamps, mappings, strict=True), first)
+        ]
 
     def _find_mappings(self, played: _PlayedTable, stamps: Sequence[int]) -> list[TickMapping]:
         """The estimate of the clock for each stamp: as it is known near it, at most half a span away."""
@@ -175,3 +193,7 @@ class TriggerPlayer:
         rises = played.switches.level_of(number)
         delay_ns = (options.output_on_us if rises else options.output_off_us) * NS_PER_US
         return HostInterval(earliest_ns - bound_ns, latest_ns + late_ns + delay_ns)
+
+
+def _explain_missing_stamps(refusal: SmcCommandRefused) -> Refusal:
+    return Refusal("no-stamps", f"the stamps of the triggers cannot be read: {refusal}", "")

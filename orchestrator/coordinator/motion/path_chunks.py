@@ -81,7 +81,8 @@ class FirstChunk:
 def make_chunk_ability(info: ControllerInfo) -> ChunkAbility:
     """How a controller takes paths in chunks."""
     most_s = min(info.chunk_s, LONGEST_CHUNK_S) if max(info.orders) > 2 else 0.0
-    return ChunkAbility(most_s, info.chunk_triggers is not None)
+    ability = info.chunk_triggers
+    return ChunkAbility(most_s, ability is not None, ability is not None and ability.shows)
 
 
 def plan_first_chunk(planned: PlannedStep, infos: Mapping[str, ControllerInfo]) -> FirstChunk | None:

@@ -16,6 +16,7 @@ from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import StartState
 from orchestrator.coordinator.motion.trigger_places import FindPlaces, PlaceFinder, know_no_places
+from orchestrator.coordinator.switching.chunked import ChunkedOutput
 from orchestrator.coordinator.switching.totals import TriggerTotals, judge_triggers
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import (
@@ -47,6 +48,29 @@ class AskedOutput:
     find_terms: Callable[[int], list[BudgetTerm]] = lambda _: []
     skipped_ns: Sequence[int] = ()
     left: int = 0
+
+
+def ask_chunked_output(output: ChunkedOutput) -> AskedOutput:
+    """An output of a path in chunks, with what was released of it up to now."""
+    trigger = output.given
+    name = trigger.trigger.resolved.output
+    return AskedOutput(name, trigger.instants_ns, output.find_terms, trigger.skipped_ns, trigger.remaining_count)
+
+
+def make_window_finder(
+    output: AskedOutput, agreement: StartAgreement, state: StartState
+) -> Callable[[int], tuple[int, int]]:
+    """A function that tells the promised window of an edge around its instant, by its number."""
+    owner, name = split_name(output.name)
+    armed_reply, residual_ns = state.armed.get(owner), agreement.tick_residual_ns
+    armed_terms = [] if armed_reply is None else armed_reply.triggers.get(name, [])
+    armed_terms = armed_terms or agreement.proposals[owner].triggers.get(name, [])
+
+    def find_window(number: int) -> tuple[int, int]:
+        early_ns, late_ns = sum_terms(output.find_terms(number) or armed_terms)
+        return early_ns - residual_ns, late_ns + residual_ns
+
+    return find_window
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,16 +115,7 @@ class TriggerRows:
 
     def _list_outputs(self) -> list[AskedOutput]:
         if self.feed is not None:
-            return [
-                AskedOutput(
-                    output.given.trigger.resolved.output,
-                    output.given.instants_ns,
-                    output.find_terms,
-                    output.given.skipped_ns,
-                    output.given.remaining_count,
-                )
-                for output in self.feed.triggers.outputs
-            ]
+            return [ask_chunked_output(output) for output in self.feed.triggers.outputs]
         triggers_by_owner = self.agreement.triggers.find_outputs(self.agreement.plan)
         return [
             AskedOutput(f"{owner}.{trigger.output}", trigger.instants_ns)
@@ -145,7 +160,7 @@ class TriggerRows:
             TimeInterval(earliest_ns=earliest_ns, latest_ns=latest_ns)
             for earliest_ns, latest_ns in zip(edges.earliest_ns, edges.latest_ns, strict=True)
         ][: len(output.instants_ns)]
-        windows = self._find_windows(output)
+        windows = make_window_finder(output, self.agreement, self.state)
         for first in range(0, len(instants_ns), ROWS_AT_ONCE):
             end = min(first + ROWS_AT_ONCE, len(instants_ns))
             positions = places(spans[first:end])
@@ -165,19 +180,6 @@ class TriggerRows:
                     )
                 )
             yield rows
-
-    def _find_windows(self, output: AskedOutput) -> Callable[[int], tuple[int, int]]:
-        """The promised window of an edge around its instant, by its number."""
-        owner, name = split_name(output.name)
-        armed_reply, residual_ns = self.state.armed.get(owner), self.agreement.tick_residual_ns
-        armed_terms = [] if armed_reply is None else armed_reply.triggers.get(name, [])
-        armed_terms = armed_terms or self.agreement.proposals[owner].triggers.get(name, [])
-
-        def find_window(number: int) -> tuple[int, int]:
-            early_ns, late_ns = sum_terms(output.find_terms(number) or armed_terms)
-            return early_ns - residual_ns, late_ns + residual_ns
-
-        return find_window
 
     def _publish(self, output: str, rows: list[TriggerRow]) -> None:
         request = self.planned.request

@@ -41,7 +41,8 @@ USES = (1.0, 0.8, 0.6)
 FLIGHT_MOST_S = 600.0  # a longer scan is flown in several motions of whole lines
 FLIGHT_MOST_LINES = 1000
 TRIGGERED_MOST_S = 60.0
-"""The same for one with triggers: what its outputs did is fetched at its end, and its rows are certain then."""
+"""The same for one with triggers whose controller shows what its outputs did at its end only: its rows are certain
+then."""
 
 _PLACES: dict[WindowPlace, float] = {"start": 0.0, "middle": 0.5, "end": 1.0}
 RAMP_SHARE = 0.05  # of the tolerance: how far a stopping tail may be off its path
@@ -50,12 +51,13 @@ RAMP_SHARE = 0.05  # of the tolerance: how far a stopping tail may be off its pa
 @dataclass(frozen=True, slots=True)
 class FlownPart:
     """Points of a scan that are flown in one motion: from `first` on, before `end`, from 0; `end` begins a line.
-    flight: through them, in user positions."""
+    flight: through them, in user positions. shows_switching: what its output does can be read while it flies."""
 
     lines: FlownLines
     first: int
     end: int
     flight: Flight
+    shows_switching: bool = False
 
 
 class FlightPath(FollowPath):
@@ -85,10 +87,12 @@ class FlightPath(FollowPath):
 
 
 class ChunkAbility(NamedTuple):
-    """How a controller takes paths in chunks. most_s: the longest one; 0: none. switches: outputs with them."""
+    """How a controller takes paths in chunks. most_s: the longest one; 0: none. switches: outputs with them. shows:
+    what it has switched, while it moves."""
 
     most_s: float
     switches: bool
+    shows: bool = False
 
 
 def list_members(lines: FlownLines) -> list[str]:
@@ -122,13 +126,14 @@ def place_triggers(part: FlownPart, triggers: Sequence[ResolvedTrigger]) -> list
     return [replace(trigger, positions=(), places_s=places_s) for trigger in triggers]
 
 
-def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> FlownPart:
+def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float, *, shows_switching: bool) -> FlownPart:
     """The longest part of a scan from a point on that is flown in one motion, a line at least. most_s: the longest
-    chunk that its members load. Raises `PlanError` for lines that cannot be joined so."""
+    chunk that its members load. shows_switching: what its output does can be read while it flies. Raises `PlanError`
+    for lines that cannot be joined so."""
     most_points = lines.scan.point_count if lines.trigger is None else MAX_CHUNKED_INSTANTS
     rest_points = lines.count - first % lines.count
     line_s = lines.count * lines.window_s + 2 * lines.run_up_s
-    most_flown_s = FLIGHT_MOST_S if lines.trigger is None else TRIGGERED_MOST_S
+    most_flown_s = FLIGHT_MOST_S if lines.trigger is None or shows_switching else TRIGGERED_MOST_S
     most_lines = min(FLIGHT_MOST_LINES, MAX_PIECES // (2 * lines.count)) if lines.scan.is_curved else FLIGHT_MOST_LINES
     more = min(int(most_flown_s / line_s), most_lines, (most_points - rest_points) // lines.count)
     end = min(first + rest_points + max(0, more) * lines.count, lines.scan.point_count)
@@ -139,7 +144,7 @@ def plan_part(lines: FlownLines, fleet: Fleet, first: int, most_s: float) -> Flo
     for use in USES:
         flight = plan_flight(lines, fleet, (first, end), use)
         if _make_course(flight.motion, starts, lines).has_chunks(most_s):
-            return FlownPart(lines, first, end, flight)
+            return FlownPart(lines, first, end, flight, shows_switching)
     stretch_words = "along it" if lines.scan.is_curved else "between two of them"
     raise PlanError(f"lines of {lines.count} points of {lines.words} are too short to be braked {stretch_words}")
 
@@ -156,7 +161,10 @@ def choose_part(
     if reason:
         return None, reason
     try:
-        return plan_part(lines, fleet, first, min(ability.most_s for ability in abilities.values())), ""
+        most_s = min(ability.most_s for ability in abilities.values())
+        owners = [controller_of(output) for output in lines.scan.trigger_outputs]
+        shows = bool(owners) and all(abilities[owner].shows for owner in owners)
+        return plan_part(lines, fleet, first, most_s, shows_switching=shows), ""
     except PlanError as error:
         if lines.scan.is_curved:
             remedy = f"write a longer `duration` than {lines.window_s * 1e3:.4g} ms; or leave out `Fly`"

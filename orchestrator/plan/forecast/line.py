@@ -29,7 +29,7 @@ from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 
-USUAL_CHUNKS = ChunkAbility(7.5, switches=True)  # of the makes that load paths in chunks
+USUAL_CHUNKS = ChunkAbility(7.5, switches=True, shows=True)  # of the makes that load paths in chunks
 SLOWER = 0.002  # of the speed, by which a plan may be slower in a window
 
 

@@ -15,7 +15,7 @@ from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.flight import plan_flight
 from orchestrator.plan.flying.line_plan import plan_lines
-from orchestrator.plan.flying.path import ChunkAbility
+from orchestrator.plan.flying.path import ChunkAbility, choose_part
 from orchestrator.plan.flying.straight import StraightLines
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 
@@ -94,6 +94,23 @@ def test_the_forecast_says_why_lines_are_flown_one_by_one() -> None:
     forecaster = JobForecaster(FLEET, chunks=chunks)
     lines_text = [forecaster.take(number, step).lines for number, step in enumerate(document.steps)][1]
     assert lines_text.endswith("a line takes 0.410 s; line by line: slide loads no path in chunks")
+
+
+@pytest.mark.parametrize(("shows", "motions"), [(True, 1), (False, 2)])
+def test_a_flight_with_triggers_is_long_where_they_are_seen_while_it_flies(*, shows: bool, motions: int) -> None:
+    """40 lines of 2 s are more than a minute, and less than ten."""
+    found = lines(
+        {"duration": "20 ms", "trigger": {"output": "gantry.lamp"}},
+        slide_y={"from": 0, "to": 20, "points": 40},
+        gantry_x={"from": 0, "to": 10, "points": 101, "snake": True},
+    )
+    abilities = {name: ChunkAbility(7.5, switches=True, shows=shows) for name in ("gantry", "slide")}
+    begins = [0]
+    while begins[-1] < found.scan.point_count:
+        part, reason = choose_part(found, FLEET, begins[-1], abilities)
+        assert part is not None and part.shows_switching is shows, reason
+        begins.append(part.end)
+    assert len(begins) == 1 + motions
 
 
 BEYOND = "its lines reach -20.752 mm, 10.75 mm beyond its soft limit -10 mm"

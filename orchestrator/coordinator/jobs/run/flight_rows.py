@@ -7,23 +7,22 @@ anew with each chunk. As with single lines, an axis that is off its plan by a di
 the speed.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
-from math import ceil, floor, inf
+from math import ceil, inf
 from typing import Literal
 
 import numpy as np
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error, find_positions, join_intervals
-from orchestrator.coordinator.motion.path_proof import narrow_start
+from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME
+from orchestrator.coordinator.jobs.run.trigger_watch import TriggerWatch
+from orchestrator.coordinator.jobs.run.window_instants import find_flight_positions, make_interval_finder
 from orchestrator.coordinator.motion.report import judge_starts
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD
 from orchestrator.coordinator.motion.step import BRAKED, MotionStep, PlannedMotion
-from orchestrator.model.names import controller_of
 from orchestrator.model.report import PointRecord, PointWindow, StepReport, Verdict
-from orchestrator.model.state import TimeInterval
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.plan.flying.flight import FlightLine
 from orchestrator.plan.flying.path import FlownPart
@@ -50,6 +49,7 @@ class FlightRows:
     """The rows of the flight that a step is. place: of its first line."""
 
     def __init__(self, services: MotionServices, place: StepPlace, part: FlownPart) -> None:
+        self._services = services
         self._view = services.fleet.view
         self._now_ns = services.leadership.fleet_now_ns
         self._place = place
@@ -58,6 +58,8 @@ class FlightRows:
         self._confirmed_s = -inf
         self._motion: PlannedMotion | None = None
         self._step: MotionStep | None = None
+        self._switched: TriggerWatch | None = None
+        """What is known of its output while it flies; None: nothing is."""
 
     @property
     def motion(self) -> PlannedMotion | None:
@@ -93,6 +95,9 @@ class FlightRows:
         if motion is None:
             return
         self._step, self._motion = step, motion
+        is_shown = self._outputs and self._part.shows_switching and motion.feed is not None
+        if is_shown and (self._switched is None or self._switched.motion is not motion):
+            self._switched = TriggerWatch(self._services, motion, self._outputs[0])
         t0_ns = motion.start.state.t0_fleet_ns
         if t0_ns and motion.watch.failure is None:
             readings_ns = [self._find_reading_ns(member) for member in motion.agreement.proposals]
@@ -120,11 +125,25 @@ class FlightRows:
     # Rows
 
     def take(self) -> list[PointRecord]:
-        """The rows of lines that have become certain; with triggers, none is before the end of the flight."""
+        """The rows of lines that have become certain; with triggers whose owner shows them at the end only, none is
+        before the end of the flight."""
         verdict = self._judge_starts()
-        if verdict is None or self._outputs:
+        if verdict is None or (self._outputs and self._switched is None):
             return []
-        return self._take_until(self._confirmed_s, verdict)
+        return self._take_until(self._confirmed_s, verdict, None if self._switched is None else self._switched.count)
+
+    @property
+    def waits_for_switching(self) -> bool:
+        """Whether a line is certain but for what was switched in it, which can be read now."""
+        if self._switched is None or self._judge_starts() is None:
+            return False
+        line = next(self._find_certain_lines(self._confirmed_s), None)
+        return line is not None and not self._is_switching_known(line, self._switched.count)
+
+    async def look_at_switching(self) -> None:
+        """Fetch what was switched up to now. Raises nothing."""
+        if self._switched is not None:
+            await self._switched.look()
 
     def finish(self, report: StepReport) -> FlightEnd:
         """The rows that were not given out, and where the scan goes on."""
@@ -150,15 +169,29 @@ class FlightRows:
         broken_points = self._find_broken(line, flown_count)
         return FlightEnd(rows, line.first + flown_count, late=is_late, broken=broken_points, is_interrupted=True)
 
-    def _take_until(self, certain_s: float, verdict: Verdict) -> list[PointRecord]:
-        """The rows of lines that are over at an instant of the motion. verdict: on what is known of it."""
+    def _take_until(self, certain_s: float, verdict: Verdict, switched: int | None = None) -> list[PointRecord]:
+        """The rows of lines that are over at an instant of the motion. verdict: on what is known of it. switched: how
+        many windows are known to have been switched in; None: no more will be known."""
         rows: list[PointRecord] = []
-        released_s, clock = self._find_released_s(), self._clock
-        while self._waiting and clock is not None and (line := self._waiting[0]).end_s <= released_s:
-            if float(clock.find_instants(np.array([line.end_s]))[0]) > certain_s:
+        while (line := next(self._find_certain_lines(certain_s), None)) is not None:
+            if switched is not None and not self._is_switching_known(line, switched):
                 break
             rows += self._make_rows(self._waiting.pop(0), line.points, verdict)
         return rows
+
+    def _find_certain_lines(self, certain_s: float) -> Iterator[FlightLine]:
+        """The lines whose rows were not given out, and that are over at an instant of the motion."""
+        released_s, clock = self._find_released_s(), self._clock
+        if clock is None:
+            return
+        for line in self._waiting:
+            if line.end_s > released_s or float(clock.find_instants(np.array([line.end_s]))[0]) > certain_s:
+                return
+            yield line
+
+    def _is_switching_known(self, line: FlightLine, count: int) -> bool:
+        """Whether it is known what was switched in a line. count: the windows of which it is."""
+        return line.first + line.points - self._part.first <= count
 
     @property
     def _clock(self) -> PathClock | None:
@@ -190,7 +223,8 @@ class FlightRows:
         """The rows of the first points of a line. A window at another speed than planned is not good, and neither is
         one in which the speed changes."""
         assert self._clock is not None
-        find_interval = self._make_interval_finder()
+        assert self._motion is not None
+        find_interval = make_interval_finder(self._motion, self._part.lines)
         parts = line.begin_s + line.window_s * np.arange(2 * count + 1) / 2
         at_s = self._clock.find_instants(parts)
         rates = self._clock.evaluate(at_s).rates
@@ -202,7 +236,7 @@ class FlightRows:
                 for instant_s, rate in zip(at_s[part].tolist(), rates[part].tolist(), strict=True)
             )
             took_s = float(at_s[part][-1] - at_s[part][0])
-            positions = find_positions(self._part.lines, line.first + number, middle, self._error)
+            positions = find_flight_positions(self._motion, self._part.lines, line.first + number, middle)
             window = PointWindow(lower=lower, middle=middle, upper=upper, positions=positions)
             row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
             is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
@@ -221,6 +255,8 @@ class FlightRows:
         if not self._outputs or self._step is None:
             return not self._outputs
         number, totals = point - self._part.first + 1, self._step.switched.get(self._outputs[0])
+        if self._switched is not None and number <= self._switched.count:
+            return number not in self._switched.wrong
         return totals is not None and number <= totals.rows and number not in totals.wrong
 
     def _make_row(
@@ -259,30 +295,3 @@ class FlightRows:
             return [self._make_row(first, words)]
         points = range(begun_lines[0].first, begun_lines[-1].first + begun_lines[-1].points)
         return [self._make_row(point, words) for point in points]
-
-    @property
-    def _error(self) -> float:
-        """How far axes that stand in the windows may be off their places."""
-        assert self._motion is not None and self._motion.agreement.path is not None
-        return find_error(self._motion.agreement.path, self._part.lines)
-
-    def _make_interval_finder(self) -> Callable[[float, float], TimeInterval]:
-        """A function that tells when the axes were where their plan has them so long after T0 (s), at a rate of their
-        planned speed."""
-        motion, lines = self._motion, self._part.lines
-        assert motion is not None and motion.agreement.first is not None and motion.agreement.path is not None
-        agreement, first = motion.agreement, motion.agreement.first
-        t0_ns, members = motion.start.state.t0_fleet_ns, {controller_of(name) for name in lines.scan.flown_axes}
-        starts = {name: narrow_start(agreement, name, motion.watch.reports[name], t0_ns) for name in members}
-        most_age_s, error_s = first.most_s + first.load_s, find_error(motion.agreement.path, lines) / lines.slowest
-
-        def find_member_interval(member: str, at_s: float, rate: float) -> TimeInterval:
-            clock_rate = agreement.proposals[member].clock_ppm * 1e-6
-            beside_s = clock_rate * min(at_s, most_age_s) + error_s / max(rate, LEAST_RATE)
-            planned_ns, beside_ns = t0_ns + at_s * NS_PER_S, beside_s * NS_PER_S
-            early_ns, late_ns = starts[member]
-            return TimeInterval(
-                earliest_ns=floor(planned_ns + early_ns - beside_ns), latest_ns=ceil(planned_ns + late_ns + beside_ns)
-            )
-
-        return lambda at_s, rate: join_intervals([find_member_interval(name, at_s, rate) for name in members])

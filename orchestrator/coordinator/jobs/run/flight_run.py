@@ -19,6 +19,9 @@ from orchestrator.model.steps.order import StepPlace
 LOOK_NS = 50 * NS_PER_MS
 """Between two looks at a flight: rows are published at most 20 times a second."""
 
+LOOK_AT_SWITCHING_NS = 250 * NS_PER_MS
+"""Between two looks at what outputs did, each some exchanges with their controller."""
+
 
 class FlightRun:
     """Follows one flight."""
@@ -33,12 +36,14 @@ class FlightRun:
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
         """Give out rows, and brake behind the present line when a pause is asked for, in parallel with the context."""
-        owner = TaskOwner()
+        owner, watcher = TaskOwner(), TaskOwner()
         task = owner.spawn(self._run())
+        watcher.spawn(self._watch_switching())
         try:
             yield
         finally:
             self._is_over = True
+            watcher.cancel_all()
             if not self._is_busy:  # what is being written or released is not cut short
                 owner.cancel_all()
             await asyncio.wait([task])
@@ -54,6 +59,13 @@ class FlightRun:
                 self._services.log.warning(f"rows are not written yet: {error}")
             await self._follow_pause()
             self._is_busy = False
+
+    async def _watch_switching(self) -> None:
+        """Fetch what was switched in lines that are over; apart from the rest, which waits for no controller."""
+        while True:
+            await sleep_ns(self._services.clock, LOOK_AT_SWITCHING_NS)
+            if self._flight.waits_for_switching:
+                await self._flight.look_at_switching()
 
     async def _follow_pause(self) -> None:
         motion, pause = self._flight.motion, self._state.pause
