@@ -20,6 +20,7 @@ from orchestrator.model.steps.order import StepPlace
 from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.straight import StraightLines
 
+ROUNDING = 1e9  # parts of a unit to which positions are rounded, outwards: rows are many
 OTHER_TIME = 0.005  # of a line: it was held, went at another rate, or its plan was made slower
 _ERRORS = ("profile-fit", "execution", "clock")
 
@@ -98,7 +99,7 @@ def find_positions(lines: FlownLines, point: int, middle: TimeInterval, error: f
     speeds = np.abs(motion.velocities).max(axis=0) + gains
     widths = dict(zip(lines.scan.flown_axes, (speeds * half_s).tolist(), strict=True))
     return {
-        axis: (target - width, target + width)
+        axis: (floor((target - width) * ROUNDING) / ROUNDING, ceil((target + width) * ROUNDING) / ROUNDING)
         for axis, target in lines.find_target(point).items()
         if (width := widths.get(axis, error)) >= 0
     }
