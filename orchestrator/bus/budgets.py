@@ -99,7 +99,8 @@ BATCH = NAMES
 """Of `host/{host}/cmd/{verb}`, unless one part of it may have more."""
 
 POINT_BYTES = 1 * MB
-"""Of rows of points: 500 of them, of two axes, have some 300 kB, and with the longest names of 32 axes more than this."""
+"""Of rows of points: 500 of them, of two axes, have some 300 kB, and with the longest names of 32 axes more than
+this."""
 
 _SMALL, _STATE = 16 * KB, 256 * KB
 SAMPLE_BYTES: dict[str, int] = {
