@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
@@ -448,6 +449,13 @@ def test_a_job_that_waited_for_the_reset_is_ready_and_begins_by_its_button(
 # Alarms
 
 
+def is_served(fleet: RunningFleet) -> bool:
+    """Whether the gateway accepts connections."""
+    port = int(re.findall(r":(\d+)/", find_address(fleet))[0])
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
 def test_an_acknowledged_alarm_is_acknowledged_after_a_restart_of_everything_shown(
     page: Page, ready: RunningFleet
 ) -> None:
@@ -467,6 +475,8 @@ def test_an_acknowledged_alarm_is_acknowledged_after_a_restart_of_everything_sho
     ready.kill("orchestrator.gateway.process")
     ready.kill("orchestrator.coordinator.process")
     ready.works()
+    # The page may not have noticed yet that its gateway was away, so its own word is no sign.
+    wait_until(lambda: is_served(ready), "the gateway serves again")
     expect(page.get_by_text("not connected")).to_have_count(0, timeout=30_000)
     page.reload()
     expect(page.get_by_text("acknowledged by operator").first).to_be_visible(timeout=30_000)
