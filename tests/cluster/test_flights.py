@@ -35,6 +35,15 @@ def raster(
     return f"{{do: scan, axes: {axes}, fly: {{duration: {duration}{more}}}}}"
 
 
+def check_position(row: PointRecord, truth: Truth, axis: str) -> tuple[float, float]:
+    """A row contains where an axis was at the centre of the interval of its point; return between which positions."""
+    assert row.window is not None
+    centre_ns = (row.window.middle.earliest_ns + row.window.middle.latest_ns) / 2
+    low, high = row.window.positions[axis]
+    assert low <= np.interp(centre_ns / NS_PER_S, truth.times_s, truth.places) <= high, (row.point, low, high)
+    return low, high
+
+
 def check_windows(
     rows: Sequence[PointRecord], truth: Truth, axis: str, late_s: float = 0.0, spacing: float = SPACING
 ) -> None:
@@ -51,9 +60,7 @@ def check_windows(
             at_s = truth.find_crossing(row.target[axis] + direction * part * spacing, begin_s, end_s)
             assert interval.earliest_ns <= at_s * NS_PER_S <= interval.latest_ns, (row.point, part)
             crossings.append(at_s)
-        centre_ns = (row.window.middle.earliest_ns + row.window.middle.latest_ns) / 2
-        low, high = row.window.positions[axis]
-        assert low <= np.interp(centre_ns / NS_PER_S, truth.times_s, truth.places) <= high, (row.point, low, high)
+        check_position(row, truth, axis)
         error = abs((crossings[2] - crossings[0]) / row.took_s - 1)
         assert error <= max(0.005, 1.2 * truth.count / spacing, late_s / row.took_s), (row.point, error)
         # And at one speed: each half took half of the time.
@@ -67,10 +74,7 @@ def test_an_axis_that_stands_in_the_windows_is_where_the_rows_have_it() -> None:
         _, rows, truth = await fly(fleet, f"[{raster(4, 41, '10 ms', 'portal.x')}]", "portal.x")
         assert len(rows) == 4 * 41
         for row in rows:
-            assert row.window is not None
-            centre_ns = (row.window.middle.earliest_ns + row.window.middle.latest_ns) / 2
-            low, high = row.window.positions["portal.x"]
-            assert low <= np.interp(centre_ns / NS_PER_S, truth.times_s, truth.places) <= high
+            low, high = check_position(row, truth, "portal.x")
             assert high - low < 0.1, "a bound, and no wide one"
 
     run_fleet(main, two_gantries())
@@ -157,7 +161,9 @@ def curve(outer: str, flown: Sequence[str]) -> str:
     return f"{{{', '.join(axes)}}}"
 
 
-def check_curve(rows: Sequence[PointRecord], truths: Sequence[Truth], late_s: float = 0.0) -> None:
+def check_curve(
+    rows: Sequence[PointRecord], truths: Sequence[Truth], flown: Sequence[str], late_s: float = 0.0
+) -> None:
     """Each good row contains the truth of the axes that are not slow in its window, which took its time."""
     for row in rows:
         assert row.good and row.window is not None and row.took_s is not None, row
@@ -165,7 +171,8 @@ def check_curve(rows: Sequence[PointRecord], truths: Sequence[Truth], late_s: fl
         knots = (KNOTS[::-1] if line % 2 else KNOTS)[2 * number : 2 * number + 3]
         intervals = (row.window.lower, row.window.middle, row.window.upper)
         begin_s, end_s = intervals[0].earliest_ns / NS_PER_S - 0.003, intervals[2].latest_ns / NS_PER_S + 0.003
-        for truth, positions in zip(truths, knots.T.tolist(), strict=True):
+        for axis, truth, positions in zip(flown, truths, knots.T.tolist(), strict=True):
+            check_position(row, truth, axis)
             ways = np.diff(positions)
             if ways[0] * ways[1] <= 0.0 or np.abs(ways).min() < 0.15:
                 continue
@@ -194,7 +201,7 @@ def test_a_curve_is_flown_through_its_windows(
         report, rows, truths = await fly_all(fleet, f"[{scan}]", flown)
         assert report.state == "done" and report.verdict == "green", report.reason
         assert [row.point for row in rows] == list(range(1, len(rows) + 1)) and len(rows) in (20, 40)
-        check_curve(rows, truths, late_s)
+        check_curve(rows, truths, flown, late_s)
 
     run_fleet(main, make())
 

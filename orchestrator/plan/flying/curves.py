@@ -15,8 +15,8 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.steps.fly import WindowPlace
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.flying.lines import FlownLines
-from orchestrator.plan.flying.splines import reverse_motion
-from orchestrator.plan.path_profiles import FittedMotion
+from orchestrator.plan.flying.splines import find_top_speeds, reverse_motion
+from orchestrator.plan.path_profiles import Array, FittedMotion
 from orchestrator.plan.shape import WayEnd, WayLimits
 
 LEAST_SPEED = 0.01  # of the mean: where axes are slower, no instant is known at which they pass a place
@@ -85,6 +85,10 @@ class CurvedLines(FlownLines):
             motion.accelerations[pieces],
             motion.jerks[pieces],
         )
+
+    def list_top_speeds(self, point: int, count: int) -> Array:
+        # Two cubics for each window.
+        return find_top_speeds(self.make_windows(point, count)).reshape(count, 2, -1).max(axis=1)
 
     def _orient(self, point: int) -> FittedMotion:
         """The motion of the line of a point, in its direction."""

@@ -13,7 +13,7 @@ from orchestrator.model.steps.points import ScanAxis
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.triggers import Trigger
 from orchestrator.model.units import Unit
-from orchestrator.plan.path_profiles import FittedMotion
+from orchestrator.plan.path_profiles import Array, FittedMotion
 from orchestrator.plan.shape import WayEnd, WayLimits
 
 
@@ -78,6 +78,10 @@ class FlownLines(ABC):
     @abstractmethod
     def make_windows(self, point: int, count: int) -> FittedMotion:
         """The motion of the axes that fly through the windows of so many points of one line."""
+
+    @abstractmethod
+    def list_top_speeds(self, point: int, count: int) -> Array:
+        """The highest speed of each axis that flies in each of so many windows of one line, shape (windows, axes)."""
 
     @abstractmethod
     def share_out(self, limits: Sequence[WayLimits]) -> Sequence[WayLimits]:

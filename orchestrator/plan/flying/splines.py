@@ -61,7 +61,7 @@ class _Excess:
     cubic, and the axis."""
 
     def __init__(self, curve: FittedMotion, limits: Sequence[WayLimits]) -> None:
-        self._peaks = (_find_top_speeds(curve), curve.peak_accelerations, np.abs(curve.jerks))
+        self._peaks = (find_top_speeds(curve), curve.peak_accelerations, np.abs(curve.jerks))
         self._limits = list(zip(*limits, strict=True))
         factors = [
             (peaks / limit) ** (1.0 / (order + 1))
@@ -96,7 +96,7 @@ def find_longer(curve: FittedMotion, limits: Sequence[WayLimits]) -> float:
     return _Excess(curve, limits).factor
 
 
-def _find_top_speeds(motion: FittedMotion) -> Array:
+def find_top_speeds(motion: FittedMotion) -> Array:
     """The highest speed of each axis in each cubic: at one of its ends, or where its acceleration is zero."""
     lengths = np.diff(motion.times_s)[:, None]
     v, a, j = motion.velocities[:-1], motion.accelerations, motion.jerks

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
 
+import numpy as np
+
 from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.steps.fly import WindowPlace
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.flying.motions import glide
-from orchestrator.plan.path_profiles import FittedMotion
+from orchestrator.plan.path_profiles import Array, FittedMotion
 from orchestrator.plan.shape import WayEnd, WayLimits
 
 _FRACTIONS: dict[WindowPlace, Fraction] = {"start": Fraction(-1, 2), "middle": Fraction(0), "end": Fraction(1, 2)}
@@ -144,6 +146,10 @@ class StraightLines(FlownLines):
 
     def make_windows(self, point: int, count: int) -> FittedMotion:
         return glide(self.find_states(point, 0), count * self.window_s)
+
+    def list_top_speeds(self, point: int, count: int) -> Array:
+        del point
+        return np.tile([self.find_speed(axis) for axis in self.axes], (count, 1))
 
     def share_out(self, limits: Sequence[WayLimits]) -> list[WayLimits]:
         """The limits in proportion to the ways of the axes, so that they stay on the line."""

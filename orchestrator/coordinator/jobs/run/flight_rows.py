@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME
+from orchestrator.coordinator.jobs.run.flown_rows import OTHER_TIME, find_error, make_position_finder
 from orchestrator.coordinator.jobs.run.trigger_watch import TriggerWatch
-from orchestrator.coordinator.jobs.run.window_instants import find_flight_positions, make_interval_finder
+from orchestrator.coordinator.jobs.run.window_instants import make_interval_finder
 from orchestrator.coordinator.motion.report import judge_starts
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD
@@ -222,9 +222,10 @@ class FlightRows:
     def _make_rows(self, line: FlightLine, count: int, verdict: Verdict) -> list[PointRecord]:
         """The rows of the first points of a line. A window at another speed than planned is not good, and neither is
         one in which the speed changes."""
-        assert self._clock is not None
-        assert self._motion is not None
-        find_interval = make_interval_finder(self._motion, self._part.lines)
+        motion, lines = self._motion, self._part.lines
+        assert self._clock is not None and motion is not None and motion.agreement.path is not None
+        find_interval = make_interval_finder(motion, lines)
+        find_positions = make_position_finder(lines, line.first, count, find_error(motion.agreement.path, lines))
         parts = line.begin_s + line.window_s * np.arange(2 * count + 1) / 2
         at_s = self._clock.find_instants(parts)
         rates = self._clock.evaluate(at_s).rates
@@ -236,8 +237,7 @@ class FlightRows:
                 for instant_s, rate in zip(at_s[part].tolist(), rates[part].tolist(), strict=True)
             )
             took_s = float(at_s[part][-1] - at_s[part][0])
-            positions = find_flight_positions(self._motion, self._part.lines, line.first + number, middle)
-            window = PointWindow(lower=lower, middle=middle, upper=upper, positions=positions)
+            window = PointWindow(lower=lower, middle=middle, upper=upper, positions=find_positions(number, middle))
             row = self._make_row(line.first + number, "done", verdict=verdict, window=window, took_s=took_s)
             is_at_speed = abs(took_s / line.window_s - 1) <= OTHER_TIME
             is_at_speed = is_at_speed and bool((np.abs(rates[part] - 1) <= OTHER_TIME).all())

@@ -7,10 +7,8 @@ its path by a distance is off in time by that divided by the speed. An instant o
 all of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import ceil, floor
-
-import numpy as np
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.names import controller_of
@@ -75,6 +73,8 @@ def _find_windows(report: StepReport, lines: FlownLines, first: int) -> list[Poi
         return join_intervals([finder(at_s) for finder in complete_finders])
 
     first_s = path.duration_s / 2 - lines.count * window_s / 2
+    # Axes that do not fly stand at their targets, with units of their own.
+    find_positions = make_position_finder(lines, first, lines.count, None)
     windows: list[PointWindow] = []
     for number in range(lines.count):
         middle = find_instant(first_s + (number + 0.5) * window_s)
@@ -83,26 +83,30 @@ def _find_windows(report: StepReport, lines: FlownLines, first: int) -> list[Poi
                 lower=find_instant(first_s + number * window_s),
                 middle=middle,
                 upper=find_instant(first_s + (number + 1) * window_s),
-                # Those that do not fly stand at their targets, with units of their own.
-                positions=find_positions(lines, first + number, middle, -1.0),
+                positions=find_positions(number, middle),
             )
         )
     return windows
 
 
-def find_positions(lines: FlownLines, point: int, middle: TimeInterval, error: float) -> dict[str, tuple[float, float]]:
-    """Between which positions axes were at the centre of the interval in which they passed a point. error: how far
-    those that do not fly may be off their place, in their unit; they are left out if it is negative."""
-    motion, half_s = lines.make_windows(point, 1), (middle.latest_ns - middle.earliest_ns) / 2 / NS_PER_S
-    # Between two knots a cubic is faster than at both by less than its acceleration makes of the way between them.
-    gains = np.abs(motion.accelerations).max(axis=0) * np.diff(motion.times_s).max()
-    speeds = np.abs(motion.velocities).max(axis=0) + gains
-    widths = dict(zip(lines.scan.flown_axes, (speeds * half_s).tolist(), strict=True))
-    return {
-        axis: (floor((target - width) * ROUNDING) / ROUNDING, ceil((target + width) * ROUNDING) / ROUNDING)
-        for axis, target in lines.find_target(point).items()
-        if (width := widths.get(axis, error)) >= 0
-    }
+def make_position_finder(
+    lines: FlownLines, first: int, count: int, error: float | None
+) -> Callable[[int, TimeInterval], dict[str, tuple[float, float]]]:
+    """A function that tells between which positions axes were at the centre of the interval in which they passed a
+    point: one of the `count` of a line from `first` on, by its number among these. error: how far axes that do not fly
+    may be off their places, in their unit; None: they are left out."""
+    speeds, flown_axes = lines.list_top_speeds(first, count).tolist(), lines.scan.flown_axes
+
+    def find_positions(number: int, middle: TimeInterval) -> dict[str, tuple[float, float]]:
+        half_s = (middle.latest_ns - middle.earliest_ns) / 2 / NS_PER_S
+        widths = {axis: speed * half_s for axis, speed in zip(flown_axes, speeds[number], strict=True)}
+        return {
+            axis: (floor((target - width) * ROUNDING) / ROUNDING, ceil((target + width) * ROUNDING) / ROUNDING)
+            for axis, target in lines.find_target(first + number).items()
+            if (width := widths.get(axis, error)) is not None
+        }
+
+    return find_positions
 
 
 def join_intervals(intervals: Sequence[TimeInterval]) -> TimeInterval:

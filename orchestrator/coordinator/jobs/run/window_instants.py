@@ -5,7 +5,7 @@ from collections.abc import Callable
 from math import ceil, floor
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.coordinator.jobs.run.flown_rows import find_error, find_positions, join_intervals
+from orchestrator.coordinator.jobs.run.flown_rows import find_error, join_intervals
 from orchestrator.coordinator.motion.path_proof import narrow_start
 from orchestrator.coordinator.motion.step import PlannedMotion
 from orchestrator.model.names import controller_of
@@ -35,11 +35,3 @@ def make_interval_finder(motion: PlannedMotion, lines: FlownLines) -> Callable[[
         )
 
     return lambda at_s, rate: join_intervals([find_member_interval(name, at_s, rate) for name in members])
-
-
-def find_flight_positions(
-    motion: PlannedMotion, lines: FlownLines, point: int, middle: TimeInterval
-) -> dict[str, tuple[float, float]]:
-    """Between which positions all axes were at the centre of the interval in which those that fly passed a point."""
-    assert motion.agreement.path is not None
-    return find_positions(lines, point, middle, find_error(motion.agreement.path, lines))
