@@ -7,12 +7,13 @@ from math import hypot
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.steps.base import MotionOptions
 from orchestrator.model.steps.speed import MANUAL
-from orchestrator.model.units import UnitError, parse_rate
+from orchestrator.model.units import Unit, UnitError, parse_rate
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
-from orchestrator.plan.virtual_moves import drop_virtual_speeds, limit_virtual_speeds
+from orchestrator.plan.virtual_moves import group_virtual
 
 TOLERANCE = 1e-9  # of a limit: a speed that was rounded
+LEAST_TIME_S = 1e-9  # a way that takes less is only the rounding to counts
 
 
 def plan_motion(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> StepPlan:
@@ -28,15 +29,61 @@ def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -
     speed = step.speed
     if isinstance(speed, float | int):
         return [replace(move, velocity=move.velocity * speed) for move in moves]
-    if (limited_moves := limit_virtual_speeds(fleet, step, moves)) is not None:
-        if not isinstance(speed, Mapping):
-            return limited_moves
-        moves, speed = limited_moves, drop_virtual_speeds(fleet, speed)
-    if isinstance(speed, Mapping):
-        return _limit_named(fleet, speed, moves)
     if speed == MANUAL:
         return [replace(move, velocity=move.velocity * fleet.axis(move.axis).manual_speed) for move in moves]
+    distances = _find_virtual_distances(fleet, step, moves)
+    if isinstance(speed, Mapping):
+        moves = _limit_together(moves, _find_virtual_duration(fleet, speed, distances))
+        return _limit_named(fleet, {name: value for name, value in speed.items() if name not in distances}, moves)
+    units = {fleet.unit_of(name) for name in distances}
+    if len(units) == 1 and len(distances) == len(step.named_axes):
+        length = hypot(*distances.values())
+        return _limit_together(moves, length / _parse_speed(speed, units.pop(), next(iter(distances))))
     return _limit_line(fleet, speed, moves)
+
+
+def _find_virtual_distances(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> dict[str, float]:
+    """How far the virtual axes that a step names go, in their units; without those of which a real axis is missing, as
+    its beginning is not known."""
+    distances: dict[str, float] = {}
+    for group, names in group_virtual(fleet, step).items():
+        ways = {
+            move.axis: float((move.target_counts - move.start_counts) / fleet.axis(move.axis).counts_per_unit)
+            for move in moves
+        }
+        virtual_map = fleet.virtual_axes.maps[group]
+        if not all(axis in ways for axis in virtual_map.real):
+            continue
+        for name, row in zip(virtual_map.virtual, virtual_map.matrix, strict=True):
+            if name in names:
+                parts = zip(row, virtual_map.real, strict=True)
+                distances[name] = sum(float(part) * ways[axis] for part, axis in parts)
+    return distances
+
+
+def _find_virtual_duration(fleet: Fleet, speeds: Mapping[str, float | str], distances: Mapping[str, float]) -> float:
+    """How long the ways of virtual axes take at least at the speeds that are stated for them, s."""
+    least_s = 0.0
+    for name, distance in distances.items():
+        speed = speeds.get(name)
+        if isinstance(speed, str):
+            least_s = max(least_s, abs(distance) / _parse_speed(speed, fleet.unit_of(name), name))
+        elif speed is not None:
+            raise PlanError(f"speed of {name}: a virtual axis has no limit of its own; give a speed with its unit")
+    return least_s
+
+
+def _limit_together(moves: Sequence[AxisMove], least_s: float) -> list[AxisMove]:
+    """The moves with no axis faster than its whole way in `least_s`: on a straight line that limits all alike."""
+    limited_moves: list[AxisMove] = []
+    for move in moves:
+        distance = abs(move.target_counts - move.start_counts)
+        velocity = distance / least_s if least_s > LEAST_TIME_S and distance else move.velocity
+        if velocity > move.velocity * (1 + TOLERANCE):
+            share = velocity / move.velocity
+            raise PlanError(f"{move.axis} would move at {share:.3g} times its velocity limit; lower the speed")
+        limited_moves.append(replace(move, velocity=min(move.velocity, velocity)))
+    return limited_moves
 
 
 def _limit_named(fleet: Fleet, speeds: Mapping[str, float | str], moves: Sequence[AxisMove]) -> list[AxisMove]:
@@ -49,7 +96,7 @@ def _limit_named(fleet: Fleet, speeds: Mapping[str, float | str], moves: Sequenc
     for move in moves:
         speed, axis = speeds.get(move.axis, 1.0), fleet.axis(move.axis)
         if isinstance(speed, str):
-            limited_moves.append(_limit_axis(move, axis, _parse_speed(speed, axis, move.axis), speed))
+            limited_moves.append(_limit_axis(move, axis, _parse_speed(speed, axis.unit, move.axis), speed))
         else:
             limited_moves.append(replace(move, velocity=move.velocity * speed))
     return limited_moves
@@ -75,14 +122,14 @@ def _limit_line(fleet: Fleet, speed: str, moves: Sequence[AxisMove]) -> list[Axi
             continue
         axis = axes[move.axis]
         share = distances[move.axis] / length
-        limited_moves.append(_limit_axis(move, axis, _parse_speed(speed, axis, move.axis) * share, speed))
+        limited_moves.append(_limit_axis(move, axis, _parse_speed(speed, axis.unit, move.axis) * share, speed))
     return limited_moves
 
 
-def _parse_speed(speed: str, axis: Axis, name: str) -> float:
-    """A speed in units of the axis per second."""
+def _parse_speed(speed: str, unit: Unit, name: str) -> float:
+    """A speed in units of an axis per second."""
     try:
-        return parse_rate(speed, axis.unit, 1)
+        return parse_rate(speed, unit, 1)
     except UnitError as error:
         raise PlanError(f"speed of {name}: {error}") from None
 

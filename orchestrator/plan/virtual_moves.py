@@ -1,36 +1,28 @@
-"""Moves of virtual axes: the targets and speeds of the real axes that they stand for.
+"""Moves of virtual axes: the targets of the real axes that they stand for.
 
 A move of virtual axes is one of their real axes on a straight line (`sync: phase`), on which every virtual position
 changes in proportion as well. Virtual axes of a group that the step does not name keep their positions.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from fractions import Fraction
-from math import hypot
 from typing import TypeVar
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of, split_name
-from orchestrator.model.steps.base import MotionOptions
+from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.move import Move
-from orchestrator.model.units import Unit, UnitError, parse_quantity, parse_rate
-from orchestrator.plan.shape import PlanError
-from orchestrator.plan.step import AxisMove
-
-LEAST_TIME_S = 1e-9
-"""A way that takes less is only the rounding to counts."""
-
-
-def find_virtual_names(fleet: Fleet, step: Motion) -> list[str]:
-    """The virtual axes that a motion names."""
-    names = fleet.names.virtual
-    return [name for name in step.named_axes if name in names] if names else []
-
+from orchestrator.model.units import UnitError, parse_quantity
 
 MotionT = TypeVar("MotionT", bound=Motion)
+
+
+def find_virtual_names(fleet: Fleet, step: Step) -> list[str]:
+    """The virtual axes that a step names."""
+    names = fleet.names.virtual
+    return [name for name in step.named_axes if name in names] if names else []
 
 
 def straighten(fleet: Fleet, step: MotionT) -> MotionT:
@@ -54,8 +46,8 @@ def require_apart(fleet: Fleet, step: Move) -> None:
                 raise Refusal("bad-step", text, "name only one of them, or make two steps", controller_of(axis))
 
 
-def group_virtual(fleet: Fleet, step: Motion) -> dict[str, list[str]]:
-    """The virtual axes that a motion names, by group."""
+def group_virtual(fleet: Fleet, step: Step) -> dict[str, list[str]]:
+    """The virtual axes that a step names, by group."""
     groups: dict[str, list[str]] = {}
     for name in find_virtual_names(fleet, step):
         groups.setdefault(split_name(name)[0], []).append(name)
@@ -92,73 +84,3 @@ def _parse_amount(fleet: Fleet, name: str, value: int | float | str) -> Fraction
         return parse_quantity(value, fleet.unit_of(name))
     except UnitError as error:
         raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None
-
-
-# Speeds
-
-
-def limit_virtual_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> list[AxisMove] | None:
-    """The moves with a speed of virtual axes as the limits of their real ones; None where the step states none.
-
-    A speed with a unit is that along the line of the virtual axes that the step names; in a mapping, that of the axis.
-    Raises `PlanError`.
-    """
-    speed = step.speed
-    distances = {name: distance for name, distance in _find_distances(fleet, moves).items() if name in step.named_axes}
-    if not distances or isinstance(speed, float | int):
-        return None
-    if not isinstance(speed, Mapping):
-        units = {fleet.unit_of(name) for name in distances}
-        if speed == "manual" or len(units) > 1 or len(distances) < len(step.named_axes):
-            return None
-        unit = next(iter(units))
-        length = hypot(*distances.values())
-        return _limit_together(moves, length / _parse_speed(speed, unit, next(iter(distances))))
-    least_s = 0.0
-    for name, value in speed.items():
-        if name not in distances:
-            continue
-        if not isinstance(value, str):
-            raise PlanError(f"speed of {name}: a virtual axis has no limit of its own; give a speed with its unit")
-        least_s = max(least_s, abs(distances[name]) / _parse_speed(value, fleet.unit_of(name), name))
-    return _limit_together(moves, least_s)
-
-
-def drop_virtual_speeds(fleet: Fleet, speeds: Mapping[str, float | str]) -> dict[str, float | str]:
-    """The speeds of real axes among those that a step states."""
-    return {name: speed for name, speed in speeds.items() if name not in fleet.names.virtual}
-
-
-def _find_distances(fleet: Fleet, moves: Sequence[AxisMove]) -> dict[str, float]:
-    """How far virtual axes go, in their units, for the groups whose real axes all move."""
-    ways = {
-        move.axis: float((move.target_counts - move.start_counts) / fleet.axis(move.axis).counts_per_unit)
-        for move in moves
-    }
-    distances: dict[str, float] = {}
-    for virtual_map in fleet.virtual_axes.maps.values():
-        if not all(axis in ways for axis in virtual_map.real):
-            continue
-        for name, row in zip(virtual_map.virtual, virtual_map.matrix, strict=True):
-            distances[name] = sum(float(part) * ways[axis] for part, axis in zip(row, virtual_map.real, strict=True))
-    return distances
-
-
-def _limit_together(moves: Sequence[AxisMove], least_s: float) -> list[AxisMove]:
-    """The moves with no axis faster than its whole way in `least_s`: on a straight line that limits all alike."""
-    limited_moves: list[AxisMove] = []
-    for move in moves:
-        distance = abs(move.target_counts - move.start_counts)
-        velocity = distance / least_s if least_s > LEAST_TIME_S and distance else move.velocity
-        if velocity > move.velocity * (1 + 1e-9):
-            share = velocity / move.velocity
-            raise PlanError(f"{move.axis} would move at {share:.3g} times its velocity limit; lower the speed")
-        limited_moves.append(replace(move, velocity=min(move.velocity, velocity)))
-    return limited_moves
-
-
-def _parse_speed(speed: str, unit: Unit, name: str) -> float:
-    try:
-        return parse_rate(speed, unit, 1)
-    except UnitError as error:
-        raise PlanError(f"speed of {name}: {error}") from None

@@ -25,6 +25,7 @@ from orchestrator.model.steps.numbers import number_step
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import find_digests, iterate_steps
 from orchestrator.model.units import format_quantity
+from orchestrator.plan.virtual_moves import group_virtual
 
 STEPS_AT_ONCE = 200  # that are looked at before other work gets its turn
 
@@ -101,8 +102,7 @@ class _JobUses:
         if step.moves:
             self.moved |= axes
         self.absolute |= dict.fromkeys(fleet.find_real_axes(step.absolute_axes))
-        virtual_names = [name for name in step.named_axes if name in fleet.names.virtual]
-        self.virtual |= dict.fromkeys(split_name(name)[0] for name in virtual_names)
+        self.virtual |= dict.fromkeys(group_virtual(fleet, step))
         self.frames |= dict.fromkeys(step.frames)
         self.groups |= dict.fromkeys(name for name in step.named_axes if name in fleet.groups)
         self.homes_all |= step.uses_whole_fleet

@@ -2,6 +2,7 @@
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.steps.base import Step
+from orchestrator.plan.virtual_moves import find_virtual_names
 
 
 class StartPlaces:
@@ -16,8 +17,7 @@ class StartPlaces:
         """The real axes that `step`, as the first one, moves or counts from where they stand. step: one of
         `iterate_steps`."""
         # Virtual axes of a group that a step does not name stay where they are.
-        virtual_axes = [name for name in step.named_axes if name in self._fleet.names.virtual]
-        axes = self._fleet.find_real_axes([*step.relative_axes, *virtual_axes])
+        axes = self._fleet.find_real_axes([*step.relative_axes, *find_virtual_names(self._fleet, step)])
         begin = [axis for axis in axes if axis not in self._known]
         self._known |= set(self._fleet.find_real_axes(step.placed_axes))
         return begin

@@ -20,6 +20,7 @@ from orchestrator.plan.continuing.ended_job import EndedJob, LastStep, find_last
 from orchestrator.plan.continuing.outputs import find_switches
 from orchestrator.plan.continuing.path_place import StoodPath, find_start_by_axis, find_stood_path
 from orchestrator.plan.path.rest import DIGITS, cut_path
+from orchestrator.plan.virtual_moves import find_virtual_names
 
 MAX_DESCRIBED_STEPS = 20
 WHOLE = "run the whole step again: `tutti job retry`"
@@ -120,7 +121,7 @@ def find_first_places(ended: EndedJob, left_steps: Sequence[Step]) -> dict[str, 
         if path is not None:
             return find_start_by_axis(path, ended.fleet)
         # Virtual axes that a step does not name keep their positions, so where it goes depends on where it began.
-        relative_axes = [*step.relative_axes, *(name for name in step.named_axes if name in ended.fleet.names.virtual)]
+        relative_axes = [*step.relative_axes, *find_virtual_names(ended.fleet, step)]
         if relative_axes:
             axes = ", ".join(dict.fromkeys(relative_axes))
             text = f"{step.describe()}, which is left, depends on where {axes} stood, and that is not known"
