@@ -86,7 +86,7 @@ class FaultInstants:
         t0_ns = self._find_t0_ns(request)
         if stage == "fire":
             return min(now_ns, t0_ns), t0_ns + FIRE_WINDOW_NS
-        if stage in ("motion", "trigger"):
+        if stage in ("motion", "trigger", "virtual"):
             return t0_ns + _MOTION_WINDOW_NS[0], t0_ns + _MOTION_WINDOW_NS[1]
         return None
 

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from random import Random
 from typing import Any
 
+from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT
 from orchestrator.campaign.recorder import Stage
-from orchestrator.campaign.trigger_outputs import TRIGGER_NUMBER, TRIGGER_OUTPUT
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime import simulated_fleets as makes
 from orchestrator.runtime.example_fleet import load_example

@@ -2,8 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from orchestrator.campaign.armed_waits import find_outlasted
-from orchestrator.campaign.at_once import AtOnceChecker
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
 from orchestrator.campaign.flight_checks import FlightChecker
@@ -13,7 +11,9 @@ from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
+from orchestrator.campaign.start_checks import AtOnceChecker, find_outlasted
 from orchestrator.campaign.triggers import TriggerChecker
+from orchestrator.campaign.virtual_lines import VirtualLineChecker
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
@@ -40,13 +40,24 @@ class InvariantChecker:
         self._changed_crystals: set[str] = set()
         self._records = PhaseRecords(fleet, recorder)
         self._triggers = TriggerChecker(fleet, self._records, self.add_violation)
-        self.flights = FlightChecker(fleet, recorder.rows, self._records, self.add_violation)
+        self._flights = FlightChecker(fleet, recorder.rows, self._records, self.add_violation)
+        self._virtual_lines = VirtualLineChecker(fleet, self._records, self.add_violation)
         self._motions = MotionChecker(fleet, recorder, self._records, self._untrusted, self.add_violation)
 
     def add_violation(self, invariant: str, text: str) -> None:
         self.violations.append(f"invariant {invariant}: {text}")
 
     # During a run
+
+    def watch_axes(self, phase: CampaignPhase) -> None:
+        """Watch the true motions of axes that fly, and of virtual axes, in a phase's jobs from now on."""
+        self._flights.watch(phase)
+        self._virtual_lines.watch(phase)
+
+    def end_watching(self) -> None:
+        """Watch no more."""
+        self._flights.end()
+        self._virtual_lines.end()
 
     def check_velocities(self, now_ns: int) -> None:
         """Check invariant 5 for moving axes: velocity, and its growth."""
@@ -72,8 +83,7 @@ class InvariantChecker:
                 self._speeds[name, motor] = (now_ns, speed)
 
     def check_positions(self, states: Mapping[str, ControllerState]) -> None:
-        """Check invariant 5 at rest: an axis that is reported as referenced is at its reported position. states:
-        current states from the adapters."""
+        """Check invariant 5 at rest: an axis that is reported as referenced is there. states: current ones."""
         for name, state in states.items():
             for axis_name, axis in self._whole_fleet.controllers[name].axes.items():
                 axis_state, label = state.axes[axis_name], f"{name}.{axis_name}"
@@ -94,14 +104,8 @@ class InvariantChecker:
             self._untrusted |= set(affected)
         if fault.name == "crystal":
             self._changed_crystals.add(member)
-        if self._loses_position(fault, member):
+        if _loses_position(fault, self._whole_fleet.controllers[member].adapter):
             self._position_lost.add(member)
-
-    def _loses_position(self, fault: FaultKind, member: str) -> bool:
-        """Return whether the member's position can no longer be determined: it was stalled, or the limit switch that
-        was pressed is its reference."""
-        make = self._whole_fleet.controllers[member].adapter
-        return fault.name == "stall" or (fault.name == "limit" and find_traits(make).references_at_limit)
 
     # After a phase
 
@@ -121,7 +125,8 @@ class InvariantChecker:
                 self._motions.check_motion(phase, name, motion, steps, reports)
             if name not in phase.at_rest:
                 self.add_violation("3", f"{name} is not at rest after the end of all jobs")
-        self.flights.check_phase(phase, self._triggers.rises, self._untrusted)
+        self._flights.check_phase(phase, self._triggers.rises, self._untrusted)
+        self._virtual_lines.check_phase(phase, reports, self._untrusted)
         self._triggers.check_phase(phase, steps, reports, self._untrusted)
         for job_id, report in reports.items():
             for step in report.steps if report is not None else []:
@@ -249,7 +254,7 @@ class InvariantChecker:
                     taken_s = (truth[-1].end_ns - truth[0].start_ns) / NS_PER_S if truth[-1].end_ns else 0.0
                     self._check_green(label, taken_s, member.lowered_s.get(axis))
                 window = step.budget.members.get(name) if step.budget and not step.budget.by_trigger_line else None
-                if window is not None and not self._start_was_delayed(name, member, truth[0].start_ns):
+                if window is not None and not self._is_delayed(name, member, truth[0].start_ns):
                     promised_interval = TimeInterval(
                         earliest_ns=t0_ns + window.earliest_ns, latest_ns=t0_ns + window.latest_ns
                     )
@@ -262,8 +267,8 @@ class InvariantChecker:
                 "12", f"{label} took {taken_s:.3f} s, promised {promised_s:.3f} s, and the verdict is green"
             )
 
-    def _start_was_delayed(self, name: str, member: MemberReport, start_ns: int) -> bool:
-        """Return whether the start command may have been delayed by more than the model of its connection allows."""
+    def _is_delayed(self, name: str, member: MemberReport, start_ns: int) -> bool:
+        """Whether a start command may have been delayed by more than the model of its connection allows."""
         return member.start_class in ("host", "sync") and self._fleet.wires[name].delayed_start(start_ns)
 
     def _check_contains(self, what: str, claimed: TimeInterval, truth_ns: int) -> None:
@@ -280,6 +285,12 @@ def _list_evidence(order: JobOrder, name: str, member: MemberReport) -> list[tup
         for axis, evidence in member.evidence.items()
         if scan is None or scan.flown_axis == f"{name}.{axis}"
     ]
+
+
+def _loses_position(fault: FaultKind, make: str) -> bool:
+    """Whether the position of a member of this make can no longer be determined: it was stalled, or the limit switch
+    that was pressed is its reference."""
+    return fault.name == "stall" or (fault.name == "limit" and find_traits(make).references_at_limit)
 
 
 def _find_part(parts: dict[tuple[str, int], tuple[RecordedRequest, int]], go: RecordedRequest) -> int:

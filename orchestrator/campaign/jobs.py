@@ -6,9 +6,10 @@ from itertools import chain
 from random import Random
 from typing import Any, Literal, NamedTuple
 
+from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD
 from orchestrator.campaign.fleets import PATH_MAKE, find_traits
 from orchestrator.campaign.flown_scans import draw_flown_scan
-from orchestrator.campaign.trigger_outputs import TRIGGER_OUTPUT, TRIGGER_PERIOD
+from orchestrator.campaign.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
@@ -32,11 +33,11 @@ ARMED_TIMEOUT = "30 s"  # of a step that waits armed
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight"]
+MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight", "virtual"]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
 several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
 once. live: a live job whose program asks for a chain. armed: its move waits
-armed for a request. flight: a scan that flies."""
+armed for a request. flight: a scan that flies. virtual: its move is one of virtual axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +89,8 @@ def draw_orders(
         main = [member]
     elif kind in ("path", "flight"):
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
+    elif kind == "virtual":
+        main = list(fleet.controllers)
     other_controllers = [name for name in other_controllers if name not in main]
     job = _draw_main(kind, _JobAxes(fleet, main, all_positions), member, draw, first)
     orders = [_make_live(job, main) if kind == "live" else JobOrder(job, QueueTerms(), tuple(main))]
@@ -122,6 +125,9 @@ def _draw_main(
         return make_job("main", [draw_flown_scan(axes.fleet, axes.controllers, member, axes.positions, draw)])
     if kind in ("chain", "at-once", "live"):
         return _draw_chain("main", axes, member, draw, alone=kind == "at-once")
+    if kind == "virtual":
+        targets = draw_virtual_targets(axes.fleet, axes.positions, draw)
+        return make_job("main", [{"do": "move", "to": targets, "speed": VIRTUAL_SPEED}])
     job = _draw_moves("main", axes, draw, steps_before)
     if kind == "armed":
         return _let_wait(job)

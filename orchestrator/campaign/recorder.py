@@ -28,14 +28,24 @@ Stage = Literal[
     "live",
     "armed-waiting",
     "flying",
+    "virtual",
 ]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
 the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way; at-once:
 a step that starts at once is requested, and waits for the end of the one before; live: a step that a live job was asked
 for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`;
-flying: several lines of a scan are flown in one motion."""
+flying: several lines of a scan are flown in one motion; virtual: a step of virtual axes moves."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
-STATED_STAGES: tuple[Stage, ...] = ("chain", "chunk", "trigger", "at-once", "live", "armed-waiting", "flying")
+STATED_STAGES: tuple[Stage, ...] = (
+    "chain",
+    "chunk",
+    "trigger",
+    "at-once",
+    "live",
+    "armed-waiting",
+    "flying",
+    "virtual",
+)
 """Those that the requests of a step alone do not show: a fault that was drawn for one of them counts for it."""
 
 _RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk", "start-at-once")

@@ -20,9 +20,9 @@ from orchestrator.campaign.computers import connect_computers, make_computers
 from orchestrator.campaign.fault_instants import FIRE_WINDOW_NS, FaultInstants
 from orchestrator.campaign.faults import FAULTS, FaultInjector
 from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
-from orchestrator.campaign.flight_acts import FlightActs
 from orchestrator.campaign.hand_jogs import STAGE_RENEWALS, HandJogs
 from orchestrator.campaign.invariants import InvariantChecker
+from orchestrator.campaign.job_acts import FlightActs, StartRequests
 from orchestrator.campaign.jobs import (
     WITNESS,
     JobOrder,
@@ -38,7 +38,7 @@ from orchestrator.campaign.program import run_program
 from orchestrator.campaign.recorder import STAGES, STATED_STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase
 from orchestrator.campaign.rest import find_at_rest
-from orchestrator.campaign.start_requests import StartRequests
+from orchestrator.campaign.virtual_moves import add_virtual_axes
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -78,6 +78,7 @@ _KINDS: dict[Stage, MainKind] = {
     "live": "live",
     "armed-waiting": "armed",
     "flying": "flight",
+    "virtual": "virtual",
 }
 
 
@@ -123,7 +124,10 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
     paths = any(cell.stage in ("chunk", "flying") for cell in cells)
-    seed_run = SeedRun(seed, tuple(cells), make_campaign_fleet(seed, makes, paths=paths))
+    fleet = make_campaign_fleet(seed, makes, paths=paths)
+    if any(cell.stage == "virtual" for cell in cells):
+        fleet = add_virtual_axes(fleet, seed)
+    seed_run = SeedRun(seed, tuple(cells), fleet)
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
@@ -188,7 +192,7 @@ class _Scenario:
                     break
         looking.cancel()
         self._programs.cancel_all()
-        self.checker.flights.end()
+        self.checker.end_watching()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:
@@ -199,7 +203,7 @@ class _Scenario:
             self.checker.check_velocities(self._clock.now_ns())
             phase = self._phase
             if phase is not None:
-                self.checker.flights.watch(phase)
+                self.checker.watch_axes(phase)
             if phase is not None and (phase.fault_ns is None or not phase.fault.must_stop):
                 self._paths.check_positions(phase)
             await sleep_ns(self._clock, POLL_NS)

@@ -171,6 +171,24 @@ def test_no_fault_in_a_flight_makes_a_row_good_that_is_not(seed: int, fault: str
     assert not story.violations and story.hit, story.summarize()
 
 
+VIRTUAL = [("none", "shrc203"), ("stop", "smc4000"), ("limit", "cia402")]
+"""Faults while virtual axes of a whole fleet move: in one seed, nightly all of them."""
+
+
+def test_virtual_axes_stay_on_their_line_until_a_fault() -> None:
+    story = run_scenario(1, [FaultCell("virtual", fault, make) for fault, make in VIRTUAL])
+    assert not story.violations, story.summarize()
+    assert len(story.hit) == len(VIRTUAL)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(2, 202))
+def test_virtual_axes_stay_on_their_line_in_other_seeds(seed: int) -> None:
+    cells = cells_of_seed(seed, SeedChoice(("virtual",)))
+    story = run_scenario(seed, cells)
+    assert not story.violations, story.summarize()
+
+
 @pytest.mark.parametrize(
     ("seed", "fault", "make"),
     [

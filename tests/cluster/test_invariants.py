@@ -38,7 +38,7 @@ from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
 from orchestrator.coordinator.jobs.queue.queue_gate import QueueGate
-from orchestrator.coordinator.jobs.run import flight_rows
+from orchestrator.coordinator.jobs.run import flight_rows, motion_chain
 from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.live_sequence import LiveSequence
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
@@ -51,6 +51,7 @@ from orchestrator.coordinator.motion.start import StartSequence
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ArmRequest, ProposeRequest
 from orchestrator.model.report import StepReport
+from orchestrator.plan import virtual_bound
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 Patch = pytest.MonkeyPatch
@@ -322,6 +323,17 @@ def calls_every_speed_good(patch: Patch) -> None:
     patch.setattr(flight_rows, "OTHER_TIME", inf)
 
 
+def bends_lines_of_virtual_axes(patch: Patch) -> None:
+    """The real axes of virtual ones end together, but each has ramps of its own."""
+    bent = {"sync": "time", "ramps": "own"}
+    patch.setattr(motion_chain, "straighten", lambda _, step: step.model_copy(update=bent))
+
+
+def promises_virtual_lines_by_rounding(patch: Patch) -> None:
+    """Virtual axes are off their line by the rounding only, however far the starts of their real axes are apart."""
+    patch.setattr(virtual_bound, "NS_PER_S", NEVER_NS)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -362,6 +374,8 @@ MUTATIONS = (
     Mutation("16", claims_planned_pulses, FaultCell("trigger", "limit", "smc4000"), 1),
     Mutation("18", confirms_lines_unseen, FaultCell("flying", "estop", "smc4000"), 2),
     Mutation("18", calls_every_speed_good, FaultCell("flying", "none", "smc4000"), 7),
+    Mutation("19", bends_lines_of_virtual_axes, FaultCell("virtual", "none", "smc4000"), 2),
+    Mutation("19", promises_virtual_lines_by_rounding, FaultCell("virtual", "none", "smc4000"), 2),
     Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.

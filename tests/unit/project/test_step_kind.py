@@ -21,6 +21,7 @@ ASKED_FOR_CLASSES = {
     "orchestrator/campaign/flown_scans.py": "the checker knows the lines of the campaign's own scans",
     "orchestrator/campaign/jobs.py": "the campaign adds triggers to its own moves",
     "orchestrator/campaign/paths.py": "the checker knows the geometry of the campaign's own paths",
+    "orchestrator/campaign/virtual_moves.py": "the checker knows the targets of the campaign's own moves",
     "orchestrator/cli/manual/one_step.py": "`tutti axis` checks the words of its command before there is a job",
     "orchestrator/cli/paths/path.py": "`tutti path plot` draws paths",
     "orchestrator/coordinator/motion/planning.py": "the planner of paths and that of moves are two",

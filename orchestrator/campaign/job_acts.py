@@ -1,4 +1,4 @@
-"""A person that pauses flights, resumes them, and changes their speed."""
+"""What other clients do with running jobs: start steps that wait armed; pause flights, and change their speed."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -12,6 +12,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.report import FINISHED_STATES
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
+_GO_NS = (500 * NS_PER_MS, 4 * NS_PER_S)  # from when a wait was seen to `go`, earliest and latest
 FLIGHT_JOB = "main"
 _LOOK_NS = 100 * NS_PER_MS
 _ACT_NS = (1500 * NS_PER_MS, 6500 * NS_PER_MS)  # from when the job was seen running to an act, earliest and latest
@@ -20,6 +21,31 @@ _OVERRIDE_NS = (1 * NS_PER_S, 4 * NS_PER_S)
 _PERCENTS = (40, 70, 110)
 
 _ACTS = ("pause", "pause-now", "override", "none")
+
+
+class StartRequests:
+    """Sends `go` from now on, if one of `stages` has such steps; in vain if something has ended the wait."""
+
+    def __init__(self, fleet: VirtualFleet, seed: int, stages: Collection[Stage]) -> None:
+        self._fleet = fleet
+        self._draw = Random(seed)
+        self._tasks = TaskOwner()
+        if "armed-waiting" in stages:
+            self._tasks.spawn(self._run())
+
+    def end(self) -> None:
+        """Look for waits no more."""
+        self._tasks.cancel_all()
+
+    async def _run(self) -> None:
+        client = self._fleet.make_client("starter")
+        while True:
+            await sleep_ns(self._fleet.clock, _LOOK_NS)
+            with suppress(Refusal):
+                armed_jobs = (await client.list_jobs(state="armed")).jobs
+                if armed_jobs:
+                    await sleep_ns(self._fleet.clock, self._draw.randint(*_GO_NS))
+                    await client.go_job(armed_jobs[0].id)
 
 
 class FlightActs:

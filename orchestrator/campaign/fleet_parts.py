@@ -1,0 +1,7 @@
+"""Names of what the fleets of the fault campaign have besides axes."""
+
+TRIGGER_OUTPUT, TRIGGER_NUMBER = "flash", 3
+"""The output of the controllers whose make has triggers, and its number."""
+TRIGGER_PERIOD = "40 ms"
+VIRTUAL_GROUP = "table"
+"""The virtual axes of a fleet that has some: one for each controller, of its first axis."""
