@@ -4,13 +4,16 @@ import asyncio
 import re
 
 import pytest
-from cluster.worlds import PREPARE, demo_fleet, demo_job, job, origin_host_ns, outcome, refusal, run_fleet
+from cluster.worlds import PREPARE, changed, demo_fleet, demo_job, job, origin_host_ns, outcome, refusal, run_fleet
 
 from adapters.controller.stops import ControllerStops
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.memory.bus import MemoryBus
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
+from orchestrator.model.messages import StopMode
 from orchestrator.model.queue import QueueTerms, shift_utc
 from orchestrator.model.report import LeaseState
 from orchestrator.model.state import EstopLatch
@@ -196,6 +199,40 @@ def test_cancel_queued_and_running() -> None:
             await client.cancel_job(queued)
 
     run_fleet(main)
+
+
+def test_a_cancellation_that_comes_while_its_job_ends_does_not_cut_the_end_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stop has ended the step already when all members have answered it: the job waits for the rest of its axes,
+    and switches those off that are on for a job only."""
+    drop, stop, ending = MotionChain.drop, FleetAccess.stop_members, asyncio.Event()
+
+    async def drop_slowly(self: MotionChain, reason: str, actor: str) -> None:
+        if reason == "its job has ended":
+            ending.set()
+            await asyncio.sleep(0.05)
+        await drop(self, reason, actor)
+
+    async def stop_slowly(self: FleetAccess, members: list[str], mode: StopMode, actor: str, reason: str) -> None:
+        await stop(self, members, mode, actor, reason)
+        if reason.startswith("cancelled"):
+            await ending.wait()
+
+    monkeypatch.setattr(MotionChain, "drop", drop_slowly)
+    monkeypatch.setattr(FleetAccess, "stop_members", stop_slowly)
+
+    async def main(fleet: VirtualFleet) -> None:
+        client, gantry = fleet.make_client(), fleet.controllers["gantry"]
+        await outcome(fleet, PREPARE)
+        ending.clear()
+        job_id = await client.submit(job("[{do: move, to: {gantry.x: 390, stage.u: 12}, speed: 0.1}]"))
+        await asyncio.sleep(2.0)
+        assert gantry.is_moving("X")
+        await client.cancel_job(job_id)
+        report = await client.wait_for_job(job_id)
+        assert (report.state, report.reason, len(report.steps)) == ("cancelled", "cancelled by client", 1)
+        assert not (await client.status())["gantry"].axes["x"].enabled
+
+    run_fleet(main, changed(demo_fleet(), gantry={"axes": {"x": {"enable": "per_job"}}}))
 
 
 def test_dry_run_reports_what_would_be_sent() -> None:

@@ -130,7 +130,6 @@ class JobRun:
             async with running(self._state.keep_publishing()):
                 outcome = await self._run_job()
         finally:
-            self._over = True
             await self._readings.wait_for_last(self._services.clock)
             self._readings.close()
             with suppress(JournalError):
@@ -160,22 +159,19 @@ class JobRun:
         state: JobState = "done"
         reason, actor = "", self.row.actor
         try:
-            await self._prepare()
-            async for index in self._turns.iterate(self.row.from_step):
-                self._state.begin_step(index)
-                await self._step_run.wait_while_paused()
-                report = await self._run_numbered_step(index)
-                goes_on = self._steps.note_report(index, report)
-                if goes_on and report.state != "done":
-                    await self._chain.drop("the move before it was not done", actor)
-                    await self._rest.wait_for_rest()
-                if not goes_on:
-                    state = "aborted" if report.state == "stopped" else "failed"
-                    reason = f"{self._steps.locate(index).describe()}: {report.reason}"
-                    if self._interrupt is not None:
-                        # Its stop has reached the step before the step was cancelled.
-                        state, reason, actor = self._interrupt.state, self._interrupt.reason, self._interrupt.actor
-                    break
+            try:
+                await self._prepare()
+                failed_step = await self._run_steps()
+            finally:
+                # A stop that has ended the last step may still wait for the answer of a member: it cuts nothing off.
+                self._over = True
+            if failed_step is not None:
+                index, report = failed_step
+                state = "aborted" if report.state == "stopped" else "failed"
+                reason = f"{self._steps.locate(index).describe()}: {report.reason}"
+                if self._interrupt is not None:
+                    # Its stop has reached the step before the step was cancelled.
+                    state, reason, actor = self._interrupt.state, self._interrupt.reason, self._interrupt.actor
         except asyncio.CancelledError:
             interrupt = self._interrupt or JobInterrupted("interrupted", "the coordinator ended", "coordinator")
             state, reason, actor = interrupt.state, interrupt.reason, interrupt.actor
@@ -199,6 +195,20 @@ class JobRun:
             self._steps.drop_waiting("its job has ended")
         # A reason that its record does not take would leave the job without an end.
         return JobOutcome(state, shorten_text(reason), actor, self._make_report())
+
+    async def _run_steps(self) -> tuple[int, StepReport] | None:
+        """Run all steps; return the number and the report of one that ends the job before its last one. Raises `JournalError`,
+        `JobInterrupted`."""
+        async for index in self._turns.iterate(self.row.from_step):
+            self._state.begin_step(index)
+            await self._step_run.wait_while_paused()
+            report = await self._run_numbered_step(index)
+            if not self._steps.note_report(index, report):
+                return index, report
+            if report.state != "done":
+                await self._chain.drop("the move before it was not done", self.row.actor)
+                await self._rest.wait_for_rest()
+        return None
 
     async def _prepare(self) -> None:
         """Do all that comes before the first step. Raises `Refusal`, `AxesInUse`, `PlanDeviates`, `SettingsDiffer`,
