@@ -197,8 +197,8 @@ class JobRun:
         return JobOutcome(state, shorten_text(reason), actor, self._make_report())
 
     async def _run_steps(self) -> tuple[int, StepReport] | None:
-        """Run all steps; return the number and the report of one that ends the job before its last one. Raises `JournalError`,
-        `JobInterrupted`."""
+        """Run all steps; return the number and the report of one that ends the job before its last one. Raises
+        `JournalError`, `JobInterrupted`."""
         async for index in self._turns.iterate(self.row.from_step):
             self._state.begin_step(index)
             await self._step_run.wait_while_paused()
