@@ -16,8 +16,8 @@ from orchestrator.model.queue import QueueTerms
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.move import Move
+from orchestrator.model.steps.triggers import Trigger
 from orchestrator.model.steps.wait_armed import WaitArmed
-from orchestrator.model.triggers import Trigger
 
 SPEED_FRACTION = 0.17  # of the speed limits: no axis reaches its target before the fault
 WITNESS = "witness"  # of a fleet that works again

@@ -15,7 +15,7 @@ from orchestrator.client.results import JobQueue, JobResult, shorten_repr
 from orchestrator.client.retargets import RetargetRequests
 from orchestrator.client.tracebacks import end_tracebacks
 from orchestrator.model.errors import Refusal
-from orchestrator.model.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
+from orchestrator.model.jobs.forecast import AxisForecast, JobForecast, StepForecast, StepProblem
 from orchestrator.model.jobs.job import UNKNOWN_ACTOR, Job
 from orchestrator.model.jobs.parts import dump_long
 from orchestrator.model.jobs.restart import StartPreview

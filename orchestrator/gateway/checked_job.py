@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, Self
 
-from orchestrator.model.forecast import StepProblem
 from orchestrator.model.jobs.files import FileProblem
+from orchestrator.model.jobs.forecast import StepProblem
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import dump_long, split_value
 

@@ -20,8 +20,8 @@ from orchestrator.gateway.preview import draw_parts
 from orchestrator.gateway.program_files import open_program
 from orchestrator.gateway.replies import describe_problems, make_joined_response
 from orchestrator.model.errors import Refusal
-from orchestrator.model.forecast import JobForecast, StepProblem
 from orchestrator.model.jobs.files import FileError, FileProblem, LoadedFile, read_document, read_file
+from orchestrator.model.jobs.forecast import JobForecast, StepProblem
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import join_at_once
 from orchestrator.model.templates.parameters import describe_parameter

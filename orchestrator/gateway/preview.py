@@ -8,7 +8,7 @@ from typing import Any
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import join_at_once
 from orchestrator.model.positions.entries import PositionEntry

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.units import Unit, convert_units
 from orchestrator.plan.path.traces import PathTrace
 

@@ -10,8 +10,8 @@ from orchestrator.gateway.program_drawing import draw_program, list_extents
 from orchestrator.gateway.replies import describe_problems
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast, StepProblem
 from orchestrator.model.jobs.files import FileError, FileProblem
+from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
 from orchestrator.plan.forecast.present import look_at_axes
 from orchestrator.plan.path.traces import trace_paths
 from orchestrator.plan.programs.present import list_places, list_zeros, stand_at, take_over

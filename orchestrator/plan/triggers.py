@@ -19,7 +19,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.profile import Profile
-from orchestrator.model.triggers import Trigger
+from orchestrator.model.steps.triggers import Trigger
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.step import StepPlan
 

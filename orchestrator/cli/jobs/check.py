@@ -17,7 +17,7 @@ from orchestrator.model.steps.numbers import number_step
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from orchestrator.model.forecast import JobForecast, StepForecast
+    from orchestrator.model.jobs.forecast import JobForecast, StepForecast
     from orchestrator.model.jobs.job import Job
     from orchestrator.model.templates.template import ParameterSetting
 
@@ -57,8 +57,8 @@ async def _check_file(
     file: Path, fleet_file: Path | None, repeat: int, settings: "Mapping[str, ParameterSetting]", *, as_json: bool
 ) -> None:
     from orchestrator.client.points import PointSummaries
-    from orchestrator.model.forecast import JobForecast
     from orchestrator.model.jobs.files import FileError, read_file
+    from orchestrator.model.jobs.forecast import JobForecast
     from orchestrator.model.steps.tree import find_paths
     from orchestrator.model.templates.template import Template
     from orchestrator.plan.forecast.job import forecast_job

@@ -17,7 +17,7 @@ from orchestrator.model.steps.numbers import name_step, number_step
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
-    from orchestrator.model.forecast import AxisForecast
+    from orchestrator.model.jobs.forecast import AxisForecast
     from orchestrator.model.jobs.job import Job
     from orchestrator.model.steps.base import Step
     from orchestrator.plan.forecast.job import JobForecaster
@@ -96,7 +96,7 @@ def _find_path(job: "Job", step: int | None) -> "tuple[int, Step]":
 
 def _place_axes(fleet: "Fleet", values: Mapping[str, str | float]) -> "dict[str, AxisForecast]":
     """The states of the axes whose positions are given."""
-    from orchestrator.model.forecast import AxisForecast
+    from orchestrator.model.jobs.forecast import AxisForecast
     from orchestrator.model.units import parse_quantity
 
     placed_forecasts: dict[str, AxisForecast] = {}

@@ -7,8 +7,8 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import StepForecast, StepProblem
 from orchestrator.model.jobs.files import format_place
+from orchestrator.model.jobs.forecast import StepForecast, StepProblem
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.order import RemainingStep

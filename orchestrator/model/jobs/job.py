@@ -11,8 +11,8 @@ from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.base import Step, require_in_files
 from orchestrator.model.steps.repeat import JobStep
 from orchestrator.model.steps.tree import iterate_steps
+from orchestrator.model.steps.triggers import check_job_outputs
 from orchestrator.model.text.text_fields import PLAIN_TEXT, SHOW_TEXT
-from orchestrator.model.triggers import check_job_outputs
 
 UNKNOWN_ACTOR = "unknown"
 _MISSING: Any = object()

@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from orchestrator.model.base import Int53, Model
-from orchestrator.model.forecast import AxisForecast, JobForecast
+from orchestrator.model.jobs.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.names import controller_of

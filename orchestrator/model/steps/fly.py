@@ -9,7 +9,7 @@ from orchestrator.model.paths.pieces import Rate
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.io import WaitInput
 from orchestrator.model.steps.points import MAX_SCAN_AXES
-from orchestrator.model.triggers import Trigger
+from orchestrator.model.steps.triggers import Trigger
 from orchestrator.model.units import Quantity
 
 LEAST_WINDOW_NS = 1_000_000

@@ -12,8 +12,8 @@ from orchestrator.model.state import StartWish
 from orchestrator.model.steps.armed_terms import describe_armed_obstacle
 from orchestrator.model.steps.base import MotionOptions, Step, StepSampling, TargetResolver
 from orchestrator.model.steps.speed import join_speeds
+from orchestrator.model.steps.triggers import Triggers, check_step_triggers
 from orchestrator.model.steps.words import describe_trigger
-from orchestrator.model.triggers import Triggers, check_step_triggers
 from orchestrator.model.units import AxisQuantity, Quantity
 
 _LIKE_FIELDS = [name for name in MotionOptions.model_fields if name not in ("do", "name", "speed")]

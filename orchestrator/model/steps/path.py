@@ -16,8 +16,8 @@ from orchestrator.model.state import StartWish
 from orchestrator.model.steps.armed_terms import describe_armed_obstacle
 from orchestrator.model.steps.base import Align, OwnSkew, Step, StepSampling
 from orchestrator.model.steps.points import MAX_SCAN_AXES
+from orchestrator.model.steps.triggers import Triggers, check_step_triggers
 from orchestrator.model.steps.words import describe_trigger
-from orchestrator.model.triggers import Triggers, check_step_triggers
 from orchestrator.model.units import Quantity
 
 

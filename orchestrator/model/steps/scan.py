@@ -13,7 +13,7 @@ from orchestrator.model.steps.fly import FlyOptions
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.move import NAME_AXES, Move
 from orchestrator.model.steps.points import MAX_POINTS, MAX_SCAN_AXES, GridPoints, PointTable, ScanAxis, ScanSpec
-from orchestrator.model.triggers import MAX_PLACES
+from orchestrator.model.steps.triggers import MAX_PLACES
 from orchestrator.model.units import Quantity
 
 MAX_AT_EACH = 50  # steps at each point of a scan

@@ -7,7 +7,7 @@ from typing import Any, cast
 from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.steps.speed import describe_speed
-from orchestrator.model.triggers import Trigger
+from orchestrator.model.steps.triggers import Trigger
 
 _NANOSECONDS = re.compile(r"\d+ ns")  # the JSON form of a duration
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport, PointRecord, QueueEntry, StepRecording
 from orchestrator.model.steps.order import StepOrder, StepPlace

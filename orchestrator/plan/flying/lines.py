@@ -11,7 +11,7 @@ from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.points import ScanAxis
 from orchestrator.model.steps.scan import Scan
-from orchestrator.model.triggers import Trigger
+from orchestrator.model.steps.triggers import Trigger
 from orchestrator.model.units import Unit
 from orchestrator.plan.path_profiles import Array, FittedMotion
 from orchestrator.plan.shape import WayEnd, WayLimits

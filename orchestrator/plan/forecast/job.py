@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import JobForecast, StepForecast
+from orchestrator.model.jobs.forecast import JobForecast, StepForecast
 from orchestrator.model.positions.resolve import PositionResolver, list_file_positions
 from orchestrator.model.steps.base import Step
 from orchestrator.plan.forecast.context import ForecastContext

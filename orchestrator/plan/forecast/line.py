@@ -8,7 +8,7 @@ import numpy as np
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import StepProblem
+from orchestrator.model.jobs.forecast import StepProblem
 from orchestrator.model.names import controller_of
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.scan import Scan

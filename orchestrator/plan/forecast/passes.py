@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 
 RUN_PASSES = 3  # that are run forward; the others follow from them
 

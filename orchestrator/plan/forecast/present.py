@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.names import split_name
 from orchestrator.model.state import ControllerState
 

@@ -8,7 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 from orchestrator.model.fleet import Axis
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.steps.base import InnerSteps, Step
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.kinds import forecast_step

@@ -7,7 +7,7 @@ from typing import Literal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.fleet_names import suggest_name
-from orchestrator.model.forecast import AxisForecast, StepProblem
+from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
 from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step

@@ -4,7 +4,7 @@ from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.passes import TargetCheck

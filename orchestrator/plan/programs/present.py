@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.units import Unit, convert_units, find_dimension, parse_quantity
 from orchestrator.plan.programs.program_job import make_program_job, require_unchanged
 from orchestrator.plan.programs.settings import FROM_LINE, ProgramText, read_settings

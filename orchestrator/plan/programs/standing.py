@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast
+from orchestrator.model.jobs.forecast import AxisForecast
 from orchestrator.model.paths.origin import Place
 from orchestrator.model.report import JobReport, StepRecording
 from orchestrator.model.steps.path import FollowPath

@@ -6,7 +6,7 @@ from orchestrator.model.errors import TuttiError
 from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.move import Move
-from orchestrator.model.triggers import DEFAULT_PULSE_NS, MAX_TRIGGERS
+from orchestrator.model.steps.triggers import DEFAULT_PULSE_NS, MAX_TRIGGERS
 
 
 def parse(triggers: str, more: str = "") -> Job:

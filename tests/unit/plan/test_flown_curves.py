@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.files import FileError, load_fleet, parse_document
+from orchestrator.model.jobs.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.scan import Scan
 from orchestrator.plan.flying.curves import CurvedLines

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 

@@ -7,8 +7,8 @@ import pytest
 from unit.random_rounds import share_with_nightly
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move

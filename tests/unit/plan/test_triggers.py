@@ -10,7 +10,7 @@ import pytest
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.profile import Profile
-from orchestrator.model.triggers import Trigger
+from orchestrator.model.steps.triggers import Trigger
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.triggers import MAX_INSTANTS, find_crossings, make_range_finder, resolve_triggers
 

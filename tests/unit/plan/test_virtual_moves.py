@@ -8,8 +8,8 @@ import pytest
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.forecast import JobForecast
 from orchestrator.model.jobs.files import load_fleet, parse_document
+from orchestrator.model.jobs.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.move import Move
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job

@@ -14,7 +14,7 @@ from orchestrator.coordinator.motion.planning import PlannedStep, StepRequest
 from orchestrator.coordinator.motion.step import rehearse_step
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.model.errors import Refusal
-from orchestrator.model.forecast import AxisForecast, StepForecast, StepProblem
+from orchestrator.model.jobs.forecast import AxisForecast, StepForecast, StepProblem
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.jobs.service import DryRun, DryRunDone
 from orchestrator.model.steps.tree import as_motion
