@@ -10,7 +10,7 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import FINISHED_STATES, JobReport, StepReport, VirtualBound
 from orchestrator.model.steps.move import Move
-from orchestrator.model.virtual_axes import LinearMap
+from orchestrator.model.virtual_maps import VirtualMap
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 SAMPLE_NS = 5 * NS_PER_MS  # of moving axes
@@ -49,18 +49,16 @@ class VirtualLineChecker:
         virtual_map = self._map
         units = {axis: self._fleet.controllers[controller_of(axis)] for axis in virtual_map.real}
         configs = {axis: self._fleet.fleet.axis(axis) for axis in virtual_map.real}
-        rows = [[float(factor) for factor in row] for row in virtual_map.matrix]
         while (row := self._fleet.journal.load_record(job_id)) is not None and row.state not in FINISHED_STATES:
             moves = True
             while moves:
                 real = [configs[axis].to_unit(units[axis].position(configs[axis].motors[0])) for axis in units]
-                virtual = tuple(sum(map(float.__mul__, factors, real)) for factors in rows)
-                samples.append((self._fleet.clock.now_ns(), virtual))
+                samples.append((self._fleet.clock.now_ns(), virtual_map.observe(real)))
                 moves = any(units[axis].is_moving(configs[axis].motors[0]) for axis in units)
                 await sleep_ns(self._fleet.clock, SAMPLE_NS if moves else REST_NS)
 
     @property
-    def _map(self) -> LinearMap:
+    def _map(self) -> VirtualMap:
         return self._fleet.fleet.virtual_axes.maps[VIRTUAL_GROUP]
 
     # After a phase

@@ -1,11 +1,12 @@
 """The fields of an axis that have a unit: its range, and those that files may give with one, `velocity: "200 mm/s"`."""
 
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any, cast
 
 from orchestrator.model.base import Model
 from orchestrator.model.problems import Problem
-from orchestrator.model.units import Quantity, Unit, UnitError, parse_rate
+from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity, parse_rate
 
 
 class SoftLimits(Model):
@@ -13,6 +14,10 @@ class SoftLimits(Model):
 
     min: Quantity
     max: Quantity
+
+    def in_unit(self, unit: Unit) -> tuple[Fraction, Fraction]:
+        """Both ends as exact numbers of a unit. Raises `UnitError`."""
+        return parse_quantity(self.min, unit), parse_quantity(self.max, unit)
 
 
 # field: power of seconds in its unit (1: per second)

@@ -30,8 +30,9 @@ from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Hertz, Part, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
-from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
-from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualAxes, VirtualGroup, find_virtual_problems
+from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
+from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup
+from orchestrator.model.virtual_maps import VirtualAxes, find_virtual_problems
 from orchestrator.model.web_views import WebSettings
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
@@ -164,6 +165,13 @@ class Axis(Model):
         plain, problems = convert_rates(data)
         return validate_with(problems, cls.__name__, lambda: handler(plain))
 
+    @field_validator("unit")
+    @classmethod
+    def _check_unit(cls, unit: Unit) -> Unit:
+        if find_dimension(unit) == "energy":
+            raise ValueError(f"an axis moves, and {unit} is a unit of energy; make it a virtual axis, `kind: energy`")
+        return unit
+
     @field_validator("motors")
     @classmethod
     def _check_one_motor(cls, motors: list[str]) -> list[str]:
@@ -196,7 +204,7 @@ class Axis(Model):
     def _check_soft_limits(cls, limits: SoftLimits | None, info: ValidationInfo) -> SoftLimits | None:
         if limits is None or "unit" not in info.data:
             return limits
-        low, high = (parse_quantity(end, info.data["unit"]) for end in (limits.min, limits.max))
+        low, high = limits.in_unit(info.data["unit"])
         if low >= high:
             raise ValueError(f"soft_limits.min ({limits.min}) is not below max ({limits.max})")
         scale = info.data.get("scale", 1)
@@ -294,11 +302,8 @@ class Axis(Model):
         """The soft limits as (low, high) counts, not rounded."""
         if self.soft_limits is None:
             return None
-        ends = [
-            parse_quantity(end, self.unit) * self.counts_per_unit
-            for end in (self.soft_limits.min, self.soft_limits.max)
-        ]
-        return min(ends), max(ends)
+        low, high = sorted(end * self.counts_per_unit for end in self.soft_limits.in_unit(self.unit))
+        return low, high
 
 
 class DigitalInput(Model):

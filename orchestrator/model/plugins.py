@@ -1,4 +1,5 @@
-"""Plug-ins: makes and simulators that installed packages provide by entry points, and the version of their contract.
+"""Plug-ins: makes, simulators and kinematics that installed packages provide by entry points, and the version of their
+contract.
 
 A plug-in that cannot be used, for whatever reason, is a `PluginError` that names its package, and what to do. Nothing
 is imported before it is used: a broken plug-in concerns only what uses it.
@@ -20,11 +21,18 @@ with a warning."""
 SIMULATOR_API_VERSION = 1
 """The same for simulators."""
 
-PluginGroup = Literal["tutti.adapters", "tutti.simulators"]
-_KINDS = {"tutti.adapters": "adapter", "tutti.simulators": "simulator"}
-_VERSIONS = {"tutti.adapters": API_VERSION, "tutti.simulators": SIMULATOR_API_VERSION}
-_OLDEST = {"tutti.adapters": API_VERSION - 1, "tutti.simulators": SIMULATOR_API_VERSION}
-_KNOWN = {"tutti.adapters": "known adapters", "tutti.simulators": "known models"}
+KINEMATICS_API_VERSION = 1
+"""The same for kinematics of virtual axes."""
+
+PluginGroup = Literal["tutti.adapters", "tutti.simulators", "tutti.kinematics"]
+_KINDS = {"tutti.adapters": "adapter", "tutti.simulators": "simulator", "tutti.kinematics": "kinematics"}
+_VERSIONS = {
+    "tutti.adapters": API_VERSION,
+    "tutti.simulators": SIMULATOR_API_VERSION,
+    "tutti.kinematics": KINEMATICS_API_VERSION,
+}
+_OLDEST = {**_VERSIONS, "tutti.adapters": API_VERSION - 1}
+_KNOWN = {"tutti.adapters": "known adapters", "tutti.simulators": "known models", "tutti.kinematics": "installed ones"}
 
 
 class PluginError(TuttiError, ValueError):

@@ -1,6 +1,6 @@
 """Units of axes: a closed list, converted exactly.
 
-A factor is the unit's size in the base unit of its dimension (mm, deg, count), as a rational, so that a thousand
+A factor is the unit's size in the base unit of its dimension (mm, deg, eV, count), as a rational, so that a thousand
 relative moves back and forth end on the same count. The radian is the one inexact size: pi is taken as the nearest
 double once, and is exact from then on.
 """
@@ -32,6 +32,8 @@ class Unit(StrEnum):
     RAD = "rad"
     MRAD = "mrad"
     REV = "rev"
+    EV = "eV"
+    KEV = "keV"
     COUNTS = "counts"
 
 
@@ -50,6 +52,8 @@ _SIZE: dict[Unit, tuple[str, Fraction]] = {
     Unit.RAD: ("angle", _DEG_PER_RAD),
     Unit.MRAD: ("angle", _DEG_PER_RAD / 1000),
     Unit.REV: ("angle", Fraction(360)),
+    Unit.EV: ("energy", Fraction(1)),
+    Unit.KEV: ("energy", Fraction(1000)),
     Unit.COUNTS: ("counts", Fraction(1)),
 }
 
@@ -61,7 +65,7 @@ class UnitError(TuttiError, ValueError):
 
 
 def find_dimension(unit: Unit) -> str:
-    """What a unit measures: `length`, `angle` or `counts`."""
+    """What a unit measures: `length`, `angle`, `energy` or `counts`."""
     return _SIZE[unit][0]
 
 

@@ -1,28 +1,35 @@
-"""Virtual axes: coordinates that people think in, each group of which stands for as many real axes by an exact map."""
+"""Virtual axes in a fleet file: coordinates that people think in, each group of which stands for as many real axes."""
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
-from typing import Annotated, Literal, Protocol, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.axis_units import SoftLimits
 from orchestrator.model.base import Id, Model, Rational
-from orchestrator.model.errors import TuttiError
-from orchestrator.model.names import split_name
-from orchestrator.model.problems import Problem
 from orchestrator.model.text.text_fields import PLAIN_TEXT
-from orchestrator.model.units import Quantity, Unit, UnitError, convert_units, find_dimension, parse_quantity
+from orchestrator.model.units import Quantity, Unit, parse_quantity
 
 MAX_AXES, MAX_GROUPS = 8, 200  # axes in one group
 FORMS: dict[str, tuple[str, ...]] = {
     "slit": ("gap", "centre"),
     "jacks": ("height", "pitch", "roll"),
     "rotation": ("u", "v"),
+    "sine_bar": ("angle",),
+    "energy": ("energy", "exit"),
 }
-"""The virtual axes of each named form, in order."""
+"""The virtual axes of each named form, in order. `energy` may be without the last one."""
+Kind = Literal["linear", "slit", "jacks", "rotation", "sine_bar", "energy", "code"]
+_FIELDS: dict[str, tuple[Kind, ...]] = {
+    "matrix": ("linear",),
+    "places": ("jacks",),
+    "angle": ("rotation", "energy"),
+    "length": ("sine_bar",),
+    "spacing": ("energy",),
+    "kinematics": ("code",),
+    "parameters": ("code",),
+}
+"""The kinds that have a field."""
+_OPTIONAL = ("angle", "parameters")
 
 
 class VirtualAxis(Model):
@@ -42,7 +49,7 @@ class VirtualAxis(Model):
     @model_validator(mode="after")
     def _check_soft_limits(self) -> Self:
         if self.soft_limits is not None:
-            low, high = (parse_quantity(end, self.unit) for end in (self.soft_limits.min, self.soft_limits.max))
+            low, high = self.soft_limits.in_unit(self.unit)
             if low >= high:
                 raise ValueError(
                     f"soft_limits.min ({self.soft_limits.min}) is not below max ({self.soft_limits.max}); swap them"
@@ -51,7 +58,7 @@ class VirtualAxis(Model):
 
 
 class VirtualGroup(Model):
-    """Virtual axes that stand for as many real ones: `linear` by a matrix, or one of the named forms.
+    """Virtual axes that stand for as many real ones: `linear` by a matrix, by one of the named forms, or by `code`.
 
     Positions are user positions. With M of `matrix`, in the units of the axes: virtual = M x real + offset.
 
@@ -59,11 +66,14 @@ class VirtualGroup(Model):
     `jacks`: three jacks under a table, at `places`: height is that of the table's origin, pitch and roll are the slopes
     of its plane along y and along x, as angles of small size (mrad: mm per m).
     `rotation`: two axes at a right angle, seen in a frame turned by `angle`: u = cos x first + sin x second.
+    `sine_bar`: a bar of `length` that one linear axis lifts: sin angle = real / length + sin offset.
+    `energy`: a crystal with planes at `spacing`, turned by the first axis: energy = hc / (2 spacing sin theta), with
+    theta = real + `angle`. With a second axis, the distance of two parallel crystals: exit = 2 distance cos theta, by
+    which the beam is shifted.
+    `code`: by the entry point `kinematics` of an installed package, with its `parameters`.
     """
 
-    kind: Literal["linear", "slit", "jacks", "rotation"] = Field(
-        default="linear", description="How virtual positions follow from real ones."
-    )
+    kind: Kind = Field(default="linear", description="How virtual positions follow from real ones.")
     of: list[str] = Field(min_length=1, max_length=MAX_AXES, description="The real axes `controller.axis`, in order.")
     axes: dict[Id, VirtualAxis] = Field(min_length=1, description="The virtual axes, as many as real ones.")
     matrix: dict[Id, list[Rational]] | None = Field(
@@ -78,7 +88,19 @@ class VirtualGroup(Model):
         default=None, description="With `jacks`: where each of them stands, [x, y] in mm, from the table's origin."
     )
     angle: float | None = Field(
-        default=None, description="With `rotation`: degrees, from the first axis towards the second."
+        default=None,
+        description="With `rotation`: degrees, from the first axis towards the second. With `energy`: degrees of theta "
+        "where its axis is at 0; 0 without it.",
+    )
+    length: Quantity | None = Field(default=None, description="With `sine_bar`: between its two rollers, in mm.")
+    spacing: Quantity | None = Field(
+        default=None, description="With `energy`: of the crystal's planes, in mm or with a unit, e.g. 0.313560 nm."
+    )
+    kinematics: str | None = Field(
+        default=None, max_length=100, description="With `code`: the name of an entry point `tutti.kinematics`."
+    )
+    parameters: dict[Id, float | Annotated[str, PLAIN_TEXT]] = Field(
+        default={}, max_length=100, description="With `code`: what its code is given."
     )
 
     @model_validator(mode="after")
@@ -86,7 +108,7 @@ class VirtualGroup(Model):
         repetitions = [name for name in self.of if self.of.count(name) > 1]
         if repetitions:
             raise ValueError(f"{repetitions[0]} is in `of` twice; name each real axis once")
-        names = FORMS.get(self.kind, tuple(self.axes))
+        names = self.order
         if set(self.axes) != set(names):
             raise ValueError(f"`kind: {self.kind}` has the axes {', '.join(names)}; `axes` has {', '.join(self.axes)}")
         if len(names) != len(self.of):
@@ -98,10 +120,15 @@ class VirtualGroup(Model):
 
     @model_validator(mode="after")
     def _check_fields_of_kind(self) -> Self:
-        for field, kind in (("matrix", "linear"), ("places", "jacks"), ("angle", "rotation")):
-            if (getattr(self, field) is not None) != (self.kind == kind):
-                verb = "needs" if self.kind == kind else "has no"
-                raise ValueError(f"`kind: {self.kind}` {verb} `{field}`")
+        for field, kinds in _FIELDS.items():
+            is_given = getattr(self, field) not in (None, {})
+            if is_given and self.kind not in kinds:
+                raise ValueError(f"`kind: {self.kind}` has no `{field}`")
+            is_needed = self.kind in kinds and not (field in _OPTIONAL and self.kind != "rotation")
+            if is_needed and not is_given:
+                raise ValueError(f"`kind: {self.kind}` needs `{field}`")
+        if self.offset and self.kind in ("energy", "code"):
+            raise ValueError(f"`kind: {self.kind}` has no `offset`")
         for field in ("matrix", "offset"):
             strangers = [name for name in getattr(self, field) or () if name not in self.axes]
             if strangers:
@@ -127,216 +154,14 @@ class VirtualGroup(Model):
             parse_quantity(value, self.axes[name].unit, name)
         for end in (end for corner in self.places or () for end in corner):
             parse_quantity(end, Unit.MM, "a place")
+        for field in ("length", "spacing"):
+            value = getattr(self, field)
+            if value is not None and not parse_quantity(value, Unit.MM, field) > 0:
+                raise ValueError(f"`{field}` is {value}; it must be above 0")
         return self
 
-
-# Maps
-
-Matrix = tuple[tuple[Fraction, ...], ...]
-
-WORST_CONDITION = 1e6
-"""A group that maps a small cube to a body so much longer than wide has lost an axis in practice (as frames)."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinearMap:
-    """virtual = matrix x real + offset, in the units of the axes, with rationals: nothing is rounded.
-
-    real, virtual: names of axes in order. inverse: of the matrix.
-    """
-
-    real: tuple[str, ...]
-    virtual: tuple[str, ...]
-    matrix: Matrix
-    inverse: Matrix
-    offset: tuple[Fraction, ...]
-
-    def to_virtual(self, positions: Sequence[Fraction]) -> tuple[Fraction, ...]:
-        """Virtual positions of real ones, in order."""
-        return tuple(part + offset for part, offset in zip(_multiply(self.matrix, positions), self.offset, strict=True))
-
-    def to_real(self, positions: Sequence[Fraction]) -> tuple[Fraction, ...]:
-        """Real positions of virtual ones, in order."""
-        distances = [position - offset for position, offset in zip(positions, self.offset, strict=True)]
-        return _multiply(self.inverse, distances)
-
-
-class SingularMap(TuttiError, ValueError):
-    """A matrix that has no useful inverse."""
-
-
-def make_map(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> LinearMap:
-    """The map of group `name`. units: of its real axes. Raises `SingularMap`, `UnitError`."""
-    order = FORMS.get(group.kind, tuple(group.axes))
-    real_units = [units[axis] for axis in group.of]
-    virtual_units = [group.axes[axis].unit for axis in order]
-    if group.matrix is not None:
-        matrix: Matrix = tuple(tuple(group.matrix[axis]) for axis in order)
-    else:
-        forward = _FORMS[group.kind](group)
-        # The forms are in mm and rad.
-        matrix = tuple(
-            tuple(factor * _base(unit) / _base(virtual_unit) for factor, unit in zip(row, real_units, strict=True))
-            for row, virtual_unit in zip(forward, virtual_units, strict=True)
-        )
-        _check_dimensions(group, order, units)
-    condition = find_condition(matrix)
-    if not condition < WORST_CONDITION:
-        raise SingularMap(
-            f"different positions of its real axes give the same virtual ones (condition {condition:.3g}, at most "
-            f"{WORST_CONDITION:g}); correct the {'matrix' if group.matrix is not None else 'places'}"
-        )
-    offsets = [parse_quantity(group.offset.get(axis, 0), group.axes[axis].unit) for axis in order]
-    virtual = tuple(f"{name}.{axis}" for axis in order)
-    return LinearMap(tuple(group.of), virtual, matrix, invert(matrix), tuple(offsets))
-
-
-def find_condition(matrix: Matrix) -> float:
-    """The condition number with rows and columns of one size, so that units do not count; infinite if singular."""
-    import numpy as np
-
-    table = np.array([[float(factor) for factor in row] for row in matrix])
-    for axis in (1, 0):
-        size = np.abs(table).max(axis=axis, keepdims=True)
-        if not size.all():
-            return math.inf
-        table = table / size
-    return float(np.linalg.cond(table))
-
-
-def invert(matrix: Matrix) -> Matrix:
-    """The exact inverse, by Gauss and Jordan. Raises `SingularMap`."""
-    size = len(matrix)
-    rows = [[*row, *(Fraction(int(i == j)) for j in range(size))] for i, row in enumerate(matrix)]
-    for column in range(size):
-        pivot = next((i for i in range(column, size) if rows[i][column]), None)
-        if pivot is None:
-            raise SingularMap("its matrix has no inverse")
-        rows[column], rows[pivot] = rows[pivot], rows[column]
-        factor = rows[column][column]
-        rows[column] = [value / factor for value in rows[column]]
-        for i in range(size):
-            if i != column and (factor := rows[i][column]):
-                rows[i] = [value - factor * top for value, top in zip(rows[i], rows[column], strict=True)]
-    return tuple(tuple(row[size:]) for row in rows)
-
-
-def _multiply(matrix: Matrix, values: Sequence[Fraction]) -> tuple[Fraction, ...]:
-    return tuple(
-        sum((factor * value for factor, value in zip(row, values, strict=True)), Fraction(0)) for row in matrix
-    )
-
-
-def _base(unit: Unit) -> Fraction:
-    """The size of a unit in mm or rad."""
-    base = Unit.MM if find_dimension(unit) == "length" else Unit.RAD
-    return convert_units(Fraction(1), unit, base)
-
-
-def _check_dimensions(group: VirtualGroup, order: Sequence[str], units: Mapping[str, Unit]) -> None:
-    """The named forms are of lengths, but for the slopes of a table."""
-    for axis in group.of:
-        convert_units(Fraction(1), units[axis], Unit.MM, axis)
-    for axis in order:
-        base = Unit.RAD if axis in ("pitch", "roll") else Unit.MM
-        convert_units(Fraction(1), group.axes[axis].unit, base, axis)
-
-
-def _make_slit(group: VirtualGroup) -> Matrix:
-    del group
-    half = Fraction(1, 2)
-    return (Fraction(1), Fraction(-1)), (half, half)
-
-
-def _make_jacks(group: VirtualGroup) -> Matrix:
-    """The height of each jack is height + pitch x y + roll x x, in mm and rad."""
-    places = [[parse_quantity(end, Unit.MM) for end in corner] for corner in group.places or ()]
-    heights: Matrix = tuple((Fraction(1), y, x) for x, y in places)
-    if not find_condition(heights) < WORST_CONDITION:
-        raise SingularMap("its jacks stand on one line, so a table on them can turn over; correct the places")
-    return invert(heights)
-
-
-def _make_rotation(group: VirtualGroup) -> Matrix:
-    angle = math.radians(group.angle or 0.0)
-    # Rounded once; the inverse is exact from then on.
-    cosine, sine = (Fraction(f"{value:.15f}") for value in (math.cos(angle), math.sin(angle)))
-    return (cosine, sine), (-sine, cosine)
-
-
-_FORMS = {"slit": _make_slit, "jacks": _make_jacks, "rotation": _make_rotation}
-
-
-# All of a fleet
-
-
-class RealAxis(Protocol):
-    """What a map needs to know of a real axis."""
-
     @property
-    def unit(self) -> Unit: ...
-
-    @property
-    def wrap(self) -> Quantity | None: ...
-
-
-class VirtualAxes:
-    """All virtual axes of a fleet. maps: by group."""
-
-    def __init__(self, groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> None:
-        """groups: valid ones. find_axis: the real axis of a name."""
-        self._groups = groups
-        self.maps: dict[str, LinearMap] = {
-            name: make_map(name, group, {axis: find_axis(axis).unit for axis in group.of})
-            for name, group in groups.items()
-        }
-
-    def find(self, name: str) -> VirtualAxis:
-        """The virtual axis `group.axis`, which exists."""
-        group, axis = split_name(name)
-        return self._groups[group].axes[axis]
-
-    def unit_of(self, name: str) -> Unit:
-        """The unit of a virtual axis."""
-        return self.find(name).unit
-
-    def explain_beyond_limits(self, name: str, position: Fraction) -> str | None:
-        """Why a position is outside the soft limits of a virtual axis itself; None if it is inside."""
-        axis = self.find(name)
-        if axis.soft_limits is None:
-            return None
-        low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
-        if low <= position <= high:
-            return None
-        return (
-            f"axis {name}: target {float(position):g} {axis.unit} is beyond its soft limits {float(low):g} to "
-            f"{float(high):g} {axis.unit}"
-        )
-
-    def explain_target(self, name: str, value: Quantity) -> str | None:
-        """Why a value of a file cannot be a position of a virtual axis; None if it can."""
-        try:
-            return self.explain_beyond_limits(name, parse_quantity(value, self.unit_of(name)))
-        except UnitError as error:
-            return str(error)
-
-
-def find_virtual_problems(groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> list[Problem]:
-    """What is wrong with virtual axes beside their names. find_axis: raises `ValueError` for an unknown name."""
-    return [problem for name, group in groups.items() for problem in _find_problems(name, group, find_axis)]
-
-
-def _find_problems(name: str, group: VirtualGroup, find_axis: Callable[[str], RealAxis]) -> Iterator[Problem]:
-    axes: dict[str, RealAxis] = {}
-    for number, axis in enumerate(group.of):
-        try:
-            axes[axis] = find_axis(axis)
-        except ValueError:
-            return  # reported with the other names
-        if axes[axis].wrap is not None:
-            text = f"axis {axis} wraps, so its position is not unique; virtual axes need axes that do not wrap"
-            yield Problem(("virtual", name, "of", number), text, axis)
-    try:
-        make_map(name, group, {axis: config.unit for axis, config in axes.items()})
-    except (SingularMap, UnitError) as error:
-        yield Problem(("virtual", name), str(error))
+    def order(self) -> tuple[str, ...]:
+        """The names of its axes, in the order of the form."""
+        names = FORMS.get(self.kind, tuple(self.axes))
+        return names[: len(self.of)] if self.kind == "energy" else names

@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import hypot
 
 from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.linear_map import LinearMap
 from orchestrator.model.steps.base import MotionOptions
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import Unit, UnitError, parse_rate
@@ -54,11 +55,22 @@ def _find_virtual_distances(fleet: Fleet, step: MotionOptions, moves: Sequence[A
         virtual_map = fleet.virtual_axes.maps[group]
         if not all(axis in ways for axis in virtual_map.real):
             continue
-        for name, row in zip(virtual_map.virtual, virtual_map.matrix, strict=True):
+        if not isinstance(virtual_map, LinearMap):
+            _require_no_speed(step, names)
+            continue
+        for name, row in zip(virtual_map.virtual, virtual_map.rows, strict=True):
             if name in names:
-                parts = zip(row, virtual_map.real, strict=True)
-                distances[name] = sum(float(part) * ways[axis] for part, axis in parts)
+                distances[name] = sum(part * ways[axis] for part, axis in zip(row, virtual_map.real, strict=True))
     return distances
+
+
+def _require_no_speed(step: MotionOptions, names: Sequence[str]) -> None:
+    """Raise `PlanError` for a speed of a curved virtual axis, which differs along its way."""
+    speed = step.speed
+    is_stated = any(name in speed for name in names) if isinstance(speed, Mapping) else isinstance(speed, str)
+    if is_stated and speed != MANUAL:
+        text = f"speed of {names[0]}: it differs along a curve; give a fraction of the limits, or the speed of its real"
+        raise PlanError(f"{text} axis in a mapping")
 
 
 def _find_virtual_duration(fleet: Fleet, speeds: Mapping[str, float | str], distances: Mapping[str, float]) -> float:

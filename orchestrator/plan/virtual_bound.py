@@ -10,11 +10,11 @@ from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.linear_map import LinearMap
 from orchestrator.model.messages import Proposal
 from orchestrator.model.names import split_name
 from orchestrator.model.report import SyncBudget, VirtualBound
 from orchestrator.model.steps.kinds import Motion
-from orchestrator.model.virtual_axes import LinearMap
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.virtual_moves import group_virtual
 
@@ -41,9 +41,11 @@ def bound_virtual_axes(fleet: Fleet, step: Motion, agreement: AgreedStart) -> di
     bounds: dict[str, VirtualBound] = {}
     for group in group_virtual(fleet, step):
         virtual_map = fleet.virtual_axes.maps[group]
+        if not isinstance(virtual_map, LinearMap):
+            continue  # of one real axis, which is on its curve wherever it is
         errors = _bound_real_axes(fleet, virtual_map, agreement)
-        for name, row in zip(virtual_map.virtual, virtual_map.matrix, strict=True):
-            most = sum(abs(float(factor)) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
+        for name, row in zip(virtual_map.virtual, virtual_map.rows, strict=True):
+            most = sum(abs(factor) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
             bounds[name] = VirtualBound(most=most, unit=fleet.unit_of(name))
     return bounds
 

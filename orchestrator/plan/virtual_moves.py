@@ -4,12 +4,14 @@ A move of virtual axes is one of their real axes on a straight line (`sync: phas
 changes in proportion as well. Virtual axes of a group that the step does not name keep their positions.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from typing import TypeVar
 
+from orchestrator.model.curved_map import CurvedMap
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.linear_map import MapError
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
@@ -62,7 +64,10 @@ def find_virtual_targets(
     positions: user positions of its real axes now, in order; None: unknown. Raises `Refusal`.
     """
     virtual_map = fleet.virtual_axes.maps[group]
-    virtual_positions = None if positions is None else virtual_map.to_virtual(positions)
+    if isinstance(virtual_map, CurvedMap) and len(virtual_map.real) > 1:
+        text = f"{group} of {len(virtual_map.real)} real axes is curved: its real axes would leave the curve on the way"
+        raise Refusal("curved", text, "move its real axes")
+    virtual_positions = None if positions is None else _map(virtual_map.to_virtual, positions)
     targets: list[Fraction] = []
     for number, name in enumerate(virtual_map.virtual):
         position = None if virtual_positions is None else virtual_positions[number]
@@ -76,7 +81,14 @@ def find_virtual_targets(
             beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, targets[-1])
             if beyond_limits is not None:
                 raise Refusal("soft-limit", beyond_limits, "change the target, or the soft limits in the fleet file")
-    return dict(zip(virtual_map.real, virtual_map.to_real(targets), strict=True))
+    return dict(zip(virtual_map.real, _map(virtual_map.to_real, targets), strict=True))
+
+
+def _map(convert: Callable[[Sequence[Fraction]], Sequence[Fraction]], values: Sequence[Fraction]) -> Sequence[Fraction]:
+    try:
+        return convert(values)
+    except MapError as error:
+        raise Refusal("outside-map", str(error), "choose other targets") from None
 
 
 def _parse_amount(fleet: Fleet, name: str, value: int | float | str) -> Fraction:

@@ -1,6 +1,7 @@
 """`tutti fleet …`: fleet files."""
 
 import re
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -154,4 +155,16 @@ def load_or_fail(file: Path) -> "Fleet":
     async def load_file() -> "Fleet":
         return load_checked_fleet(file)
 
-    return run_main(load_file())
+    loaded_fleet = run_main(load_file())
+    require_quick_maps(loaded_fleet, file)
+    return loaded_fleet
+
+
+def require_quick_maps(fleet: "Fleet", file: Path) -> None:
+    """End the command if code of users, which maps virtual axes, answers too slowly on this computer."""
+    from orchestrator.model.linear_map import MapError
+
+    try:
+        fleet.virtual_axes.check_speed(time.perf_counter)
+    except MapError as error:
+        exit_with_error(f"{file}: {error}", BAD_INPUT, "make its code quicker", code="bad-file")

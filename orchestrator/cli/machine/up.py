@@ -25,6 +25,7 @@ from orchestrator.cli.base.common import (
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
 from orchestrator.cli.base.sizes import SizeType
+from orchestrator.cli.files.fleet import require_quick_maps
 from orchestrator.cli.records.folder import metrics_option
 
 if TYPE_CHECKING:
@@ -220,6 +221,7 @@ def _load_fleet(file: Path, hosts: Sequence[str]) -> "Fleet":
     from orchestrator.runtime.checked import load_checked_fleet
 
     fleet = load_checked_fleet(file, tolerant=True)
+    require_quick_maps(fleet, file)
     unknown = [host for host in hosts if host not in fleet.hosts]
     if unknown:
         text = f"{file}: no controller has `host: {unknown[0]}`; its hosts: {', '.join(fleet.hosts)}"

@@ -6,10 +6,11 @@ from typing import Literal
 from pydantic import Field
 
 from orchestrator.model.base import Id, Int53, Model
+from orchestrator.model.linear_map import MapError, Rows
 from orchestrator.model.messages import Reply
 from orchestrator.model.names import split_name
 from orchestrator.model.state import AxisState, ControllerState
-from orchestrator.model.virtual_axes import LinearMap
+from orchestrator.model.virtual_maps import VirtualMap
 
 NS_PER_S = 1_000_000_000
 
@@ -34,7 +35,7 @@ class VirtualState(Model):
     """The state of a group of virtual axes: published by the coordinator with each state of its real axes.
 
     referenced, enabled: of all its real axes. obstacle: why it cannot be moved, with the real axis that is the cause;
-    empty: it can. Without a state of every controller it has no axes.
+    empty: it can. Without a state of every controller, and outside the domain of its map, it has no axes.
     """
 
     schema_: Literal["tutti.virtual/1"] = Field(default="tutti.virtual/1", alias="schema")
@@ -55,7 +56,7 @@ class VirtualStates(Reply):
 
 
 def observe_group(
-    group: str, virtual_map: LinearMap, units: Sequence[str], states: Mapping[str, ControllerState]
+    group: str, virtual_map: VirtualMap, units: Sequence[str], states: Mapping[str, ControllerState]
 ) -> VirtualState:
     """The state of a group. units: of its virtual axes, in the order of the map. states: by controller."""
     axes: dict[str, tuple[ControllerState, AxisState]] = {}
@@ -67,12 +68,15 @@ def observe_group(
             absent_controllers.append(controller)
         else:
             axes[name] = state, state.axes[axis]
-    obstacle = f"{absent_controllers[0]} is offline" if absent_controllers else _find_obstacle(axes)
+    observed_axes, obstacle = dict[str, VirtualAxisState](), f"{', '.join(absent_controllers[:1])} is offline"
+    if not absent_controllers:
+        observed_axes, reason = _observe_inside(virtual_map, units, [axes[name] for name in virtual_map.real])
+        obstacle = _find_obstacle(axes) or reason
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
     return VirtualState(
         group=group,
         of=list(virtual_map.real),
-        axes={} if absent_controllers else _observe_axes(virtual_map, units, [axes[name] for name in virtual_map.real]),
+        axes=observed_axes,
         moving=any(axis.moving for _, axis in axes.values()),
         enabled=not absent_controllers and all(axis.enabled for _, axis in axes.values()),
         referenced=not absent_controllers and all(axis.referenced for _, axis in axes.values()),
@@ -98,27 +102,49 @@ def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str
     return ""
 
 
+def _observe_inside(
+    virtual_map: VirtualMap, units: Sequence[str], axes: Sequence[tuple[ControllerState, AxisState]]
+) -> tuple[dict[str, VirtualAxisState], str]:
+    """The virtual axes, or why the map has no answer where the real axes are."""
+    try:
+        return _observe_axes(virtual_map, units, axes), ""
+    except MapError as error:
+        return {}, str(error)
+
+
 def _observe_axes(
-    virtual_map: LinearMap, units: Sequence[str], axes: Sequence[tuple[ControllerState, AxisState]]
+    virtual_map: VirtualMap, units: Sequence[str], axes: Sequence[tuple[ControllerState, AxisState]]
 ) -> dict[str, VirtualAxisState]:
     """The virtual axes, by their name in the group."""
-    # Jobs resolve targets with exact numbers; a state shows floats.
-    matrix = [[float(factor) for factor in row] for row in virtual_map.matrix]
-    offsets = [float(offset) for offset in virtual_map.offset]
+    positions_read = [axis.position for _, axis in axes]
+    targets_read = [axis.commanded for _, axis in axes]
     travels = _find_travels(axes)
+    positions, targets = virtual_map.observe(positions_read), virtual_map.observe(targets_read)
+    rows = virtual_map.find_rows(positions_read)
+    # Where a map is curved, its rows on the way are between the present ones and those where the axes may be by now.
+    far_positions = [value + low + high for value, (low, high) in zip(positions_read, travels, strict=True)]
+    far_rows = virtual_map.find_rows(far_positions)
     observed_axes: dict[str, VirtualAxisState] = {}
-    for row, offset, unit, name in zip(matrix, offsets, units, virtual_map.virtual, strict=True):
-        pairs = list(zip(row, (axis for _, axis in axes), travels, strict=True))
-        position = offset + sum(factor * axis.position for factor, axis, _ in pairs)
+    for number, name in enumerate(virtual_map.virtual):
+        low, high = _find_reach((rows[number], far_rows[number]), travels)
         observed_axes[split_name(name)[1]] = VirtualAxisState(
-            position=position,
-            low=position + sum(min(factor * travel for travel in (0.0, *span)) for factor, _, span in pairs),
-            high=position + sum(max(factor * travel for travel in (0.0, *span)) for factor, _, span in pairs),
-            target=offset + sum(factor * axis.commanded for factor, axis, _ in pairs),
-            velocity=sum(factor * axis.velocity for factor, axis, _ in pairs),
-            unit=unit,
+            position=positions[number],
+            low=positions[number] + low,
+            high=positions[number] + high,
+            target=targets[number],
+            velocity=sum(factor * axis.velocity for factor, (_, axis) in zip(rows[number], axes, strict=True)),
+            unit=units[number],
         )
     return observed_axes
+
+
+def _find_reach(rows: Rows, travels: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """How far a virtual axis may have moved, lowest and highest. rows: its row at both ends of the travels."""
+    low = high = 0.0
+    for factors, span in zip(zip(*rows, strict=True), travels, strict=True):
+        reaches = [factor * travel for factor in factors for travel in (0.0, *span)]
+        low, high = low + min(reaches), high + max(reaches)
+    return low, high
 
 
 def _find_travels(axes: Sequence[tuple[ControllerState, AxisState]]) -> list[tuple[float, float]]:

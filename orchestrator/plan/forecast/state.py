@@ -147,7 +147,7 @@ class ForecastState:
         axis = self.fleet.axis(name)
         if axis.soft_limits is None:
             return
-        low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
+        low, high = axis.soft_limits.in_unit(axis.unit)
         begin, end = float(low - state.lowest), float(high - state.highest)
         self.conditions[
             f"{name} stands between {begin:g} and {end:g} {axis.unit} (motor position) before {name_step(state.since)}"

@@ -12,7 +12,6 @@ from orchestrator.cli.manual.jog.work import STEP_SIZES
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis
 from orchestrator.model.state import AxisState
-from orchestrator.model.units import parse_quantity
 
 STALE_NS = 2 * NS_PER_S  # without a state of a controller that publishes several per second
 WIDE_COLUMNS = 100  # columns from which there is room for wider gaps
@@ -99,7 +98,7 @@ def _describe_room(axis: Axis, now: AxisState) -> tuple[str, str]:
         return "∞", "∞"
     if not now.referenced:
         return "?", "?"
-    low, high = (parse_quantity(end, axis.unit) for end in (axis.soft_limits.min, axis.soft_limits.max))
+    low, high = axis.soft_limits.in_unit(axis.unit)
     at = Fraction(now.motor_position)
     return _format_short(float(at - low)), _format_short(float(high - at))
 

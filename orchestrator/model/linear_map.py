@@ -1,0 +1,101 @@
+"""Linear maps of positions, with exact rationals."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+
+from orchestrator.model.errors import TuttiError
+
+Matrix = tuple[tuple[Fraction, ...], ...]
+
+
+@dataclass(frozen=True)
+class LinearMap:
+    """virtual = matrix x real + offset, in the units of the axes, with rationals: nothing is rounded.
+
+    real, virtual: names of axes in order. inverse: of the matrix.
+    """
+
+    real: tuple[str, ...]
+    virtual: tuple[str, ...]
+    matrix: Matrix
+    inverse: Matrix
+    offset: tuple[Fraction, ...]
+
+    def to_virtual(self, positions: Sequence[Fraction]) -> tuple[Fraction, ...]:
+        """Virtual positions of real ones, in order."""
+        return tuple(part + offset for part, offset in zip(_multiply(self.matrix, positions), self.offset, strict=True))
+
+    def to_real(self, positions: Sequence[Fraction]) -> tuple[Fraction, ...]:
+        """Real positions of virtual ones, in order."""
+        distances = [position - offset for position, offset in zip(positions, self.offset, strict=True)]
+        return _multiply(self.inverse, distances)
+
+    def observe(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Virtual positions of real ones, in order, for states: rounded."""
+        rows = zip(self.rows, self._offsets, strict=True)
+        return tuple(sum(map(float.__mul__, row, positions), offset) for row, offset in rows)
+
+    def find_rows(self, positions: Sequence[float]) -> "Rows":
+        """How much each virtual axis moves per unit of each real one: everywhere the same."""
+        del positions
+        return self.rows
+
+    @cached_property
+    def rows(self) -> "Rows":
+        """The matrix, rounded."""
+        return tuple(tuple(map(float, row)) for row in self.matrix)
+
+    @cached_property
+    def _offsets(self) -> tuple[float, ...]:
+        return tuple(map(float, self.offset))
+
+
+Rows = tuple[tuple[float, ...], ...]
+"""A row for each virtual axis, a number for each real one."""
+
+
+class MapError(TuttiError, ValueError):
+    """Positions that a map of virtual axes has no answer for, or a map that cannot be used."""
+
+
+class SingularMap(MapError):
+    """A matrix that has no useful inverse."""
+
+
+def find_condition(matrix: Matrix) -> float:
+    """The condition number with rows and columns of one size, so that units do not count; infinite if singular."""
+    import numpy as np
+
+    table = np.array([[float(factor) for factor in row] for row in matrix])
+    for axis in (1, 0):
+        size = np.abs(table).max(axis=axis, keepdims=True)
+        if not size.all():
+            return math.inf
+        table = table / size
+    return float(np.linalg.cond(table))
+
+
+def invert(matrix: Matrix) -> Matrix:
+    """The exact inverse, by Gauss and Jordan. Raises `SingularMap`."""
+    size = len(matrix)
+    rows = [[*row, *(Fraction(int(i == j)) for j in range(size))] for i, row in enumerate(matrix)]
+    for column in range(size):
+        pivot = next((i for i in range(column, size) if rows[i][column]), None)
+        if pivot is None:
+            raise SingularMap("its matrix has no inverse")
+        rows[column], rows[pivot] = rows[pivot], rows[column]
+        factor = rows[column][column]
+        rows[column] = [value / factor for value in rows[column]]
+        for i in range(size):
+            if i != column and (factor := rows[i][column]):
+                rows[i] = [value - factor * top for value, top in zip(rows[i], rows[column], strict=True)]
+    return tuple(tuple(row[size:]) for row in rows)
+
+
+def _multiply(matrix: Matrix, values: Sequence[Fraction]) -> tuple[Fraction, ...]:
+    return tuple(
+        sum((factor * value for factor, value in zip(row, values, strict=True)), Fraction(0)) for row in matrix
+    )

@@ -1,0 +1,378 @@
+"""The maps of a fleet's virtual axes to its real ones."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from fractions import Fraction
+from itertools import islice, pairwise, product
+from typing import Protocol
+
+from orchestrator.model.axis_units import SoftLimits
+from orchestrator.model.curved_map import CrystalEnergy, CurvedMap, Kinematics, SineBar
+from orchestrator.model.frame import WORST_CONDITION
+from orchestrator.model.linear_map import LinearMap, MapError, Matrix, SingularMap, find_condition, invert
+from orchestrator.model.names import split_name
+from orchestrator.model.plugins import PluginError, UnknownPlugin, load_plugin
+from orchestrator.model.problems import Problem
+from orchestrator.model.units import Quantity, Unit, UnitError, convert_units, parse_quantity
+from orchestrator.model.virtual_axes import VirtualAxis, VirtualGroup
+
+VirtualMap = LinearMap | CurvedMap
+
+
+def make_map(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> VirtualMap:
+    """The map of group `name`. units: of its real axes. Raises `MapError`, `UnitError`."""
+    if group.kind in _CURVED:
+        return _make_curved(name, group, units)
+    virtual_units = [group.axes[axis].unit for axis in group.order]
+    if group.matrix is not None:
+        matrix: Matrix = tuple(tuple(group.matrix[axis]) for axis in group.order)
+    else:
+        # The forms are in mm and rad.
+        sizes = [convert_units(Fraction(1), units[axis], Unit.MM, axis) for axis in group.of]
+        virtual_sizes = [_find_size(axis, group.axes[axis].unit) for axis in group.order]
+        matrix = tuple(
+            tuple(factor * real / size for factor, real in zip(row, sizes, strict=True))
+            for row, size in zip(_LINEAR[group.kind](group), virtual_sizes, strict=True)
+        )
+    condition = find_condition(matrix)
+    if not condition < WORST_CONDITION:
+        raise SingularMap(_explain_singular(condition, "matrix" if group.matrix is not None else "places"))
+    offsets = [
+        parse_quantity(group.offset.get(axis, 0), unit) for axis, unit in zip(group.order, virtual_units, strict=True)
+    ]
+    virtual = tuple(f"{name}.{axis}" for axis in group.order)
+    return LinearMap(tuple(group.of), virtual, matrix, invert(matrix), tuple(offsets))
+
+
+def _explain_singular(condition: float, field: str) -> str:
+    return (
+        f"different positions of its real axes give the same virtual ones (condition {condition:.3g}, at most "
+        f"{WORST_CONDITION:g}); correct the {field}"
+    )
+
+
+def _find_size(axis: str, unit: Unit) -> Fraction:
+    """The size of the unit of a virtual axis in mm; in rad for the slopes of a table."""
+    return convert_units(Fraction(1), unit, Unit.RAD if axis in ("pitch", "roll") else Unit.MM, axis)
+
+
+def _make_slit(group: VirtualGroup) -> Matrix:
+    del group
+    half = Fraction(1, 2)
+    return (Fraction(1), Fraction(-1)), (half, half)
+
+
+def _make_jacks(group: VirtualGroup) -> Matrix:
+    """The height of each jack is height + pitch x y + roll x x, in mm and rad."""
+    places = [[parse_quantity(end, Unit.MM) for end in corner] for corner in group.places or ()]
+    heights: Matrix = tuple((Fraction(1), y, x) for x, y in places)
+    if not find_condition(heights) < WORST_CONDITION:
+        raise SingularMap("its jacks stand on one line, so a table on them can turn over; correct the places")
+    return invert(heights)
+
+
+def _make_rotation(group: VirtualGroup) -> Matrix:
+    angle = math.radians(group.angle or 0.0)
+    # Rounded once; the inverse is exact from then on.
+    cosine, sine = (Fraction(f"{value:.15f}") for value in (math.cos(angle), math.sin(angle)))
+    return (cosine, sine), (-sine, cosine)
+
+
+_LINEAR: dict[str, Callable[[VirtualGroup], Matrix]] = {
+    "slit": _make_slit,
+    "jacks": _make_jacks,
+    "rotation": _make_rotation,
+}
+
+
+# Curved ones
+
+
+def _make_sine_bar(group: VirtualGroup) -> Kinematics:
+    offset = parse_quantity(group.offset.get("angle", 0), group.axes["angle"].unit)
+    angle = float(convert_units(offset, group.axes["angle"].unit, Unit.RAD, "angle"))
+    return SineBar(float(parse_quantity(group.length or 0, Unit.MM)), angle)
+
+
+def _make_energy(group: VirtualGroup) -> Kinematics:
+    spacing = float(parse_quantity(group.spacing or 0, Unit.MM))
+    return CrystalEnergy(spacing, math.radians(group.angle or 0.0), with_exit=len(group.of) > 1)
+
+
+def _load_kinematics(group: VirtualGroup) -> Kinematics:
+    """The kinematics of an installed package, with the parameters of a group. Raises `MapError`."""
+    name = group.kinematics or ""
+    try:
+        make = load_plugin("tutti.kinematics", name, ("to_virtual", "to_real"))
+        kinematics: Kinematics = make(dict(group.parameters))
+    except (PluginError, UnknownPlugin) as error:
+        raise MapError(str(error)) from None
+    except Exception as error:
+        text = f"kinematics {name} refuses its parameters: {type(error).__name__}: {error}; correct `parameters`"
+        raise MapError(text) from None
+    return kinematics
+
+
+_CURVED: dict[str, Callable[[VirtualGroup], Kinematics]] = {
+    "sine_bar": _make_sine_bar,
+    "energy": _make_energy,
+    "code": _load_kinematics,
+}
+
+
+def _make_curved(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> CurvedMap:
+    kinematics = _CURVED[group.kind](group)
+    label = f"kinematics {group.kinematics}" if group.kind == "code" else f"{name} ({group.kind})"
+    if list(kinematics.axes) != list(group.order) or len(kinematics.of) != len(group.of):
+        raise MapError(
+            f"{label} has the axes {', '.join(kinematics.axes)} of {len(kinematics.of)} real ones; `axes` has "
+            f"{', '.join(group.order)}, and `of` {len(group.of)}"
+        )
+    real_sizes = _convert_sizes(group.of, [units[axis] for axis in group.of], kinematics.of)
+    virtual_units = [group.axes[axis].unit for axis in group.order]
+    virtual_sizes = _convert_sizes(group.order, virtual_units, list(kinematics.axes.values()))
+    virtual = tuple(f"{name}.{axis}" for axis in group.order)
+    return CurvedMap(tuple(group.of), virtual, kinematics, real_sizes, virtual_sizes, label)
+
+
+def _convert_sizes(axes: Sequence[str], units: Sequence[Unit], own: Sequence[str]) -> tuple[float, ...]:
+    """The sizes of units of axes, in those of kinematics. Raises `UnitError`, `MapError`."""
+    own_units = _parse_units(own)
+    return tuple(
+        float(convert_units(Fraction(1), unit, base, axis))
+        for axis, unit, base in zip(axes, units, own_units, strict=True)
+    )
+
+
+def _parse_units(names: Sequence[str]) -> list[Unit]:
+    """The units of kinematics. Raises `MapError`."""
+    for name in names:
+        if name not in list(Unit):
+            raise MapError(f"the kinematics have the unit {name!r}, which is not known; known units: {', '.join(Unit)}")
+    return list(map(Unit, names))
+
+
+# All of a fleet
+
+
+class RealAxis(Protocol):
+    """What a map needs to know of a real axis."""
+
+    @property
+    def unit(self) -> Unit: ...
+
+    @property
+    def wrap(self) -> Quantity | None: ...
+
+    @property
+    def soft_limits(self) -> SoftLimits | None: ...
+
+
+class VirtualAxes:
+    """All virtual axes of a fleet. maps: by group."""
+
+    def __init__(self, groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> None:
+        """groups: valid ones. find_axis: the real axis of a name."""
+        self._groups = groups
+        self._find_axis = find_axis
+        self.maps: dict[str, VirtualMap] = {
+            name: make_map(name, group, {axis: find_axis(axis).unit for axis in group.of})
+            for name, group in groups.items()
+        }
+
+    def find(self, name: str) -> VirtualAxis:
+        """The virtual axis `group.axis`, which exists."""
+        group, axis = split_name(name)
+        return self._groups[group].axes[axis]
+
+    def check_speed(self, read_s: Callable[[], float]) -> None:
+        """Check that code of users answers soon. read_s: a clock of this computer. Raises `MapError`."""
+        for virtual_map in self.maps.values():
+            if isinstance(virtual_map, CurvedMap):
+                ranges = [find_range(self._find_axis(axis)) for axis in virtual_map.real]
+                check_speed(virtual_map, ranges, read_s)
+
+    def unit_of(self, name: str) -> Unit:
+        """The unit of a virtual axis."""
+        return self.find(name).unit
+
+    def explain_beyond_limits(self, name: str, position: Fraction) -> str | None:
+        """Why a position is outside the soft limits of a virtual axis itself; None if it is inside."""
+        axis = self.find(name)
+        if axis.soft_limits is None:
+            return None
+        low, high = axis.soft_limits.in_unit(axis.unit)
+        if low <= position <= high:
+            return None
+        return (
+            f"axis {name}: target {float(position):g} {axis.unit} is beyond its soft limits {float(low):g} to "
+            f"{float(high):g} {axis.unit}"
+        )
+
+    def explain_target(self, name: str, value: Quantity) -> str | None:
+        """Why a value of a file cannot be a position of a virtual axis; None if it can."""
+        try:
+            return self.explain_beyond_limits(name, parse_quantity(value, self.unit_of(name)))
+        except UnitError as error:
+            return str(error)
+
+
+# What is wrong with them
+
+SAMPLES = 125  # places of its real axes, at which a map is tried
+SHARES = (0.5, 0.02, 0.98, 0.26, 0.74)  # of the range of an axis
+SLOWEST_S = 0.002  # an answer of code, the quickest of some: states take many of them
+INVERSE_ERROR = 1e-7  # of a position, or of 1 in its unit if that is more
+LINE_STEPS = 100  # along each axis, between which a corner is looked for
+LEAST_CHANGE = 0.02  # of the steepest derivative between two of them, that is looked into
+BISECTIONS = 10  # a smooth derivative changes by a thousandth of that then; numeric ones are not finer
+
+
+def find_virtual_problems(groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> list[Problem]:
+    """What is wrong with virtual axes beside their names. find_axis: raises `ValueError` for an unknown name."""
+    return [problem for name, group in groups.items() for problem in _find_problems(name, group, find_axis)]
+
+
+def _find_problems(name: str, group: VirtualGroup, find_axis: Callable[[str], RealAxis]) -> Iterator[Problem]:
+    axes: dict[str, RealAxis] = {}
+    for number, axis in enumerate(group.of):
+        try:
+            axes[axis] = find_axis(axis)
+        except ValueError:
+            return  # reported with the other names
+        if axes[axis].wrap is not None:
+            text = f"axis {axis} wraps, so its position is not unique; virtual axes need axes that do not wrap"
+            yield Problem(("virtual", name, "of", number), text, axis)
+    try:
+        virtual_map = make_map(name, group, {axis: config.unit for axis, config in axes.items()})
+        if isinstance(virtual_map, CurvedMap):
+            check_curved(virtual_map, [find_range(axes[axis]) for axis in group.of])
+    except (MapError, UnitError) as error:
+        yield Problem(("virtual", name), str(error))
+
+
+def find_range(axis: RealAxis) -> tuple[float, float]:
+    """Where a real axis may be, in its unit; a guess without soft limits."""
+    if axis.soft_limits is None:
+        return (-1.0, 1.0)
+    low, high = axis.soft_limits.in_unit(axis.unit)
+    return (float(low), float(high))
+
+
+def make_plain_map(kinematics: Kinematics) -> CurvedMap:
+    """The map of kinematics in their own units. Raises `MapError`."""
+    real, virtual = tuple(f"real {number}" for number in range(len(kinematics.of))), tuple(kinematics.axes)
+    _parse_units([*kinematics.of, *kinematics.axes.values()])
+    if len(real) != len(virtual):
+        raise MapError(f"{len(virtual)} virtual axes of {len(real)} real ones; give as many of each")
+    sizes = (1.0,) * len(real)
+    return CurvedMap(real, virtual, kinematics, sizes, sizes, type(kinematics).__name__)
+
+
+def check_curved(virtual_map: CurvedMap, ranges: Sequence[tuple[float, float]]) -> None:
+    """Check at places of its real axes that a map can be used: it has an inverse, which is its own, and is smooth.
+    ranges: of the real axes, in their units. Raises `MapError`."""
+    places = find_answered_places(virtual_map, ranges)
+    for real in places:
+        _check_inverse(virtual_map, real)
+        _check_condition(virtual_map, real)
+    _check_smooth(virtual_map, places[0], ranges)
+
+
+def find_answered_places(virtual_map: CurvedMap, ranges: Sequence[tuple[float, float]]) -> list[list[float]]:
+    """Places of the real axes at which a map has an answer. Raises `MapError` where it has none."""
+    grid = [
+        [low + share * (high - low) for share, (low, high) in zip(shares, ranges, strict=True)]
+        for shares in islice(product(SHARES, repeat=len(ranges)), SAMPLES)
+    ]
+    first_error: MapError | None = None
+    places: list[list[float]] = []
+    for real in grid:
+        try:
+            virtual_map.observe(real)
+        except MapError as error:
+            first_error = first_error or error
+        else:
+            places.append(real)
+    if first_error is not None and not places:
+        raise first_error
+    return places
+
+
+def check_speed(virtual_map: CurvedMap, ranges: Sequence[tuple[float, float]], read_s: Callable[[], float]) -> None:
+    """Check that a map, which is code of users, answers soon. read_s: a clock of this computer. Raises `MapError`."""
+    real = find_answered_places(virtual_map, ranges)[0]
+    durations: list[float] = []
+    for _ in range(5):
+        begun_s = read_s()
+        virtual_map.to_real([Fraction(value) for value in virtual_map.observe(real)])
+        durations.append((read_s() - begun_s) / 2)
+    if min(durations) > SLOWEST_S:
+        text = f"{virtual_map.label}: its code takes {min(durations) * 1000:.3g} ms for an answer; at most "
+        raise MapError(f"{text}{SLOWEST_S * 1000:g} ms: states and plans take many of them")
+
+
+def _check_inverse(virtual_map: CurvedMap, real: list[float]) -> None:
+    virtual = virtual_map.observe(real)
+    found_positions = [float(value) for value in virtual_map.to_real(list(map(Fraction, virtual)))]
+    if any(
+        abs(first - second) > INVERSE_ERROR * max(1.0, abs(first))
+        for first, second in zip(real, found_positions, strict=True)
+    ):
+        text = f"{_show(real)} is {_show(virtual)}, and that is {_show(found_positions)}"
+        raise MapError(f"{virtual_map.label} is not its own inverse: {text}")
+
+
+def _check_condition(virtual_map: CurvedMap, real: list[float]) -> None:
+    condition = find_condition(tuple(tuple(map(Fraction, row)) for row in virtual_map.find_rows(real)))
+    if not condition < WORST_CONDITION:
+        raise SingularMap(f"at {_show(real)} {_explain_singular(condition, 'parameters, or the range of its axes')}")
+
+
+def _check_smooth(virtual_map: CurvedMap, middle: list[float], ranges: Sequence[tuple[float, float]]) -> None:
+    """Look for a jump of the derivative on a line along each axis: however near two places are, it stays."""
+    for number, (low, high) in enumerate(ranges):
+
+        def find_row(value: float, number: int = number) -> list[float] | None:
+            try:
+                rows = virtual_map.find_rows([*middle[:number], value, *middle[number + 1 :]])
+            except MapError:
+                return None  # outside of its domain
+            return [factor for row in rows for factor in row]
+
+        places = [low + (high - low) * step / LINE_STEPS for step in range(LINE_STEPS + 1)]
+        rows = [find_row(value) for value in places]
+        steepest = max((abs(factor) for row in rows if row is not None for factor in row), default=0.0)
+        for (begin, end), (row, next_row) in zip(pairwise(places), pairwise(rows), strict=True):
+            if row is None or next_row is None or _find_change(row, next_row) < LEAST_CHANGE * steepest:
+                continue
+            corner = _find_corner(find_row, (begin, row), (end, next_row))
+            if corner is not None:
+                corner_place = [*middle[:number], corner, *middle[number + 1 :]]
+                raise MapError(f"{virtual_map.label} is not smooth: its derivative jumps at {_show(corner_place)}")
+
+
+def _find_corner(
+    find_row: Callable[[float], list[float] | None], low: tuple[float, list[float]], high: tuple[float, list[float]]
+) -> float | None:
+    """Where the derivative jumps between two places, given with it; None: nowhere, or there is no answer between."""
+    first_change = _find_change(low[1], high[1])
+    for _ in range(BISECTIONS):
+        middle = (low[0] + high[0]) / 2
+        row = find_row(middle)
+        if row is None:
+            return None
+        if _find_change(low[1], row) > _find_change(row, high[1]):
+            high = (middle, row)
+        else:
+            low = (middle, row)
+    return low[0] if _find_change(low[1], high[1]) > first_change / 2 else None
+
+
+def _find_change(first: Sequence[float], second: Sequence[float]) -> float:
+    """By how much a derivative changes at most."""
+    return max(abs(first_part - second_part) for first_part, second_part in zip(first, second, strict=True))
+
+
+def _show(values: Sequence[float]) -> str:
+    return "(" + ", ".join(f"{value:.9g}" for value in values) + ")"
