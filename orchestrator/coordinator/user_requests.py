@@ -294,7 +294,7 @@ class UserRequests:
             groups=fleet.groups,
             positions={entry.name: list(entry.axes) for entry in self._services.positions.list_entries()},
             virtual={name: fleet.unit_of(name) for name in fleet.names.virtual},
-            virtual_groups={name: group.of for name, group in fleet.virtual.items()},
+            virtual_groups={name: fleet.expand_name(name) for name in fleet.virtual},
             inputs=[f"{c}.{name}" for c, controller in fleet.controllers.items() for name in controller.inputs],
             outputs=[f"{c}.{name}" for c, controller in fleet.controllers.items() for name in controller.outputs],
         )

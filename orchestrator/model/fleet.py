@@ -32,7 +32,7 @@ from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
 from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup
-from orchestrator.model.virtual_maps import VirtualAxes, find_virtual_problems
+from orchestrator.model.virtual_maps import VirtualAxes, find_virtual_problems, list_real_axes
 from orchestrator.model.web_views import WebSettings
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
@@ -542,12 +542,18 @@ class Fleet(Model):
         return validate_with(find_reference_problems(data), cls.__name__, lambda: handler(data))
 
     @model_validator(mode="after")
+    def _check_virtual(self) -> "Fleet":
+        """The maps of virtual axes; the names of their real axes are checked with the others."""
+        raise_problems(find_virtual_problems(self.virtual, self.axis), type(self).__name__)
+        return self
+
+    @model_validator(mode="after")
     def _check_positions(self) -> "Fleet":
         """Units and soft limits of named positions; their axes are checked with the other names."""
         problems: list[Problem] = []
+        known_names = {*self.names.axes, *self.names.virtual}
         for name, position in self.positions.items():
             for axis, value in position.axes.items():
-                known_names = (*self.names.axes, *self.names.virtual)
                 text = self._explain_position(axis, value) if axis in known_names else None
                 if text is not None:
                     problems.append(Problem(("positions", name, "axes", axis), text, value))
@@ -572,12 +578,6 @@ class Fleet(Model):
                     except UnitError as error:
                         problems.append(Problem(("frames", name, "offset", number), str(error), frame.offset[number]))
         raise_problems(problems, type(self).__name__)
-        return self
-
-    @model_validator(mode="after")
-    def _check_virtual(self) -> "Fleet":
-        """The maps of virtual axes; the names of their real axes are checked with the others."""
-        raise_problems(find_virtual_problems(self.virtual, self.axis), type(self).__name__)
         return self
 
     def _explain_position(self, axis: str, value: int | float | str) -> str | None:
@@ -675,7 +675,7 @@ class Fleet(Model):
         """The axes that `name` stands for: a group, a controller, one axis, or the real axes of virtual ones. Raises
         `UnknownName`."""
         if name in self.virtual or name in self.names.virtual:
-            return list(self.virtual[split_name(name)[0]].of)
+            return list_real_axes(self.virtual, split_name(name)[0])
         if name in self.groups:
             return list(self.groups[name])
         if name in self.controllers:

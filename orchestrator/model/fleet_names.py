@@ -113,7 +113,7 @@ def select(data: Any, *pattern: str) -> Iterator[tuple[Place, Any]]:
 _REFERENCES: tuple[tuple[tuple[str, ...], str], ...] = (
     (("groups", EACH, EACH), "axis"),
     (("frames", EACH, "axes", EACH), "axis"),
-    (("virtual", EACH, "of", EACH), "axis"),
+    (("virtual", EACH, "of", EACH), "target"),
     (("home_order", EACH), "axes"),
     (("controllers", EACH, "axes", EACH, "homing", "after", EACH), "axis"),
     (("permits", EACH, "input"), "input"),

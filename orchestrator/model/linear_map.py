@@ -53,6 +53,31 @@ class LinearMap:
         return tuple(map(float, self.offset))
 
 
+def chain_maps(outer: LinearMap, inner: Sequence[LinearMap]) -> LinearMap:
+    """The map to the real axes of `inner`, for whose virtual axes `outer` counts as real; what is none of them is
+    real."""
+    owned_names = {name for part in inner for name in part.virtual}
+    real = [name for name in outer.real if name not in owned_names]
+    positions = {name: number for number, name in enumerate(outer.real)}
+    columns = [*real, *(name for part in inner for name in part.real)]
+    # The inner map, in the order of the outer one's axes: a row for each of these.
+    matrix = [[Fraction(0)] * len(columns) for _ in outer.real]
+    offsets = [Fraction(0)] * len(outer.real)
+    for name in real:
+        matrix[positions[name]][columns.index(name)] = Fraction(1)
+    for part in inner:
+        for name, row, offset in zip(part.virtual, part.matrix, part.offset, strict=True):
+            offsets[positions[name]] = offset
+            for axis, factor in zip(part.real, row, strict=True):
+                matrix[positions[name]][columns.index(axis)] = factor
+    chained_matrix = tuple(tuple(_dot(row, column) for column in zip(*matrix, strict=True)) for row in outer.matrix)
+    return LinearMap(tuple(columns), outer.virtual, chained_matrix, invert(chained_matrix), outer.to_virtual(offsets))
+
+
+def _dot(first: Sequence[Fraction], second: Sequence[Fraction]) -> Fraction:
+    return sum((factor * value for factor, value in zip(first, second, strict=True)), Fraction(0))
+
+
 Rows = tuple[tuple[float, ...], ...]
 """A row for each virtual axis, a number for each real one."""
 
@@ -96,6 +121,4 @@ def invert(matrix: Matrix) -> Matrix:
 
 
 def _multiply(matrix: Matrix, values: Sequence[Fraction]) -> tuple[Fraction, ...]:
-    return tuple(
-        sum((factor * value for factor, value in zip(row, values, strict=True)), Fraction(0)) for row in matrix
-    )
+    return tuple(_dot(row, values) for row in matrix)

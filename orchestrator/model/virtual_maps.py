@@ -9,7 +9,7 @@ from typing import Protocol
 from orchestrator.model.axis_units import SoftLimits
 from orchestrator.model.curved_map import CrystalEnergy, CurvedMap, Kinematics, SineBar
 from orchestrator.model.frame import WORST_CONDITION
-from orchestrator.model.linear_map import LinearMap, MapError, Matrix, SingularMap, find_condition, invert
+from orchestrator.model.linear_map import LinearMap, MapError, Matrix, SingularMap, chain_maps, find_condition, invert
 from orchestrator.model.names import split_name
 from orchestrator.model.plugins import PluginError, UnknownPlugin, load_plugin
 from orchestrator.model.problems import Problem
@@ -175,10 +175,7 @@ class VirtualAxes:
         """groups: valid ones. find_axis: the real axis of a name."""
         self._groups = groups
         self._find_axis = find_axis
-        self.maps: dict[str, VirtualMap] = {
-            name: make_map(name, group, {axis: find_axis(axis).unit for axis in group.of})
-            for name, group in groups.items()
-        }
+        self.maps: dict[str, VirtualMap] = {name: make_whole_map(name, groups, find_axis) for name in groups}
 
     def find(self, name: str) -> VirtualAxis:
         """The virtual axis `group.axis`, which exists."""
@@ -217,6 +214,44 @@ class VirtualAxes:
             return str(error)
 
 
+def list_real_axes(groups: Mapping[str, VirtualGroup], name: str) -> list[str]:
+    """The real axes of a group, in the order of its map; those of virtual axes, for which it stands, come last."""
+    inner = _list_inner(groups, name)
+    real = [axis for axis in groups[name].of if split_name(axis)[0] not in inner]
+    return [*real, *(axis for group in inner for axis in groups[group].of)]
+
+
+def _list_inner(groups: Mapping[str, VirtualGroup], name: str) -> list[str]:
+    """The groups for whose virtual axes a group stands."""
+    owners = dict.fromkeys(split_name(axis)[0] for axis in groups[name].of)
+    return [owner for owner in owners if owner in groups]
+
+
+def make_whole_map(name: str, groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> VirtualMap:
+    """The map of a group to real axes, through that of the groups for whose axes it stands. Raises `MapError`,
+    `UnitError`."""
+    group, inner = groups[name], _list_inner(groups, name)
+    units: dict[str, Unit] = {}
+    for axis in group.of:
+        owner, axis_name = split_name(axis)
+        units[axis] = groups[owner].axes[axis_name].unit if owner in groups else find_axis(axis).unit
+    whole_map = make_map(name, group, units)
+    if not inner:
+        return whole_map
+    linear_maps: list[LinearMap] = []
+    for owner in inner:
+        inner_map = make_whole_map(owner, groups, find_axis)
+        if not isinstance(inner_map, LinearMap):
+            raise MapError(f"it stands for axes of {owner}, which is curved; name real axes in `of`")
+        left_out = [axis for axis in inner_map.virtual if axis not in group.of]
+        if left_out:
+            raise MapError(f"it stands for axes of {owner}, but not for {left_out[0]}; name all of them in `of`")
+        linear_maps.append(inner_map)
+    if not isinstance(whole_map, LinearMap):
+        raise MapError(f"it is curved, and stands for axes of {inner[0]}; name real axes in `of`")
+    return chain_maps(whole_map, linear_maps)
+
+
 # What is wrong with them
 
 SAMPLES = 125  # places of its real axes, at which a map is tried
@@ -230,25 +265,36 @@ BISECTIONS = 10  # a smooth derivative changes by a thousandth of that then; num
 
 def find_virtual_problems(groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> list[Problem]:
     """What is wrong with virtual axes beside their names. find_axis: raises `ValueError` for an unknown name."""
-    return [problem for name, group in groups.items() for problem in _find_problems(name, group, find_axis)]
+    return [problem for name in groups for problem in _find_problems(name, groups, find_axis)]
 
 
-def _find_problems(name: str, group: VirtualGroup, find_axis: Callable[[str], RealAxis]) -> Iterator[Problem]:
-    axes: dict[str, RealAxis] = {}
-    for number, axis in enumerate(group.of):
-        try:
-            axes[axis] = find_axis(axis)
-        except ValueError:
-            return  # reported with the other names
-        if axes[axis].wrap is not None:
-            text = f"axis {axis} wraps, so its position is not unique; virtual axes need axes that do not wrap"
-            yield Problem(("virtual", name, "of", number), text, axis)
+def _find_problems(
+    name: str, groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]
+) -> Iterator[Problem]:
+    path, inner = ("virtual", name, "of"), _list_inner(groups, name)
+    deep_group = next((owner for owner in inner if _list_inner(groups, owner)), None)
+    if deep_group is not None:
+        chain = f"{name} stands for axes of {deep_group}, and that for axes of {_list_inner(groups, deep_group)[0]}"
+        yield Problem(path, f"{chain}; name axes of the latter, or real ones, in `of`")
+        return
+    real_axes = list_real_axes(groups, name)
+    double_axis = next((axis for axis in real_axes if real_axes.count(axis) > 1), None)
+    if double_axis is not None:
+        yield Problem(path, f"it stands for {double_axis} twice, also by virtual axes; name it once")
+        return
     try:
-        virtual_map = make_map(name, group, {axis: config.unit for axis, config in axes.items()})
-        if isinstance(virtual_map, CurvedMap):
-            check_curved(virtual_map, [find_range(axes[axis]) for axis in group.of])
+        axes = {axis: find_axis(axis) for axis in real_axes}
+        whole_map = make_whole_map(name, groups, find_axis)
+        for axis, config in axes.items():
+            if config.wrap is not None:
+                text = f"axis {axis} wraps, so its position is not unique; virtual axes need axes that do not wrap"
+                yield Problem(path, text, axis)
+        if isinstance(whole_map, CurvedMap):
+            check_curved(whole_map, [find_range(axes[axis]) for axis in whole_map.real])
     except (MapError, UnitError) as error:
         yield Problem(("virtual", name), str(error))
+    except (KeyError, ValueError):
+        return  # a name that is reported with the others
 
 
 def find_range(axis: RealAxis) -> tuple[float, float]:

@@ -164,3 +164,53 @@ def test_a_step_that_names_a_real_axis_twice_is_refused_before_it_moves() -> Non
 
     with pytest.raises(Refusal, match="would be moved by"):
         require_apart(FLEET, Move(to={"slit.gap": 1, "front.lower": 1}))
+
+
+HALVES = {"kind": "rotation", "angle": 30, "axes": {"u": {"unit": "mm"}, "v": {"unit": "mm"}}}
+
+
+def make_nested_fleet(of: list[str], **group: Any) -> Fleet:
+    """The example fleet, with a group whose axes stand for others."""
+    plain = make_fleet().to_plain()
+    plain["virtual"]["outer"] = HALVES | {"of": of} | group
+    return Fleet.model_validate(plain)
+
+
+def test_virtual_axes_of_virtual_axes_go_through_both_maps() -> None:
+    fleet = make_nested_fleet(["slit.centre", "slit.gap"])
+    outer, slit = fleet.virtual_axes.maps["outer"], fleet.virtual_axes.maps["slit"]
+    assert fleet.expand_name("outer.u") == ["front.upper", "front.lower"] == list(outer.real)
+    real = [Fraction(7, 3), Fraction(2, 7)]
+    gap, centre = slit.to_virtual(real)
+    cosine, sine = Fraction("0.866025403784439"), Fraction(1, 2)
+    assert outer.to_virtual(real) == (cosine * centre + sine * gap, -sine * centre + cosine * gap)
+    assert list(outer.to_real(outer.to_virtual(real))) == real
+    step = Move(to={"outer.u": 3})
+    targets = find_virtual_targets(fleet, step, "outer", real)
+    assert targets is not None
+    assert outer.to_virtual(list(targets.values())) == (3, outer.to_virtual(real)[1])
+
+
+@pytest.mark.parametrize(
+    ("of", "group", "text"),
+    [
+        (["slit.gap", "left.jack"], {}, "but not for slit.centre; name all of them"),
+        (["slit.gap", "slit.gab"], {}, "no axis slit.gab; did you mean slit.gap?"),
+        (["outer.u", "outer.v"], {}, "outer stands for axes of outer"),
+        (["slit.gap", "slit.centre", "front.upper"], {"kind": "linear", "angle": None}, "stands for front.upper twice"),
+    ],
+)
+def test_nested_virtual_axes_that_cannot_be_are_refused(of: list[str], group: dict[str, Any], text: str) -> None:
+    if "kind" in group:
+        names = ("u", "v", "w")
+        group["axes"] = {name: {"unit": "mm"} for name in names}
+        group["matrix"] = {name: [int(name == column) for column in names] for name in names}
+    with pytest.raises(ValueError, match=text.replace("?", "[?]")):
+        make_nested_fleet(of, **group)
+
+
+def test_a_third_level_is_refused_by_name() -> None:
+    plain = make_nested_fleet(["slit.gap", "slit.centre"]).to_plain()
+    plain["virtual"]["third"] = HALVES | {"of": ["outer.u", "outer.v"]}
+    with pytest.raises(ValueError, match="third stands for axes of outer, and that for axes of slit"):
+        Fleet.model_validate(plain)
