@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.abilities import LearningDriver
+from adapters.abilities import LearningDriver, ProbeDriver
 from adapters.contract import ControllerReading
 from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.publishing.events import EventRing
@@ -17,6 +17,7 @@ from adapters.controller.publishing.tracing import read_trace_part
 from adapters.controller.state.armed_step import ArmedStep
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.fencing import EpochFence
+from adapters.controller.state.host_ability import find_host_ability
 from adapters.controller.state.leases import MotionLeases
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.status import ControllerStatus
@@ -115,6 +116,8 @@ class StatePublisher:
             return "homing"
         if status.jogging:
             return "jogging"
+        if status.probing:
+            return "moving"
         if any(axis.moving for axis in status.reading.axes.values()):
             return "stopping" if self._clock.now_ns() < status.stopping_until_ns else "moving"
         unseen = status.reading.at_ns < status.stopped_ns and self._clock.now_ns() < status.stopping_until_ns
@@ -302,6 +305,8 @@ class StatePublisher:
             chunk_load_s=capabilities.chunk_load_s,
             chunk_triggers=capabilities.chunk_triggers,
             retarget=capabilities.retarget,
+            probe=self._driver.probe_ability if isinstance(self._driver, ProbeDriver) else None,
+            host_probe=find_host_ability(self._driver, self._config),
             digest=self._config.digest,
             options_schema=_options_schema(self._context.make.options_model),
             tutti=find_own_version(),

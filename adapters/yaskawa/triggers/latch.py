@@ -31,7 +31,7 @@ class PositionLatch:
         """Arm the latch and wait until it has captured a position. Raises `Refusal`."""
         index, session = self._motors[axis], self._device.session
         letter = AXIS_LETTERS[index]
-        await self._require_input(axis, index, point)
+        await self.require_input(axis, index, point)
         until_ns, armed_ns = self._clock.now_ns() + within_ns, self._clock.now_ns()
         await session.send_command(f"AL{letter}")
         while True:
@@ -45,7 +45,7 @@ class PositionLatch:
             if await self._device.stop_counts.sleep_to_stop(min(LOOK_NS, until_ns - self._clock.now_ns())):
                 raise Refusal("stopped", f"a stop came while the latch of axis {axis} was armed", "")
 
-    async def _require_input(self, axis: str, index: int, point: DigitalInput) -> None:
+    async def require_input(self, axis: str, index: int, point: DigitalInput) -> None:
         """Raise `Refusal` for an input that does not latch the axis, or is active already."""
         if index >= LATCHES or point.number != index + 1:
             own = f"input {index + 1}" if index < LATCHES else "no input"

@@ -75,6 +75,8 @@ class Step(ScriptModel):
     """Whether it enables its axes."""
     searches: ClassVar[bool] = False
     """Whether it finds the references of its axes."""
+    probes: ClassVar[bool] = False
+    """Whether it moves an axis until an input changes."""
     plans_long: ClassVar[bool] = False
     """Whether its plan can take so long that heartbeats must go on meanwhile."""
     follows_path: ClassVar[bool] = False

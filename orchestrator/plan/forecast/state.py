@@ -15,6 +15,7 @@ from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.ways import ForecastMotion
+from orchestrator.plan.probes import ProbeAbilities
 from orchestrator.plan.triggers import find_brake_outputs
 
 Order = Literal[2, 3]
@@ -34,11 +35,13 @@ class ForecastState:
         axes: Mapping[str, AxisForecast] | None = None,
         orders: Mapping[str, Order] | None = None,
         chunks: Mapping[str, ChunkAbility] | None = None,
+        probes: Mapping[str, ProbeAbilities] | None = None,
     ) -> None:
         """axes: their states now; others are unknown. orders: of the profiles that each controller executes; chunks:
-        how it takes paths in chunks."""
+        how it takes paths in chunks; probes: how it stops axes by inputs."""
         self.fleet = fleet
         self.chunks = chunks or {}
+        self.probes = probes or {}
         self.orders = orders or {}
         self.axes: dict[str, AxisForecast] = dict(axes or {})
         self.problems: list[StepProblem] = []

@@ -1,0 +1,179 @@
+"""Probes, against the truth of simulated contacts."""
+
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+
+import pytest
+from cluster.worlds import changed, demo_fleet, job, origin_host_ns, run_fleet
+
+from orchestrator.client.api import Tutti
+from orchestrator.client.steps import JobFailed
+from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.report import JobReport, ProbeReport
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+from sim.core.contact import ContactPlace, PhysicalContact
+
+READY = "{do: enable, axes: [gantry]}, {do: home, axes: [gantry]}, {do: move, to: {gantry.x: 10}}"
+PROBE = "{do: probe, name: edge, to: {gantry.x: 15}, until: gantry.touch, speed: 1 mm/s}"
+
+
+def with_touch(active: str = "low", number: int = 1) -> Fleet:
+    return changed(demo_fleet(), gantry={"inputs": {"touch": {"number": number, "active": active}}})
+
+
+@dataclass
+class Bench:
+    """A fleet whose axis can run into a contact. start: where gantry.x was made ready, physical counts."""
+
+    virtual: VirtualFleet
+    client: Tutti
+    start: float
+    contact: PhysicalContact | None = None
+
+    def put_contact(self, distance_counts: float, bounces_ns: Sequence[int] = (), number: int = 1) -> None:
+        """Put a contact so far from where gantry.x stands now."""
+        unit, process = self.virtual.controllers["gantry"], self.virtual.simulators["gantry"]
+        at = unit.physical_position("X") + distance_counts
+        side = 1 if distance_counts >= 0 else -1
+        place = ContactPlace("X", at, side, number, level=False, bounces_ns=bounces_ns)
+        self.contact = process.run_inside(lambda: PhysicalContact(unit, self.virtual.clock, place))
+
+    async def run(self, *steps: str) -> JobReport:
+        """Run a job; its report, also of one that fails."""
+        try:
+            return await self.client.run(job(f"[{', '.join(steps)}]"))
+        except JobFailed as failed:
+            return failed.report
+
+    async def probe(self, step: str = PROBE) -> ProbeReport:
+        report = await self.run(step)
+        assert report.state == "done", report.reason
+        probed = report.steps[0].probe
+        assert probed is not None
+        return probed
+
+    def find_rest(self) -> float:
+        """Where gantry.x is by truth, physical counts."""
+        return self.virtual.controllers["gantry"].physical_position("X")
+
+
+def run_bench(main: Callable[[Bench], Awaitable[None]], fleet: Fleet | None = None, ready: str = READY) -> None:
+    async def prepare(virtual: VirtualFleet) -> None:
+        client = virtual.make_client("operator")
+        await client.run(job(f"[{ready}]"))
+        await main(Bench(virtual, client, virtual.controllers["gantry"].physical_position("X")))
+
+    run_fleet(prepare, fleet or with_touch())
+
+
+@pytest.mark.parametrize("bounces_ms", [(), (1, 2, 3, 1), (20, 40)])
+def test_a_probe_finds_the_contact_and_stops_within_what_was_stated(bounces_ms: tuple[int, ...]) -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(2500, [each * NS_PER_MS for each in bounces_ms])
+        probed = await bench.probe()
+        assert bench.contact is not None
+        (made, *_) = bench.contact.made
+        # The axis began at 10 mm.
+        true_mm = 10 + (made.counts - bench.start) / 1000
+        assert probed.touched and probed.least <= true_mm <= probed.most
+        assert probed.most - probed.least <= 0.010
+        assert probed.seen is not None
+        made_ns = made.at_ns - origin_host_ns(bench.virtual)
+        assert probed.seen.earliest_ns <= made_ns + 25_000 and made_ns <= probed.seen.latest_ns
+        true_overtravel = (bench.find_rest() - made.counts) / 1000
+        assert 0 < true_overtravel <= probed.stated < 0.02
+        assert true_overtravel <= probed.overtravel <= probed.stated
+        assert not probed.released
+
+    run_bench(main)
+
+
+@pytest.mark.parametrize("speed", ["0.2 mm/s", "5 mm/s", "50 mm/s"])
+def test_a_probe_in_the_negative_direction_at_other_speeds(speed: str) -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(-2500)
+        probed = await bench.probe(f"{{do: probe, to: {{gantry.x: 5}}, until: gantry.touch, speed: {speed}}}")
+        assert bench.contact is not None
+        (made, *_) = bench.contact.made
+        true_mm = 10 + (made.counts - bench.start) / 1000
+        assert probed.touched and probed.least <= true_mm <= probed.most
+        assert 0 < made.counts - bench.find_rest() <= probed.stated * 1000
+
+    run_bench(main)
+
+
+def test_a_contact_that_is_lost_again_while_the_axis_brakes_is_one() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(2500, [NS_PER_MS])
+        probed = await bench.probe()
+        assert probed.touched and probed.released
+
+    run_bench(main)
+
+
+@pytest.mark.parametrize(
+    ("step", "fleet", "code", "words"),
+    [
+        (PROBE, with_touch(), "not-touched", "gantry.touch has not become active up to 15 mm of gantry.x"),
+        (PROBE, with_touch(number=2), "probe-input", "gantry.touch is input 2, which does not stop gantry.x"),
+        (PROBE, with_touch("high"), "latch-input", "falling edge"),
+        (PROBE.replace("speed", "level: passive, speed"), with_touch(), "probe-input", "active only"),
+        (PROBE.replace("15", "399.999"), with_touch(), "soft-limit", "a contact there ends it at 400.009"),
+    ],
+)
+def test_what_a_probe_cannot_do_is_refused_by_name(step: str, fleet: Fleet, code: str, words: str) -> None:
+    async def main(bench: Bench) -> None:
+        if fleet.controllers["gantry"].inputs["touch"].active == "high":
+            bench.virtual.act_on_controller("gantry", lambda unit: unit.set_input(1, level=False))
+        report = await bench.run(step)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == code and words in refused.text, refused
+        moved = code == "not-touched"
+        assert abs(bench.find_rest() - bench.start) == (5000 if moved else 0)
+
+    run_bench(main, fleet)
+
+
+def test_an_input_that_is_active_before_the_start_is_refused() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(0)
+        report = await bench.run(PROBE)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == "line-level" and "active already" in refused.text
+        assert bench.find_rest() == bench.start
+
+    run_bench(main)
+
+
+def test_a_probe_that_touches_nothing_may_go_on() -> None:
+    async def main(bench: Bench) -> None:
+        probed = await bench.probe(PROBE.replace("speed", "else: continue, speed"))
+        assert not probed.touched and probed.rest == 15 and probed.seen is None
+
+    run_bench(main)
+
+
+@pytest.mark.parametrize("how", ["stop", "estop", "job"])
+def test_a_stop_ends_a_probe(how: str) -> None:
+    async def main(bench: Bench) -> None:
+        submitted = await bench.client.submit(job(f"[{PROBE}]"))
+        await sleep_ns(bench.virtual.clock, 2000 * NS_PER_MS)
+        assert bench.virtual.controllers["gantry"].is_moving("X")
+        if how == "stop":
+            await bench.client.stop()
+        elif how == "estop":
+            await bench.client.estop("a test")
+        else:
+            await bench.client.cancel_job(submitted.id)
+        await sleep_ns(bench.virtual.clock, 100 * NS_PER_MS)
+        assert not bench.virtual.controllers["gantry"].is_moving("X")
+        if how != "estop":  # which is raised to each command
+            report = await submitted.result()
+            assert report.state in ("aborted", "failed", "cancelled"), report.reason
+        # Nothing of it is left: a contact ends no later move.
+        await bench.client.reset()
+        bench.put_contact(1000)
+        await bench.client.run(job("[{do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 20}}]"))
+
+    run_bench(main)
