@@ -59,9 +59,9 @@ class PhysicalContact:
         self._timer = None
 
     def _look(self) -> None:
-        place = self._place
-        counts = self._controller.physical_position(place.axis)
-        distance = place.side * (place.at_counts - counts)
+        contact = self._place
+        counts = self._controller.physical_position(contact.axis)
+        distance = contact.side * (contact.at_counts - counts)
         if (distance <= 0) != self._is_made:
             self._change(made=distance <= 0, counts=counts)
         self._timer = self._clock.call_at_ns(self._clock.now_ns() + self._find_pause_ns(distance), self._look)

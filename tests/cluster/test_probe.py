@@ -10,6 +10,7 @@ from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport, ProbeReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.contact import ContactPlace, PhysicalContact
@@ -24,19 +25,24 @@ def with_touch(active: str = "low", number: int = 1) -> Fleet:
 
 @dataclass
 class Bench:
-    """A fleet whose axis can run into a contact. start: where gantry.x was made ready, physical counts."""
+    """A fleet whose axis can run into a contact. start: where the axis was made ready, physical counts."""
 
     virtual: VirtualFleet
     client: Tutti
+    axis: str
+    motor: str
     start: float
     contact: PhysicalContact | None = None
 
-    def put_contact(self, distance_counts: float, bounces_ns: Sequence[int] = (), number: int = 1) -> None:
-        """Put a contact so far from where gantry.x stands now."""
-        unit, process = self.virtual.controllers["gantry"], self.virtual.simulators["gantry"]
-        at = unit.physical_position("X") + distance_counts
+    def put_contact(self, distance_counts: float, bounces_ns: Sequence[int] = ()) -> None:
+        """Put a contact so far from where the axis stands now."""
+        controller = controller_of(self.axis)
+        unit, process = self.virtual.controllers[controller], self.virtual.simulators[controller]
+        at = unit.physical_position(self.motor) + distance_counts
         side = 1 if distance_counts >= 0 else -1
-        place = ContactPlace("X", at, side, number, level=False, bounces_ns=bounces_ns)
+        (point,) = self.virtual.fleet.controllers[controller].inputs.values()
+        level = point.active == "high"
+        place = ContactPlace(self.motor, at, side, point.number, level=level, bounces_ns=bounces_ns)
         self.contact = process.run_inside(lambda: PhysicalContact(unit, self.virtual.clock, place))
 
     async def run(self, *steps: str) -> JobReport:
@@ -54,17 +60,24 @@ class Bench:
         return probed
 
     def find_rest(self) -> float:
-        """Where gantry.x is by truth, physical counts."""
-        return self.virtual.controllers["gantry"].physical_position("X")
+        """Where the axis is by truth, physical counts."""
+        return self.virtual.controllers[controller_of(self.axis)].physical_position(self.motor)
 
 
-def run_bench(main: Callable[[Bench], Awaitable[None]], fleet: Fleet | None = None, ready: str = READY) -> None:
+def run_bench(
+    main: Callable[[Bench], Awaitable[None]], fleet: Fleet | None = None, axis: str = "gantry.x", ready: str = READY
+) -> None:
+    fleet = fleet or with_touch()
+
     async def prepare(virtual: VirtualFleet) -> None:
         client = virtual.make_client("operator")
+        (motor,) = fleet.axis(axis).motors
+        bench = Bench(virtual, client, axis, motor, 0.0)
         await client.run(job(f"[{ready}]"))
-        await main(Bench(virtual, client, virtual.controllers["gantry"].physical_position("X")))
+        bench.start = bench.find_rest()
+        await main(bench)
 
-    run_fleet(prepare, fleet or with_touch())
+    run_fleet(prepare, fleet)
 
 
 @pytest.mark.parametrize("bounces_ms", [(), (1, 2, 3, 1), (20, 40)])
@@ -168,12 +181,49 @@ def test_a_stop_ends_a_probe(how: str) -> None:
             await bench.client.cancel_job(submitted.id)
         await sleep_ns(bench.virtual.clock, 100 * NS_PER_MS)
         assert not bench.virtual.controllers["gantry"].is_moving("X")
-        if how != "estop":  # which is raised to each command
-            report = await submitted.result()
-            assert report.state in ("aborted", "failed", "cancelled"), report.reason
+        if how == "estop":
+            return
+        report = await submitted.result()
+        assert report.state in ("aborted", "failed", "cancelled"), report.reason
         # Nothing of it is left: a contact ends no later move.
         await bench.client.reset()
         bench.put_contact(1000)
         await bench.client.run(job("[{do: enable, axes: [gantry]}, {do: move, to: {gantry.x: 20}}]"))
 
     run_bench(main)
+
+
+# By the host
+
+
+STAGE_READY = "{do: enable, axes: [stage]}, {do: home, axes: [stage]}, {do: move, to: {stage.u: 10}}"
+STAGE_PROBE = "{do: probe, to: {stage.u: 15}, until: stage.touch, speed: 1 mm/s}"
+
+
+def with_stage_touch() -> Fleet:
+    return changed(demo_fleet(), stage={"inputs": {"touch": {"number": 1, "active": "high"}}})
+
+
+def test_a_make_that_cannot_stop_by_an_input_is_refused_without_by_host() -> None:
+    async def main(bench: Bench) -> None:
+        report = await bench.run(STAGE_PROBE)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == "no-probe" and "by: host" in refused.remedy
+        assert "the make shrc203 cannot stop an axis by an input" in refused.text
+        assert bench.find_rest() == bench.start
+
+    run_bench(main, with_stage_touch(), "stage.u", STAGE_READY)
+
+
+@pytest.mark.parametrize("speed", ["1 mm/s", "5 mm/s"])
+def test_a_host_stops_an_axis_within_what_was_stated(speed: str) -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(25_000)
+        probed = await bench.probe(STAGE_PROBE.replace("1 mm/s", f"{speed}, by: host"))
+        assert bench.contact is not None and bench.contact.made, probed
+        (made, *_) = bench.contact.made
+        true_mm = 10 + (made.counts - bench.start) / 10_000
+        assert probed.touched and probed.by == "host" and probed.least <= true_mm <= probed.most
+        assert 0 < (bench.find_rest() - made.counts) / 10_000 <= probed.stated
+
+    run_bench(main, with_stage_touch(), "stage.u", STAGE_READY)

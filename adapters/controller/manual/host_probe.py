@@ -14,6 +14,7 @@ from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 
 PAUSE_NS = 5 * NS_PER_MS
+POLL_S = (WATCH_NS - 2 * PAUSE_NS) / NS_PER_S
 BEGIN_NS = 500 * NS_PER_MS  # in which a jog has begun that a poll shows at rest
 
 
@@ -63,18 +64,14 @@ class HostProbe:
 
     async def _read(self, axis: str) -> ControllerReading:
         """A new reading, within the time that the overtravel rests on. Raises `Refusal`."""
-        began_ns = self._clock.now_ns()
-        poll = asyncio.ensure_future(self._polling.poll_and_publish())
-        limit = asyncio.ensure_future(sleep_ns(self._clock, WATCH_NS - 2 * PAUSE_NS))
         try:
-            await asyncio.wait([poll, limit], return_when=asyncio.FIRST_COMPLETED)
-            if not poll.done():
-                text = f"axis {axis}: a poll takes more than {(self._clock.now_ns() - began_ns) / NS_PER_MS:.0f} ms"
-                raise Refusal("probe-broken", text, "see what else uses its line or its computer, then probe again")
-            await poll
-        finally:
-            poll.cancel()
-            limit.cancel()
+            async with asyncio.timeout(POLL_S):
+                await self._polling.poll_and_publish()
+        except TimeoutError:
+            text = f"axis {axis}: a poll takes more than {POLL_S:g} s"
+            raise Refusal(
+                "probe-broken", text, "see what else uses its line or its computer, then probe again"
+            ) from None
         return self._status.require_online()
 
     async def _bring_to_rest(self, axis: str) -> None:
@@ -97,8 +94,8 @@ def _find_contact(
     passive, active = readings
     windows_s: list[float] = []
     for reading in readings:
-        sampled = reading.sampled or HostInterval(reading.at_ns, reading.at_ns)
-        windows_s.append((sampled.latest_ns - sampled.earliest_ns) / NS_PER_S)
+        window = reading.sampled or HostInterval(reading.at_ns, reading.at_ns)
+        windows_s.append((window.latest_ns - window.earliest_ns) / NS_PER_S)
     ends = (
         passive.axes[axis].actual_counts - sign * (move.speed_counts_s * (windows_s[0] + INPUT_S) + READ_COUNTS),
         active.axes[axis].actual_counts + sign * (move.speed_counts_s * windows_s[1] + READ_COUNTS),

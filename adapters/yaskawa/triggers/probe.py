@@ -131,7 +131,7 @@ class LatchProbe:
         """Wait for rest, and return the contact."""
         letter, armed_ns, captured_ns = self._letter, self._clock.now_ns(), 0
         while True:
-            record, (is_armed, latched) = await self._device.read_record_with(f"_AL{letter}", f"_RL{letter}")
+            record, (is_armed, latched_counts) = await self._device.read_record_with(f"_AL{letter}", f"_RL{letter}")
             state = record.axes[self._index]
             if is_armed:
                 armed_ns = record.sent_ns
@@ -140,21 +140,21 @@ class LatchProbe:
                 captured_ns = record.received_ns
             if not state.is_moving:
                 break
-            if not is_armed and sign * (state.commanded - latched) > distance + MARGIN_COUNTS:
+            if not is_armed and sign * (state.commanded - latched_counts) > distance + MARGIN_COUNTS:
                 text = f"axis {axis} goes on behind its latch target"
                 raise Refusal("probe-broken", text, "was the contact made before it moved? Probe from farther away")
             if await self._device.stop_counts.sleep_to_stop(LOOK_NS):
                 raise Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")
         # The latch may have captured between its last reading and the end of the move.
         operands = (f"_AL{letter}", f"_RL{letter}", f"_SC{letter}")
-        (is_armed, latched, code), answer = await self._device.session.read_numbers(*operands)
+        (is_armed, latched_counts, code), answer = await self._device.session.read_numbers(*operands)
         if code not in (AT_TARGET, AT_END, BEHIND_TARGET):
             meaning = stop_code_meaning(int(code))
             raise Refusal("probe-broken", f"axis {axis}: the probe {meaning.text}", meaning.remedy)
         if is_armed:
             return None
-        early = latched - sign * (move.speed_counts_s * LATCH_S + LATCH_COUNTS / 2)
-        late = latched + sign * LATCH_COUNTS / 2
+        early = latched_counts - sign * (move.speed_counts_s * LATCH_S + LATCH_COUNTS / 2)
+        late = latched_counts + sign * LATCH_COUNTS / 2
         span = HostInterval(armed_ns, captured_ns or answer.received_ns)
         return ProbedContact(min(early, late), max(early, late), span)
 

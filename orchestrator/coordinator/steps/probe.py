@@ -4,6 +4,7 @@ import asyncio
 from dataclasses import dataclass
 from fractions import Fraction
 
+from orchestrator.clock.owner import running
 from orchestrator.coordinator.steps.context import ReportFields, StepContext
 from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
@@ -139,23 +140,19 @@ async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeRepl
     fleet.permits.require([step.axis])
     guard, woken = fleet.permits.watch_losses([step.axis]), asyncio.Event()
     unlisten = fleet.permits.add_loss_listener(woken.set)
-    loop = asyncio.get_running_loop()
-    answer, loss = loop.create_task(search.send(fleet)), loop.create_task(woken.wait())
     try:
-        while not answer.done():
-            await asyncio.wait([answer, loss], return_when=asyncio.FIRST_COMPLETED)
-            loss_text = guard.describe_loss()
-            if loss_text is not None:
-                await fleet.stop_members([controller], "decelerate", context.actor, loss_text)
-                raise Refusal("permit", loss_text, "satisfy the permit, then probe again")
-            if loss.done() and not answer.done():
+        async with running(search.send(fleet)) as answer:
+            while not answer.done():
                 woken.clear()
-                loss = loop.create_task(woken.wait())
-        return answer.result()
+                async with running(woken.wait()) as loss:
+                    await asyncio.wait([answer, loss], return_when=asyncio.FIRST_COMPLETED)
+                loss_text = guard.describe_loss()
+                if loss_text is not None:
+                    await fleet.stop_members([controller], "decelerate", context.actor, loss_text)
+                    raise Refusal("permit", loss_text, "satisfy the permit, then probe again")
+            return answer.result()
     finally:
         unlisten()
-        answer.cancel()
-        loss.cancel()
 
 
 def _moves(state: ControllerState, axis: str) -> bool:

@@ -16,11 +16,11 @@ from orchestrator.plan.probes import find_longest_s, find_overtravel, find_probe
 
 def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Span:
     """Run a probe forward: its axis is somewhere on its way afterwards."""
-    place = ("to", step.axis)
-    axis = state.find_axis(at, step.axis, place, "axis")
+    field_place = ("to", step.axis)
+    axis = state.find_axis(at, step.axis, field_place, "axis")
     if axis is None or not state.check_name(at, step.until, "input"):
         return Span()
-    state.require_ready(at, step.axis, place)
+    state.require_ready(at, step.axis, field_place)
     if step.otherwise == "fail":
         state.notes[f"{step.until} becomes {step.level} on the way"] = None
     try:
