@@ -9,6 +9,7 @@ from adapters.abilities import (
     ManualDriver,
     OutputDriver,
     PathDriver,
+    ProbeDriver,
     RetargetDriver,
     SamplingDriver,
     SettingsDriver,
@@ -35,7 +36,8 @@ from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, 
 from adapters.cia402.mapping.transfer import PdoMapper
 from adapters.cia402.needs import make_pdo_needs
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.probe import TouchProbe, find_edge
+from adapters.cia402.probes.move import ProbeMotion, find_ability
+from adapters.cia402.probes.touch import TouchProbe, find_edge
 from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.shapes.switching import NOTHING_SWITCHED
 from adapters.cia402.triggers import add_triggers
@@ -49,6 +51,8 @@ from adapters.contract import (
     JogMove,
     LatchedPosition,
     PathChunk,
+    ProbedContact,
+    ProbeMove,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
@@ -64,7 +68,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, DigitalInput
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import StepCosts
+from orchestrator.model.state import ProbeAbility, StepCosts
 
 
 class Cia402Driver(
@@ -75,6 +79,7 @@ class Cia402Driver(
     SamplingDriver,
     ShownTriggerDriver,
     LatchDriver,
+    ProbeDriver,
     ManualDriver,
     LimitDriver,
     OutputDriver,
@@ -234,6 +239,14 @@ class Cia402Driver(
         with log_refusals(self._log, "the touch probe"):
             edge = find_edge(point, self._options.probe_inputs)
             return await TouchProbe(self.connection.node, axis, edge).take(point, within_ns)
+
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        return find_ability(self._axis, self._options.probe_inputs)
+
+    async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        with log_refusals(self._log, "the probe"):
+            return await ProbeMotion(self.connection, axis, self._options.probe_inputs).run(move)
 
     async def read_triggers(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
         return self.connection.mover.outputs.read_edges(known)

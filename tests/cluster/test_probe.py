@@ -42,6 +42,7 @@ class Bench:
         side = 1 if distance_counts >= 0 else -1
         (point,) = self.virtual.fleet.controllers[controller].inputs.values()
         level = point.active == "high"
+        process.run_inside(lambda: unit.set_input(point.number, level=not level))
         place = ContactPlace(self.motor, at, side, point.number, level=level, bounces_ns=bounces_ns)
         self.contact = process.run_inside(lambda: PhysicalContact(unit, self.virtual.clock, place))
 
@@ -227,3 +228,83 @@ def test_a_host_stops_an_axis_within_what_was_stated(speed: str) -> None:
         assert 0 < (bench.find_rest() - made.counts) / 10_000 <= probed.stated
 
     run_bench(main, with_stage_touch(), "stage.u", STAGE_READY)
+
+
+# A CiA 402 drive, by its touch probe
+
+LIFT_READY = "{do: enable, axes: [lift]}, {do: home, axes: [lift.z]}, {do: move, to: {lift.z: 10}}"
+LIFT_PROBE = "{do: probe, to: {lift.z: 15}, until: lift.touch, speed: 1 mm/s}"
+
+
+def with_lift(active: str = "high", number: int = 2, **simulate: object) -> Fleet:
+    plain = demo_fleet().to_plain()
+    plain["controllers"]["lift"] = {
+        "adapter": "cia402",
+        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 3},
+        "axes": {
+            "z": {
+                "motors": ["1"],
+                "unit": "mm",
+                "scale": 1000,
+                "limits": {"velocity": 50, "acceleration": 500},
+                "homing": {"speed": 5},
+            }
+        },
+        "inputs": {"touch": {"number": number, "active": active}},
+        "simulate": {"options": simulate},
+    }
+    return Fleet.model_validate(plain)
+
+
+@pytest.mark.parametrize("active", ["high", "low"])
+@pytest.mark.parametrize("speed", ["1 mm/s", "20 mm/s"])
+def test_a_drive_captures_the_contact_and_is_halted(active: str, speed: str) -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(2500, [NS_PER_MS, NS_PER_MS])
+        probed = await bench.probe(LIFT_PROBE.replace("1 mm/s", speed))
+        assert bench.contact is not None
+        (made, *_) = bench.contact.made
+        true_mm = 10 + (made.counts - bench.start) / 1000
+        assert probed.touched and probed.least <= true_mm <= probed.most and probed.most - probed.least < 0.005
+        assert 0 < (bench.find_rest() - made.counts) / 1000 <= probed.stated
+        moved = await bench.run("{do: move, to: {lift.z: 5}}")
+        assert moved.state == "done", moved.reason
+
+    run_bench(main, with_lift(active), "lift.z", LIFT_READY)
+
+
+@pytest.mark.parametrize(
+    ("fleet", "code", "words"),
+    [
+        (with_lift(), "not-touched", "up to 15 mm"),
+        (with_lift(number=3), "probe-input", "input 1 or input 2"),
+        (with_lift(without=("60B8", "60B9")), "no-latch", "no touch probe"),
+    ],
+)
+def test_what_a_drive_cannot_probe_is_refused(fleet: Fleet, code: str, words: str) -> None:
+    async def main(bench: Bench) -> None:
+        report = await bench.run(LIFT_PROBE)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == code and words in refused.text, refused
+
+    run_bench(main, fleet, "lift.z", LIFT_READY)
+
+
+def test_a_drive_that_touches_already_is_refused() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(0)
+        report = await bench.run(LIFT_PROBE)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == "line-level" and bench.find_rest() == bench.start
+
+    run_bench(main, with_lift(), "lift.z", LIFT_READY)
+
+
+def test_a_probe_until_the_input_is_passive() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(-2500)  # made between 7.5 mm and below
+        await bench.run("{do: move, to: {lift.z: 5}}")
+        probed = await bench.probe(LIFT_PROBE.replace("speed", "level: passive, speed"))
+        assert probed.touched and probed.least <= 7.5 <= probed.most
+
+    run_bench(main, with_lift(), "lift.z", LIFT_READY)
