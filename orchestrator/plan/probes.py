@@ -1,6 +1,8 @@
 """Probes ahead: their speed, how long they take at most, and how far their axis goes on behind the contact."""
 
 from dataclasses import dataclass
+from fractions import Fraction
+from typing import NamedTuple
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
@@ -12,6 +14,13 @@ from orchestrator.model.units import UnitError, parse_rate
 from orchestrator.plan.speeds import TOLERANCE
 
 BY_HOST = "let its computer stop it (`by: host`), which has a longer overtravel"
+
+
+class ContactRange(NamedTuple):
+    """Between which motor positions a contact is found, in the unit of the axis."""
+
+    low: Fraction
+    high: Fraction
 
 
 @dataclass(frozen=True, slots=True)

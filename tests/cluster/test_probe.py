@@ -308,3 +308,80 @@ def test_a_probe_until_the_input_is_passive() -> None:
         assert probed.touched and probed.least <= 7.5 <= probed.most
 
     run_bench(main, with_lift(), "lift.z", LIFT_READY)
+
+
+# What later steps use
+
+EDGE = "{do: probe, name: EDGE, to: {gantry.x: 15}, until: gantry.touch, speed: 1 mm/s}"
+
+
+def test_later_steps_go_to_what_was_measured() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(2500)
+        report = await bench.run(
+            EDGE,
+            "{do: move, to: {gantry.x: {of: EDGE.x, plus: -5 mm}, gantry.y: 3}}",
+            "{do: set-position, axes: {gantry.x: -5 mm}}",
+            # The contact stays where it is, and is the user's 0 now.
+            "{do: probe, name: AGAIN, to: {gantry.x: {of: EDGE.x, plus: 1 mm}}, until: gantry.touch, speed: 0.5 mm/s}",
+            "{do: move, to: {gantry.x: {of: [EDGE.x, AGAIN.gantry.x], between: [-1 mm, 1 mm]}}}",
+        )
+        assert report.state == "done", report.reason
+        probed = report.steps[3].probe
+        assert probed is not None and probed.least <= 0.001 and probed.most >= -0.001
+        assert bench.contact is not None
+        assert abs(bench.find_rest() - bench.contact.made[0].counts) <= 2
+        assert bench.virtual.controllers["gantry"].position("Y") == 3000
+
+    run_bench(main)
+
+
+@pytest.mark.parametrize(
+    ("steps", "code", "words"),
+    [
+        (
+            f"{EDGE.replace('speed', 'else: continue, speed')}, {{do: move, to: {{gantry.x: {{of: EDGE.x}}}}}}",
+            "not-measured",
+            "EDGE.x is not known: gantry.touch was not touched",
+        ),
+        (
+            f"{EDGE}, {{do: move, to: {{gantry.x: {{of: EDGE.x, between: [13 mm, 15 mm]}}}}}}",
+            "measured-bounds",
+            "is at 12.4999",
+        ),
+        (
+            f"{EDGE}, {{do: move, to: {{gantry.x: {{of: EDGE.x, plus: 1 s}}}}}}",
+            None,
+            "",
+        ),
+    ],
+)
+def test_what_was_not_measured_moves_nothing(steps: str, code: str | None, words: str) -> None:
+    async def main(bench: Bench) -> None:
+        if code is None:
+            with pytest.raises(Exception, match="unit"):
+                job(f"[{steps}]")
+            return
+        if code == "measured-bounds":
+            bench.put_contact(2500)
+        report = await bench.run(steps)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == code and words in refused.text, report.reason
+
+    run_bench(main)
+
+
+def test_a_job_is_checked_for_the_whole_range_of_what_is_measured() -> None:
+    async def main(bench: Bench) -> None:
+        asked = job(f"[{EDGE}, {{do: move, to: {{gantry.x: {{of: EDGE.x, plus: -21 mm}}}}}}]")
+        forecast = await bench.client.dry_run(asked)
+        # The contact may be anywhere from 10 mm to 15 mm.
+        assert [problem.text for problem in forecast.problems] == [
+            "axis gantry.x: target -11 mm is beyond its soft limits -10 to 400 mm"
+        ]
+        fine = await bench.client.dry_run(job(f"[{EDGE}, {{do: move, to: {{gantry.x: {{of: EDGE.x, plus: -5 mm}}}}}}]"))
+        assert not fine.problems
+        assert "gantry.x goes on by at most 0.00969 mm behind the contact" in fine.steps[0].conditions
+        assert "gantry.x goes to EDGE.x + -5 mm, between 5 and 10 mm" in fine.steps[1].conditions
+
+    run_bench(main)

@@ -91,9 +91,11 @@ async def run_probe(context: StepContext, step: Probe) -> ReportFields:
 
 async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     view, (controller, _) = context.fleet.view, split_name(step.axis)
-    axis, state, info = view.fleet.axis(step.axis), view.axis_now(step.axis), await view.require_info(controller)
-    if state is None:
-        raise view.make_absence(controller, "it is offline")
+    axis, state, info = (
+        view.fleet.axis(step.axis),
+        await view.require_axis(step.axis),
+        await view.require_info(controller),
+    )
     ability = ProbeAbilities(info.make, info.probe, info.host_probe).require_ability(view.fleet, step)
     speed = find_probe_speed(step, axis)
     target = _find_target(context, step, axis, state)

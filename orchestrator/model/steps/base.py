@@ -13,6 +13,7 @@ from orchestrator.model.names import Target
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.armed_terms import ArmedTerms
+from orchestrator.model.steps.measured import MeasuredTarget
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.text.text_fields import PLAIN_TEXT
@@ -238,6 +239,21 @@ class Step(ScriptModel):
         """The step with quantities for names of positions. Raises `Refusal`."""
         del resolver
         return self
+
+    @property
+    def measured_targets(self) -> Mapping[str, MeasuredTarget]:
+        """Its targets that earlier steps measure, by axis."""
+        return {}
+
+    def with_measured(self, targets: Mapping[str, Quantity]) -> Self:
+        """The step with quantities for what was measured. targets: by axis, all of `measured_targets`."""
+        del targets
+        return self
+
+    @property
+    def contact_names(self) -> list[str]:
+        """How later steps name what it measures."""
+        return []
 
     # Words
 

@@ -7,11 +7,12 @@ from orchestrator.model.fleet import Axis
 from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.probe import Probe
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.measured import take_measured
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
-from orchestrator.plan.probes import find_longest_s, find_overtravel, find_probe_speed
+from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed
 
 
 def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Span:
@@ -29,6 +30,7 @@ def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Sp
     except Refusal as error:
         state.add_problem(at, (), error)
         return Span()
+    state.contacts |= dict.fromkeys(step.contact_names)
     longest_s = _take_way(state, at, step, (speed, overtravel))
     state.lose_positions(at, [step.axis])
     return Span(0.0, longest_s)
@@ -50,6 +52,9 @@ def _find_overtravel(state: ForecastState, step: Probe, axis: Axis, speed: float
 def _take_way(state: ForecastState, at: ForecastContext, step: Probe, motion: tuple[float, Fraction]) -> float | None:
     """Check the end of the way, and what the axis goes on there; return how long it takes at most, s. motion: speed and
     overtravel."""
+    if step.measured:
+        take_measured(state, at, step, "to")
+        return None
     ((name, value),) = step.to.items()
     if is_position_name(value):
         state.note_unknown_positions(step)
@@ -63,6 +68,8 @@ def _take_way(state: ForecastState, at: ForecastContext, step: Probe, motion: tu
     state_after = state.axes[name]
     if not state_before.known or not state_after.known:
         return None
+    ends = sorted((state_before.motor, state_after.motor))
+    state.contacts |= dict.fromkeys(step.contact_names, ContactRange(*ends))
     distance, (speed, overtravel) = state_after.motor - state_before.motor, motion
     farthest = state_after.motor + (overtravel if distance >= 0 else -overtravel)
     check_target(state, at, field, farthest, state_after.offset)
