@@ -12,6 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport, ProbeReport
+from orchestrator.runtime.simulated_fleets import make_smc2000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.contact import ContactPlace, PhysicalContact
 
@@ -385,3 +386,31 @@ def test_a_job_is_checked_for_the_whole_range_of_what_is_measured() -> None:
         assert "gantry.x goes to EDGE.x + -5 mm, between 5 and 10 mm" in fine.steps[1].conditions
 
     run_bench(main)
+
+
+# An SMC-2000 on its serial line
+
+
+def with_press(number: int = 1, address: int | None = None) -> Fleet:
+    press = make_smc2000(0, address)
+    press["inputs"] = {"touch": {"number": number, "active": "low"}}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "press", "controllers": {"press": press}})
+
+
+PRESS_READY = "{do: enable, axes: [press]}, {do: home, axes: [press]}, {do: move, to: {press.x: 10}}"
+
+
+@pytest.mark.parametrize("address", [None, 0])
+def test_an_smc2000_stops_by_its_latch(address: int | None) -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(2500)
+        probed = await bench.probe("{do: probe, to: {press.x: 15}, until: press.touch, speed: 1 mm/s}")
+        assert bench.contact is not None
+        (made, *_) = bench.contact.made
+        true_mm = 10 + (made.counts - bench.start) / 1000
+        assert probed.touched and probed.least <= true_mm <= probed.most
+        assert 0 < (bench.find_rest() - made.counts) / 1000 <= probed.stated < 0.02
+        moved = await bench.run("{do: move, to: {press.x: 20}}")  # through the contact, which is armed no more
+        assert moved.state == "done", moved.reason
+
+    run_bench(main, with_press(address=address), "press.x", PRESS_READY)

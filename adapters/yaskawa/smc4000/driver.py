@@ -43,7 +43,7 @@ from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
-from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability
+from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability, require_encoder
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from adapters.yaskawa.wire.exchange import parse_reply
@@ -211,6 +211,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
         return find_ability(self._motors, LATCHES)
 
     async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        require_encoder(axis, self._steppers)
         self._jogging.drop_jogs([axis])
         latch = PositionLatch(self._device, self._clock, self._motors)
         target = LatchTarget(LATCH_TARGET_OFF, self.traits, self._watch)

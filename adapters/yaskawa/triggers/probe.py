@@ -6,7 +6,7 @@ Of a contact between that reading and the begin, while nothing moves, the latch 
 reading shows it, and the axis is stopped.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import ceil
 
@@ -16,7 +16,7 @@ from adapters.yaskawa.common.registers import exact_ramp, exact_speed
 from adapters.yaskawa.common.watch import SettingsWatch
 from adapters.yaskawa.language.words import stop_code_meaning
 from adapters.yaskawa.shapes.model import RAMP_UNIT, SPEED_UNIT, ModelTraits
-from adapters.yaskawa.triggers.latch import PositionLatch
+from adapters.yaskawa.triggers.latch import LATCH_INPUTS, PositionLatch
 from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.base import LinkClosed
@@ -33,9 +33,9 @@ AT_TARGET, AT_END, BEHIND_TARGET = 40, 1, 42  # stop codes (L7151-7159)
 
 
 def find_ability(motors: Mapping[str, int], latches: int) -> ProbeAbility:
-    """Input n stops axis n, by a falling edge. motors: by axis, its index. latches: axes that have one."""
+    """Its latch input stops an axis, by a falling edge. motors: by axis, its index. latches: axes that have one."""
     return ProbeAbility(
-        inputs={axis: [index + 1] for axis, index in motors.items() if index < latches},
+        inputs={axis: [LATCH_INPUTS[index]] for axis, index in motors.items() if index < latches},
         levels=["active"],
         reaction_s=REACTION_S,
         ramp_share=RAMP_SHARE,
@@ -43,6 +43,13 @@ def find_ability(motors: Mapping[str, int], latches: int) -> ProbeAbility:
         contact_s=LATCH_S,
         contact_counts=LATCH_COUNTS,
     )
+
+
+def require_encoder(axis: str, steppers: Collection[str]) -> None:
+    """Raise `Refusal` for the axis of a step motor: the latch captures an encoder, and LT counts from there."""
+    if axis in steppers:
+        text = f"axis {axis} has a step motor, and the latch captures the position of an encoder"
+        raise Refusal("no-probe", text, "let its computer stop it (`by: host`), which has a longer overtravel")
 
 
 @dataclass(frozen=True, slots=True)
