@@ -12,7 +12,7 @@ from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport, ProbeReport
-from orchestrator.runtime.simulated_fleets import make_smc2000
+from orchestrator.runtime.simulated_fleets import make_smc30, make_smc2000
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.contact import ContactPlace, PhysicalContact
 
@@ -414,3 +414,53 @@ def test_an_smc2000_stops_by_its_latch(address: int | None) -> None:
         assert moved.state == "done", moved.reason
 
     run_bench(main, with_press(address=address), "press.x", PRESS_READY)
+
+
+# An SMC30, by its stop condition
+
+
+def with_screw(active: str = "high") -> Fleet:
+    screw = make_smc30(0, 1)
+    screw["inputs"] = {"touch": {"number": 2, "active": active}}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "screw", "controllers": {"screw": screw}})
+
+
+SCREW_READY = "{do: enable, axes: [screw]}, {do: home, axes: [screw]}, {do: move, to: {screw.x: 10}}"
+SCREW_PROBE = "{do: probe, to: {screw.x: 15}, until: screw.touch, speed: 2 mm/s}"
+
+
+@pytest.mark.parametrize("speed", ["2 mm/s", "8 mm/s"])
+def test_an_smc30_stops_by_its_stop_condition(speed: str) -> None:
+    async def main(bench: Bench) -> None:
+        steps = float(bench.virtual.fleet.axis("screw.x").scale)
+        bench.put_contact(2.5 * steps)
+        probed = await bench.probe(SCREW_PROBE.replace("2 mm/s", speed))
+        assert bench.contact is not None
+        (made, *_) = bench.contact.made
+        true_mm = 10 + (made.counts - bench.start) / steps
+        assert probed.touched and probed.least <= true_mm <= probed.most
+        assert 0 <= (bench.find_rest() - made.counts) / steps <= probed.stated
+
+    run_bench(main, with_screw(), "screw.x", SCREW_READY)
+
+
+@pytest.mark.parametrize(
+    ("active", "bounces_ms", "code", "words"),
+    [
+        ("high", None, "not-touched", "up to 15 mm"),
+        ("high", [30], "probe-broken", "its input is not active"),
+        ("low", None, "probe-input", "logic 1 only"),
+    ],
+)
+def test_what_an_smc30_cannot_find_is_refused(active: str, bounces_ms: list[int] | None, code: str, words: str) -> None:
+    async def main(bench: Bench) -> None:
+        bench.virtual.act_on_controller("screw", lambda unit: unit.set_input(2, level=active == "low"))
+        if bounces_ms is not None:
+            bench.put_contact(
+                2.5 * float(bench.virtual.fleet.axis("screw.x").scale), [each * NS_PER_MS for each in bounces_ms]
+            )
+        report = await bench.run(SCREW_PROBE)
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == code and words in refused.text, refused
+
+    run_bench(main, with_screw(active), "screw.x", SCREW_READY)
