@@ -92,3 +92,22 @@ class PhysicalContact:
 
     def _switch(self, *, on: bool) -> None:
         self._controller.set_input(self._place.number, level=on == self._place.level)
+
+
+class ContactBench:
+    """The contacts of simulated controllers of one process, one for each input."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._contacts: dict[tuple[int, int], PhysicalContact] = {}
+
+    def put(self, controller: SimulatedController, place: ContactPlace) -> None:
+        """Put a contact, in the place of another one of that input."""
+        self.remove(controller, place.number)
+        self._contacts[id(controller), place.number] = PhysicalContact(controller, self._clock, place)
+
+    def remove(self, controller: SimulatedController, number: int) -> None:
+        """Remove the contact of an input, if it has one; the input stays as it is."""
+        contact = self._contacts.pop((id(controller), number), None)
+        if contact is not None:
+            contact.remove()
