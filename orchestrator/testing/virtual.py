@@ -195,9 +195,8 @@ class VirtualTestbed(FleetTestbed):
         return self._faults.add_fault(controller, fault, parse_delay_ns("at", at), parse_delay_ns("until", until))
 
     def _change_now(self, controller: str, change: dict[str, object]) -> None:
-        self._virtual.act_on_controller(
-            controller, lambda unit: change_environment(unit, json.dumps(change), self._contacts)
-        )
+        line = json.dumps(change)
+        self._virtual.act_on_controller(controller, lambda unit: change_environment(unit, line, self._contacts))
 
     # What has happened
 

@@ -49,7 +49,7 @@ def change_environment(controller: SimulatedController, line: str, contacts: Con
     try:
         _apply_change(controller, change)
         if change.contact is not None and contacts is not None:
-            _put_contact(controller, contacts, *change.contact)
+            _put_contact(controller, contacts, change.contact)
     except ValueError as error:
         raise EnvironmentRefused(str(error)) from None
 
@@ -71,9 +71,8 @@ def _apply_change(controller: SimulatedController, change: EnvironmentChange) ->
         controller.push_axis(*change.push)
 
 
-def _put_contact(
-    controller: SimulatedController, contacts: ContactBench, axis: str, distance: float, number: int, level: bool
-) -> None:
+def _put_contact(controller: SimulatedController, contacts: ContactBench, change: tuple[str, float, int, bool]) -> None:
+    axis, distance, number, level = change
     if not distance:
         contacts.remove(controller, number)
         return

@@ -1,4 +1,4 @@
-"""`tutti sim input|analog|limit|power|push|contact|stall`: the environment of the simulated controllers of `tutti up --sim`."""
+"""`tutti sim input|analog|limit|power|push|contact|stall`: the environment of the controllers of `tutti up --sim`."""
 
 import json
 import os
@@ -112,14 +112,14 @@ def push(name: str, distance: float, fleet: str | None, state: Path | None, *, a
     _write_change(folder, controller, change, f"{name} is pushed by {distance:g} {axis.unit}", as_json=as_json)
 
 
-@click.command(epilog="Example: tutti sim contact gantry.touch gantry.y -- -2.5")
+@click.command("contact", epilog="Example: tutti sim contact gantry.touch gantry.y -- -2.5")
 @click.argument("name", metavar="CONTROLLER.INPUT", shell_complete=complete_inputs)
 @click.argument("axis_name", metavar="CONTROLLER.AXIS", shell_complete=complete_single_axes)
 @click.argument("distance", type=float)
 @_fleet
 @_state
 @json_option
-def contact(
+def put_contact(
     name: str, axis_name: str, distance: float, fleet: str | None, state: Path | None, *, as_json: bool
 ) -> None:
     """Make an input active where a simulated axis is DISTANCE from where it stands, in its unit, and beyond.
@@ -134,10 +134,8 @@ def contact(
     wired_input = controllers[controller].inputs[point]
     counts = float(distance * float(axis.counts_per_unit))
     change = {"contact": [axis.motors[0], counts, wired_input.number, wired_input.active == "high"]}
-    words = (
-        f"{name} is active {distance:g} {axis.unit} from where {axis_name} stands" if distance else f"{name} is free"
-    )
-    _write_change(folder, controller, change, words, as_json=as_json)
+    state_words = f"active {distance:g} {axis.unit} from where {axis_name} stands" if distance else "free"
+    _write_change(folder, controller, change, f"{name} is {state_words}", as_json=as_json)
 
 
 @click.command(epilog="Example: tutti sim stall gantry.x on")
