@@ -192,17 +192,6 @@ class FleetView:
         except BusError as error:
             raise self.make_absence(controller, str(error)) from None
 
-    async def require_axis(self, axis: str) -> AxisState:
-        """The state of `controller.axis` as of now. Raises `Refusal`."""
-        controller, name = split_name(axis)
-        try:
-            state = await self.query_state(controller)
-        except BusError as error:
-            raise self.make_absence(controller, str(error)) from None
-        if state.mode == "offline":
-            raise self.make_absence(controller, "it is offline")
-        return state.axes[name]
-
     async def ask_info(self, controller: str) -> ControllerInfo:
         """Identity and capabilities of the controller as of now: it may not be connected yet. Raises `BusError`,
         `ValidationError`."""

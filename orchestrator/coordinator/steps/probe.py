@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.clock.owner import running
+from orchestrator.coordinator.fleet.axis_states import require_axis
 from orchestrator.coordinator.steps.context import ReportFields, StepContext
 from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
@@ -93,7 +94,7 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     view, (controller, _) = context.fleet.view, split_name(step.axis)
     axis, state, info = (
         view.fleet.axis(step.axis),
-        await view.require_axis(step.axis),
+        await require_axis(view, step.axis),
         await view.require_info(controller),
     )
     ability = ProbeAbilities(info.make, info.probe, info.host_probe).require_ability(view.fleet, step)

@@ -68,14 +68,14 @@ class Job(ScriptModel):
 
     @model_validator(mode="after")
     def _measured_before(self) -> "Job":
-        probed: dict[str, str] = {}
+        probed_axes: dict[str, str] = {}
         for step in iterate_steps(self.steps):
             for axis, target in step.measured_targets.items():
-                problem = find_measure_problem(axis, target, probed)
+                problem = find_measure_problem(axis, target, probed_axes)
                 if problem and not self.is_open:
                     raise ValueError(f"{step.describe()}: {problem}")
             for name in step.contact_names:
-                probed[name] = step.named_axes[0]
+                probed_axes[name] = step.named_axes[0]
         return self
 
     @model_validator(mode="after")

@@ -45,12 +45,14 @@ def split_measured(fields: Any, key: str) -> Any:
     if not isinstance(targets, Mapping):
         return plain_fields
     items = cast("Mapping[str, object]", targets).items()
-    measured: dict[str, object] = {name: value for name, value in items if isinstance(value, dict | MeasuredTarget)}
-    if not measured:
+    measured_items: dict[str, object] = {
+        name: value for name, value in items if isinstance(value, dict | MeasuredTarget)
+    }
+    if not measured_items:
         return plain_fields
-    stated = cast("Mapping[str, object]", plain_fields.get("measured") or {})
-    plain_items = {name: value for name, value in items if name not in measured}
-    return {**plain_fields, key: plain_items, "measured": {**stated, **measured}}
+    stated_items = cast("Mapping[str, object]", plain_fields.get("measured") or {})
+    plain_items = {name: value for name, value in items if name not in measured_items}
+    return {**plain_fields, key: plain_items, "measured": {**stated_items, **measured_items}}
 
 
 def name_contacts(name: str | None, axis: str) -> list[str]:

@@ -163,5 +163,5 @@ class Move(MotionOptions, MoveTargets):
         return self.model_copy(update={"to": targets})
 
     def complete_words(self, fields: list[str]) -> list[str]:
-        measured = [f"to {axis}={target.describe()}" for axis, target in self.measured.items()]
-        return [*measured, *fields, *map(describe_trigger, self.triggers)]
+        target_words = [f"to {axis}={target.describe()}" for axis, target in self.measured.items()]
+        return [*target_words, *fields, *map(describe_trigger, self.triggers)]

@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 
+from orchestrator.coordinator.fleet.axis_states import require_axis
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
 from orchestrator.model.names import controller_of
@@ -33,7 +34,7 @@ class MeasuredContacts:
 
     async def _find_position(self, axis: str, target: MeasuredTarget) -> Quantity:
         unit, controller = self._view.fleet.axis(axis).unit, controller_of(axis)
-        offset = (await self._view.require_axis(axis)).offset
+        offset = (await require_axis(self._view, axis)).offset
         motors = [self._find_contact(name).motor for name in target.of]
         try:
             position = sum(motors, Fraction(0)) / len(motors) + offset + parse_quantity(target.plus, unit)

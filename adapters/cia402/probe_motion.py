@@ -8,8 +8,8 @@ import asyncio
 from contextlib import suppress
 
 from adapters.cia402.canopen.objects import point_bit
+from adapters.cia402.canopen.touch_probe import TouchProbe, find_edge
 from adapters.cia402.connection import Cia402Connection
-from adapters.cia402.probes.touch import TouchProbe, find_edge
 from adapters.contract import HostInterval, JogMove, ProbedContact, ProbeMove
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed

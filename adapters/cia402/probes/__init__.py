@@ -1,1 +1,0 @@
-"""Touch probes of a drive: captured positions, and moves that end at one."""
