@@ -13,6 +13,8 @@ from adapters.contract import (
     JogMove,
     LatchedPosition,
     PathChunk,
+    ProbedContact,
+    ProbeMove,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
@@ -24,6 +26,7 @@ from orchestrator.clock.rate import CrystalRate
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import DigitalInput
 from orchestrator.model.profile import Profile
+from orchestrator.model.state import ProbeAbility
 
 
 @runtime_checkable
@@ -143,6 +146,26 @@ class LatchDriver(Protocol):
 
 
 @runtime_checkable
+class ProbeDriver(Protocol):
+    """A driver whose controller stops an axis by an input. Without it only its host can."""
+
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        """Which inputs stop which axes, and how far an axis goes on at most. Known before it is connected."""
+        ...
+
+    async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        """Move an axis from rest, stop it when the input changes, and return the contact when it is at rest; None: it
+        is at rest at its end, and the input has not changed.
+
+        Behind the contact the axis goes no farther than `probe_ability.find_overtravel`. A caller that cancels it has
+        the axis stop. Raises `Refusal`: the axis has not moved (code `probe-input` for an input that does not stop the
+        axis, `line-level` if it has that level already), or it was stopped (code `stopped`, `probe-broken`).
+        """
+        ...
+
+
+@runtime_checkable
 class ManualDriver(Protocol):
     """A driver whose axes can be jogged. Without it a jog is refused (code `no-jog`)."""
 
@@ -208,6 +231,7 @@ ABILITIES: tuple[type, ...] = (
     TriggerDriver,
     ShownTriggerDriver,
     LatchDriver,
+    ProbeDriver,
     ManualDriver,
     LimitDriver,
     OutputDriver,

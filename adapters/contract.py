@@ -26,7 +26,7 @@ from orchestrator.link.base import Link, LinkClosed, OpenLink
 from orchestrator.link.timed_write import WriteResult
 from orchestrator.model.errors import SETTING_CHANGED, ControllerFault, Refusal, TuttiError
 from orchestrator.model.explain import list_problems
-from orchestrator.model.fleet import Controller
+from orchestrator.model.fleet import Controller, DigitalInput
 from orchestrator.model.messages import BudgetTerm, StartOptions, sum_terms
 from orchestrator.model.profile import Profile
 from orchestrator.model.state import ChunkTriggers, FaultReport, RetargetAbility, RetargetWay, StartClass, StepCosts
@@ -314,6 +314,30 @@ class LatchedPosition:
     """A position that the controller has captured by an input, and the interval in which that happened."""
 
     counts: int
+    span: HostInterval
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeMove:
+    """A move of one axis that an input stops, in counts of the controller.
+
+    point, active: the input, and what it becomes. end_counts: where the axis comes to rest without that.
+    ramp_counts_s2: of its acceleration and of each of its stops.
+    """
+
+    point: DigitalInput
+    active: bool
+    end_counts: int
+    speed_counts_s: float
+    ramp_counts_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProbedContact:
+    """The change of the input: between which positions the axis was then (counts, least first), and when."""
+
+    least: float
+    most: float
     span: HostInterval
 
 

@@ -66,6 +66,7 @@ from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.repeat import JobStep as Step
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
@@ -114,6 +115,7 @@ __all__ = [
     "Move",
     "PointRecord",
     "PositionEntry",
+    "Probe",
     "QueueEntry",
     "QueueTerms",
     "ReadPosition",

@@ -9,6 +9,7 @@ from adapters.abilities import (
     ManualDriver,
     OutputDriver,
     PathDriver,
+    ProbeDriver,
     RetargetDriver,
     SamplingDriver,
     SettingsDriver,
@@ -23,6 +24,7 @@ from adapters.cia402.canopen.node import BusDrive
 from adapters.cia402.canopen.objects import CYCLIC_MODE, FOLLOWED, DictionaryObject
 from adapters.cia402.canopen.sdo import bus_off_fault
 from adapters.cia402.canopen.setpoint import count_accesses
+from adapters.cia402.canopen.touch_probe import TouchProbe, find_edge
 from adapters.cia402.connection import Cia402Connection, make_connection
 from adapters.cia402.costs import make_capabilities, step_costs
 from adapters.cia402.fleetaxes import (
@@ -35,7 +37,7 @@ from adapters.cia402.lowering import BusTimes, Cia402Lowered, ConnectionTraits, 
 from adapters.cia402.mapping.transfer import PdoMapper
 from adapters.cia402.needs import make_pdo_needs
 from adapters.cia402.options import Cia402Options
-from adapters.cia402.probe import TouchProbe, find_edge
+from adapters.cia402.probe_motion import ProbeMotion, find_ability
 from adapters.cia402.sampling import PdoSampling
 from adapters.cia402.shapes.switching import NOTHING_SWITCHED
 from adapters.cia402.triggers import add_triggers
@@ -49,6 +51,8 @@ from adapters.contract import (
     JogMove,
     LatchedPosition,
     PathChunk,
+    ProbedContact,
+    ProbeMove,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
@@ -64,7 +68,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import CanBusLink, DigitalInput
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import StepCosts
+from orchestrator.model.state import ProbeAbility, StepCosts
 
 
 class Cia402Driver(
@@ -75,6 +79,7 @@ class Cia402Driver(
     SamplingDriver,
     ShownTriggerDriver,
     LatchDriver,
+    ProbeDriver,
     ManualDriver,
     LimitDriver,
     OutputDriver,
@@ -235,6 +240,14 @@ class Cia402Driver(
             edge = find_edge(point, self._options.probe_inputs)
             return await TouchProbe(self.connection.node, axis, edge).take(point, within_ns)
 
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        return find_ability(self._axis, self._options.probe_inputs)
+
+    async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        with log_refusals(self._log, "the probe"):
+            return await ProbeMotion(self.connection, axis, self._options.probe_inputs).run(move)
+
     async def read_triggers(self, known: Mapping[str, int]) -> Mapping[str, SwitchedOutput]:
         return self.connection.mover.outputs.read_edges(known)
 
@@ -283,25 +296,14 @@ class Cia402Driver(
     async def clear_faults(self) -> None:
         with log_refusals(self._log, "clearing the fault"):
             await self.connection.power.clear_fault()
-            await self._restore_settings()
-
-    async def _restore_settings(self) -> None:
-        """Write the settings that another client has changed. Raises `Refusal`."""
-        watch, node = self.connection.watch, self.connection.node
-        if not watch.has_differences:
-            return
-        if await watch.restore_settings():
-            await startup.map_and_start(node, self._sync_scheduler, self._options, self._mapper)
+            watch = self.connection.watch
+            if watch.has_differences and await watch.restore_settings():
+                await startup.map_and_start(self.connection.node, self._sync_scheduler, self._options, self._mapper)
 
     async def send_raw(self, command: str) -> str:
         """Execute a raw command: `6041:0/16` reads an object of 16 bits, `6081:0/32=1000` writes it (hexadecimal index
         and sub-index)."""
-        node = self.connection.node
-        obj, value = _parse_access(command)
-        if value is None:
-            return str(await node.sdo.read_value(obj))
-        await node.sdo.write_value(obj, value)
-        return "ok"
+        return await _access_object(self.connection.node, command)
 
     async def close(self) -> None:
         old_connection, self._connection = self._connection, None
@@ -317,6 +319,14 @@ class Cia402Driver(
         await self._bus.detach_node(self._number, old_connection.node)
         # Tasks that wait for the drive, such as a reference search, get no further message of it.
         old_connection.node.handle_link_loss(LinkClosed(f"{self._setup.controller} was disconnected"))
+
+
+async def _access_object(node: BusDrive, command: str) -> str:
+    obj, value = _parse_access(command)
+    if value is None:
+        return str(await node.sdo.read_value(obj))
+    await node.sdo.write_value(obj, value)
+    return "ok"
 
 
 def _parse_access(command: str) -> tuple[DictionaryObject, int | None]:

@@ -1,7 +1,7 @@
 """Commands to a controller from the bus: each verb with its request, executed once, answered with a value."""
 
 from collections.abc import Awaitable, Callable, Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
 from pydantic import ValidationError
@@ -10,6 +10,7 @@ from adapters.abilities import LearningDriver, set_output
 from adapters.controller.components import Components
 from adapters.controller.manual.offsets import AxisOffsets
 from adapters.controller.monitoring.settings_checks import SettingsChecks
+from adapters.controller.search_commands import SearchCommands
 from adapters.controller.slots.step_commands import StepCommands
 from adapters.controller.slots.triggers import LatchControl
 from adapters.controller.state.armed_step import StepPhase
@@ -49,6 +50,8 @@ from orchestrator.model.messages import (
     LeaseRequest,
     LoadChunkRequest,
     OutputRequest,
+    ProbeReply,
+    ProbeRequest,
     Proposal,
     ProposeRequest,
     RawReply,
@@ -84,6 +87,7 @@ class ControllerCommands:
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._stops = stops
         self._answers = AnswerCache()
+        searches = SearchCommands(components, stops, context.clock, self._require_idle)
         latches = LatchControl(context, self._require_idle)
         checks = SettingsChecks(components.surveillance, components.polling, components.publisher, self._require_idle)
         steps = StepCommands(context, components.fence, components.participant, components.steps, components.timer)
@@ -104,13 +108,14 @@ class ControllerCommands:
             "stop": (StopRequest, Reply, self._handle_stop),
             "enable": (EnableRequest, Reply, self._handle_enable),
             "check-settings": (CheckSettingsRequest, SettingsChecked, checks.check_settings),
-            "home": (HomeRequest, HomeReply, self._handle_home),
+            "home": (HomeRequest, HomeReply, searches.home),
             "jog": (JogRequest, Reply, self._handle_jog),
             "set-position": (SetPositionRequest, Reply, offsets.set_position),
             "output": (OutputRequest, Reply, self._handle_output),
             "begin-sampling": (BeginSampling, SamplingBegun, components.samples.begin),
             "take-samples": (TakeSamples, SamplesTaken, components.samples.take),
             "take-triggers": (TakeTriggers, TriggersTaken, components.triggers.take),
+            "probe": (ProbeRequest, ProbeReply, searches.probe),
             "latch": (LatchRequest, LatchReply, latches.latch),
             "reset": (ResetRequest, Reply, self._handle_reset),
             "configure": (ConfigureRequest, Reply, self._handle_configure),
@@ -171,7 +176,7 @@ class ControllerCommands:
         status = self._status
         self._require_no_step()
         moving_axes = [
-            name for name, axis in status.require_online().axes.items() if axis.moving or name in status.homing
+            name for name, axis in status.require_online().axes.items() if axis.moving or name in status.searching
         ]
         if moving_axes or status.jogging:
             name = min([*moving_axes, *status.jogging])
@@ -202,18 +207,6 @@ class ControllerCommands:
         with self._ordering():
             await self._components.motors.switch_motors(request.axes, on=request.on)
         return Reply()
-
-    async def _handle_home(self, request: HomeRequest) -> HomeReply:
-        self._require_idle(request)
-        self._fence.require_no_estop()
-        with self._ordering():
-            try:
-                return await self._components.referencing.home_axes(request.axes)
-            except (LinkClosed, LinkRefused, ControllerFault) as error:
-                # The controller continues its search by itself. If the stop cannot be sent now, it stays pending.
-                with suppress(LinkClosed, LinkRefused, ControllerFault):
-                    await self._stops.stop(abort=False, reason=f"homing has failed: {error}")
-                raise
 
     async def _handle_jog(self, request: JogRequest) -> Reply:
         self._status.require_known(request.velocities)
@@ -322,7 +315,7 @@ class ControllerCommands:
             raise Refusal("busy", f"axis {min(self._status.jogging)} is jogging", "end the jog first")
 
     def _require_no_step(self) -> None:
-        if self._components.steps.present is not None or self._status.homing:
+        if self._components.steps.present is not None or self._status.searching:
             raise Refusal(
                 "busy",
                 f"the controller is {self._publisher.current_mode()}",

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from adapters.controller.manual.jogging import JogControl
 from adapters.controller.manual.motors import MotorControl
+from adapters.controller.manual.probing import AxisProbing
 from adapters.controller.manual.referencing import AxisReferencing
 from adapters.controller.monitoring.polling import StatePolling
 from adapters.controller.monitoring.settling import SettlingMonitor
@@ -57,6 +58,7 @@ class Components:
     jogging: JogControl
     motors: MotorControl
     referencing: AxisReferencing
+    probing: AxisProbing
 
 
 def build_components(context: ControllerContext, remembered: PersistentMemory) -> Components:
@@ -99,4 +101,5 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         jogging=JogControl(driver, clock, status, tasks, timer),
         motors=MotorControl(context, status, settling, polling),
         referencing=AxisReferencing(driver, settling, status, publisher, polling),
+        probing=AxisProbing(context, status, polling),
     )

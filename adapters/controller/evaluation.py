@@ -73,7 +73,7 @@ class ReadingEvaluation:
             # A step that was loaded when the stop was lost begins in spite of it.
             status.stop_unseen = reading.at_ns < status.begun_by_ns
             return
-        is_owned = self._parts.steps.present is not None or bool(status.jogging | status.homing)
+        is_owned = self._parts.steps.present is not None or bool(status.moved_singly)
         if not is_owned and reading.at_ns > status.stopping_until_ns:
             self._context.log.warning(
                 "the controller moves although it was stopped; the stop is sent again",

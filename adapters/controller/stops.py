@@ -83,7 +83,7 @@ class ControllerStops:
         armed_step = self._parts.steps.present
         if armed_step is not None and armed_step.job == holder:
             self._parts.tasks.spawn(self._parts.withdrawal.abandon_step(f"{reason}: {', '.join(axes)}"))
-        if self._parts.status.homing & set(axes):
+        if self._parts.status.searching & set(axes):
             self._parts.tasks.spawn(self.stop(abort=False, reason=reason))
         self._parts.tasks.spawn(self._parts.jogging.stop_jogs_of(holder, reason))
 

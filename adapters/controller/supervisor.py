@@ -197,11 +197,12 @@ class ControllerSupervisor:
         unseen = last_reading is not None and (
             last_reading.at_ns < status.stopped_ns or any(axis.moving for axis in last_reading.axes.values())
         )
-        may_move = unseen or self._parts.steps.may_move or bool(status.jogging | status.homing)
+        may_move = unseen or self._parts.steps.may_move or bool(status.moved_singly)
         status.may_move = status.may_move or may_move
         if may_move:
             self._parts.pending_stop.request_stop()
         status.homing.clear()
+        status.probing.clear()
         self._parts.jogging.drop_all("the link is lost")
         self._parts.withdrawal.drop_step(f"the link is lost: {fault.text}")
         if was_online:

@@ -18,9 +18,11 @@ from adapters.galil.options import GalilOptions
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.shapes.model import ModelTraits
 from adapters.yaskawa.smc4000.driver import SMC4000Driver, SMC4000Make
+from adapters.yaskawa.triggers.probe import find_ability
 from adapters.yaskawa.wire.record import AXIS_LETTERS, RECORD_LETTERS
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.fleet import Controller
+from orchestrator.model.state import ProbeAbility
 
 FAMILIES = {"dmc21x3": DMC21X3, "dmc40x0": DMC40X0}
 NAMES = (AXIS_LETTERS[:MAX_AXES], RECORD_LETTERS)
@@ -57,6 +59,10 @@ class GalilDriver(SMC4000Driver):
     @property
     def traits(self) -> ModelTraits:
         return self._family.traits
+
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        return find_ability({}, 0)  # its latch has no target in any manual that was compared
 
 
 _EXAMPLE = """\

@@ -3,13 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, SettingsDriver, SharedLineDriver
+from adapters.abilities import LearningDriver, ManualDriver, OutputDriver, ProbeDriver, SettingsDriver, SharedLineDriver
 from adapters.contract import (
     ControllerIdentity,
     ControllerReading,
     DriverCapabilities,
     DriverSetup,
     JogMove,
+    ProbedContact,
+    ProbeMove,
     SettingDifference,
 )
 from adapters.smc30 import startup
@@ -27,12 +29,14 @@ from adapters.smc30.lowering import (
 from adapters.smc30.mover import Smc30Mover
 from adapters.smc30.options import Smc30DriverOptions
 from adapters.smc30.polling import Smc30Poller
+from adapters.smc30.probe import InputProbe, find_ability
 from adapters.smc30.session import ControllerBusy, Smc30Session
 from adapters.smc30.step import passive_commands
 from adapters.smc30.unitaxis import line_address, only_axis
 from adapters.smc30.unitstate import Smc30State
 from adapters.toolkit.connection import ConnectedDriver
 from adapters.toolkit.host_start import MoverTools
+from adapters.toolkit.refusals import log_refusals
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.clock.latency import StartLatency
@@ -41,7 +45,7 @@ from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import SerialLink
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import StepCosts
+from orchestrator.model.state import ProbeAbility, StepCosts
 
 _BITS = 10  # of a character: start, seven data, parity, stop (L1003-L1011)
 _BRIDGE_BAUD = 9600  # behind a TCP bridge: the fastest baud rate of the controller
@@ -58,7 +62,13 @@ class Smc30Connection:
 
 
 class Smc30Driver(
-    ConnectedDriver[Smc30Connection], SettingsDriver, LearningDriver, ManualDriver, OutputDriver, SharedLineDriver
+    ConnectedDriver[Smc30Connection],
+    SettingsDriver,
+    LearningDriver,
+    ProbeDriver,
+    ManualDriver,
+    OutputDriver,
+    SharedLineDriver,
 ):
     """Drive one controller. Its exchanges take turns with those of the other controllers of its line; a stop bypasses
     them."""
@@ -217,6 +227,15 @@ class Smc30Driver(
 
     async def jog_axis(self, axis: str, move: JogMove) -> None:
         await self.connection.manual.start_jog(move)
+
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        return find_ability(self._axis, self._options)
+
+    async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        connection = self.connection
+        with log_refusals(self._log, "the probe"):
+            return await InputProbe(connection.manual, connection.state, self._clock, self._options).run(axis, move)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
         if axes:

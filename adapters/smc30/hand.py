@@ -6,7 +6,7 @@ only at a limit switch. Parameters apply to the next command (L2345), so that ev
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor, sqrt
 
 from adapters.contract import JogMove
@@ -26,7 +26,8 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ManualRun:
-    """The last manual motion of the axis: steps/s, steps, and its end position. stops: number of stops at that time."""
+    """The last manual motion of the axis: steps/s, steps, and its end position. stops: number of stops at that time.
+    condition: a program line that says what ends it before."""
 
     s: int
     t: int
@@ -34,6 +35,7 @@ class ManualRun:
     begin: int
     end: int
     stops: int
+    condition: str = ""
 
     @property
     def direction_sign(self) -> int:
@@ -45,7 +47,8 @@ class ManualRun:
 
     @property
     def program_lines(self) -> tuple[str, ...]:
-        return f"S{self.s}", f"T{self.t}", f"R{self.r}", f"G{self.end:+d}"
+        condition = (self.condition,) if self.condition else ()
+        return f"S{self.s}", f"T{self.t}", f"R{self.r}", *condition, f"G{self.end:+d}"
 
 
 class Smc30ManualMotion:
@@ -68,8 +71,9 @@ class Smc30ManualMotion:
 
     # Jogs
 
-    async def start_jog(self, move: JogMove) -> None:
-        """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call."""
+    async def start_jog(self, move: JogMove, condition: str = "") -> None:
+        """Begin a jog, or change to `move`. Raises `Refusal`, also when a stop overtakes the call. condition: a program
+        line that ends it before."""
         unit = self._unit
         stop_count = unit.session.stops
         async with unit.loading:
@@ -95,9 +99,8 @@ class Smc30ManualMotion:
                     )
                 await unit.wait_for_stops()
             async with unit.exclusive_turn():
-                wanted_run = _make_run(
-                    self._name, move, axis_bounds(self._axis), await unit.require_ready(), stop_count
-                )
+                bounds, counts = axis_bounds(self._axis), await unit.require_ready()
+                wanted_run = replace(_make_run(self._name, move, bounds, counts, stop_count), condition=condition)
                 await unit.load_program(wanted_run.program_lines, stop_count)
                 self._require_free()
                 await unit.require_not_restarted("loaded with its jog", "jog it again; its counter was reset")

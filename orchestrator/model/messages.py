@@ -644,6 +644,35 @@ class LatchReply(Reply):
     latest_ns: Int53 = 0
 
 
+class ProbeRequest(LeasedRequest):
+    """Move the one axis of `axes` to `end_counts` at `speed` (its unit/s), and stop it when `input` becomes active, or
+    passive. The reply comes when it is at rest.
+
+    by: what stops it, the controller or its adapter host. overtravel_counts: how far it may go behind the contact.
+    """
+
+    input: Id
+    active: bool
+    end_counts: Int53
+    speed: float = Field(gt=0)
+    by: Literal["controller", "host"]
+    overtravel_counts: float = Field(ge=0)
+
+
+class ProbeReply(Reply):
+    """touched: the input has changed. least_counts, most_counts: between them the axis was then; earliest_ns,
+    latest_ns: when that was, fleet time. rest_counts: where it stands. released: the input has changed back since."""
+
+    touched: bool = False
+    least_counts: float = 0.0
+    most_counts: float = 0.0
+    earliest_ns: Int53 = 0
+    latest_ns: Int53 = 0
+    start_counts: float = 0.0
+    rest_counts: float = 0.0
+    released: bool = False
+
+
 MAX_EDGES_PART = 2_000  # edges of an output in one answer: some 60 KB
 
 

@@ -47,11 +47,26 @@ def _read_whole_position(to: object) -> object:
     return {ALL_AXES: to} if is_position_name(to) else to
 
 
+_MEASURED: dict[str, Any] = {
+    "type": "object",
+    "properties": {
+        "of": {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]},
+        "plus": _NUMBER_OR_TEXT,
+        "between": {"type": "array", "items": _NUMBER_OR_TEXT},
+    },
+    "required": ["of"],
+}
+_TARGETS_BY_AXIS: dict[str, Any] = {
+    "type": "object",
+    "additionalProperties": {"anyOf": [*_NUMBER_OR_TEXT["anyOf"], _MEASURED]},
+}
+
 MoveTarget = Annotated[
     dict[str, Target],
     BeforeValidator(_read_whole_position),
-    WithJsonSchema(
-        {"anyOf": [{"type": "object", "additionalProperties": _NUMBER_OR_TEXT}, {"type": "string"}], "default": {}}
-    ),
+    WithJsonSchema({"anyOf": [_TARGETS_BY_AXIS, {"type": "string"}], "default": {}}),
 ]
-"""Targets by axis; or the name of a position alone, for all its axes."""
+"""Targets by axis; or the name of a position alone, for all its axes. What probes measure is read apart from them."""
+
+AxisTargets = Annotated[dict[str, Target], WithJsonSchema({**_TARGETS_BY_AXIS, "default": {}})]
+"""Targets by axis, in the same way."""

@@ -1,10 +1,11 @@
 """What a job did: its progress while it runs, and the record afterwards."""
 
+from fractions import Fraction
 from typing import Annotated, Any, Literal, Protocol
 
 from pydantic import Field
 
-from orchestrator.model.base import Int53, Model
+from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
@@ -385,6 +386,30 @@ class LatchReport(Model):
     seen: TimeInterval
 
 
+class ProbeReport(Model):
+    """What a probe has found. Positions are of the user, in `unit`; those of the contact are bounds of it.
+
+    touched: the input has changed; what is said of the contact counts only then. motor: the middle of its bounds, motor
+    position. seen: the interval in which that was. overtravel: how far the axis went on at most; stated: the
+    bound of that which was stated before. released: the input has changed back since.
+    """
+
+    axis: str
+    until: str
+    unit: Unit
+    touched: bool
+    start: float
+    rest: float
+    least: float = 0.0
+    most: float = 0.0
+    motor: Rational = Fraction(0)
+    seen: TimeInterval | None = None
+    overtravel: float = 0.0
+    stated: float = 0.0
+    released: bool = False
+    by: Literal["controller", "host"] = "controller"
+
+
 class TriggerReport(Model):
     """What an output did on the way. planned: instants of the plan; seen: edges by evidence of the controller.
 
@@ -465,6 +490,7 @@ class StepReport(Model):
     sampling: SamplingReport | None = None
     triggers: list[TriggerReport] = Field(default=[])
     latch: LatchReport | None = None
+    probe: ProbeReport | None = None
     path: PathReport | None = None
     virtual: dict[str, VirtualBound] = Field(
         default={}, description="Of a move of virtual axes: how far each may be off its straight line on the way."

@@ -243,6 +243,29 @@ class ChunkTriggers(Model):
     shows: bool = False
 
 
+class ProbeAbility(Model):
+    """How far an axis goes on at most when an input of its controller stops it, and how well the position at that is
+    known. Speeds in counts/s, ramps in counts/s²; the axis is stopped by its whole acceleration.
+
+    inputs: by axis, the numbers of the inputs that can stop it. levels: what such an input may become.
+    reaction_s: at the speed of the probe, until the ramp is in effect. ramp_share: the ramp is at least this share of
+    the acceleration. margin_counts: beyond that. contact_s, contact_counts: the axis was at most the way of that time,
+    and these counts, before the position that is captured.
+    """
+
+    inputs: dict[Id, list[int]]
+    levels: list[Literal["active", "passive"]]
+    reaction_s: float
+    ramp_share: float = 1.0
+    margin_counts: float
+    contact_s: float
+    contact_counts: float
+
+    def find_overtravel(self, speed: float, ramp: float) -> float:
+        """How far the axis goes behind the contact at most, in counts."""
+        return speed * (self.reaction_s + self.contact_s) + speed**2 / (2 * ramp * self.ramp_share) + self.margin_counts
+
+
 class ControllerInfo(Model):
     """Identity and capabilities of a controller."""
 
@@ -270,6 +293,16 @@ class ControllerInfo(Model):
         default=None,
         exclude_if=lambda ability: ability is None,
         description="How its axes get other targets while they move; left out: they brake, and start again.",
+    )
+    probe: ProbeAbility | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How it stops an axis by an input; left out: it does not.",
+    )
+    host_probe: ProbeAbility | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How its host stops an axis by an input; left out: its axes cannot be jogged.",
     )
     digest: str
     options_schema: dict[str, Any]

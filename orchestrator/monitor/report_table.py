@@ -6,7 +6,7 @@ from statistics import median
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget, TriggerReport
+from orchestrator.model.report import JobReport, ProbeReport, SkewInterval, StepReport, SyncBudget, TriggerReport
 from orchestrator.model.state import AxisEvidence
 from orchestrator.model.steps.numbers import name_step, number_step
 from orchestrator.monitor.path_words import describe_path
@@ -166,6 +166,8 @@ def _describe_deviations(step: StepReport) -> list[str]:
         lines.append(
             f"{name_step(step.index)}: {latch.axis} was at {latch.position:g} {latch.unit} when {latch.input} came"
         )
+    if step.probe is not None:
+        lines.append(f"{name_step(step.index)}: {_describe_probe(step.probe)}")
     lines += [
         f"{name_step(step.index)}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"
@@ -179,6 +181,17 @@ def _describe_deviations(step: StepReport) -> list[str]:
                 f"{limit_text}; worst is {skew.worst_member}"
             )
     return lines
+
+
+def _describe_probe(probe: ProbeReport) -> str:
+    """Where an axis was at a contact, and how far it went on."""
+    if not probe.touched:
+        return f"{probe.until} was not touched; {probe.axis} is at {probe.rest:g} {probe.unit}"
+    text = (
+        f"{probe.axis} was between {probe.least:.9g} and {probe.most:.9g} {probe.unit} when {probe.until} changed, and "
+        f"went on by at most {probe.overtravel:.3g} {probe.unit} ({probe.stated:.3g} stated)"
+    )
+    return f"{text}; it has changed back since" if probe.released else text
 
 
 def _describe_triggers(triggered: TriggerReport) -> str:

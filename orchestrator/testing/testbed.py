@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Self, get_args
 
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.units import parse_quantity
 from orchestrator.testing import open_fleets
 from orchestrator.testing.errors import (
     BadTest,
@@ -104,6 +105,16 @@ class FleetTestbed(ABC):
         """Stall an axis, so that it does not follow its command; or free it. Raises `UnknownName`."""
         controller, config = find_axis(self.fleet, axis)
         self._change(controller, {"stall": [config.motors[0], stalled]}, at)
+
+    def put_contact(self, name: str, axis: str, distance: str | float | None, *, at: str | float | None = None) -> None:
+        """Make the input `controller.input` active where an axis of the same controller is so far from its present
+        place, and beyond: for a probe. distance: in the axis's unit, or text with one; None removes the contact. Raises
+        `UnknownName`."""
+        controller, wired_input = find_input(self.fleet, name)
+        _, config = find_axis(self.fleet, axis)
+        counts = 0 if distance is None else float(parse_quantity(distance, config.unit) * config.counts_per_unit)
+        contact = [config.motors[0], counts, wired_input.number, wired_input.active == "high"]
+        self._change(controller, {"contact": contact}, at)
 
     def _change(self, controller: str, change: dict[str, object], at: str | float | None) -> None:
         self._call_at(lambda: self._change_now(controller, change), parse_delay_ns("at", at))

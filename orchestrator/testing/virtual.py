@@ -35,6 +35,7 @@ from orchestrator.testing.fault_schedule import FaultSchedule, InjectedFault
 from orchestrator.testing.testbed import FleetTestbed, call_scheduled
 from orchestrator.testing.truth import SAMPLE_NS, AxisTruth, MotorRecord
 from orchestrator.testing.virtual_worker import VirtualWorker
+from sim.core.contact import ContactBench
 from sim.core.controller import CommandedMotion
 from sim.link.world import change_environment
 
@@ -80,6 +81,7 @@ class VirtualTestbed(FleetTestbed):
         self.clock = VirtualClock(VirtualLoop())
         self._worker = VirtualWorker(self.clock.loop, limit_ns)
         self._virtual = VirtualFleet(fleet, self.clock, seed)
+        self._contacts = ContactBench(self.clock)
         self._checks = RunChecks(self._virtual, self.clock)
         self._jogs = JogNotes(fleet)
         self._faults = FaultSchedule(self._virtual, self.clock, self._worker, Random(f"faults {seed}"))
@@ -193,7 +195,8 @@ class VirtualTestbed(FleetTestbed):
         return self._faults.add_fault(controller, fault, parse_delay_ns("at", at), parse_delay_ns("until", until))
 
     def _change_now(self, controller: str, change: dict[str, object]) -> None:
-        self._virtual.act_on_controller(controller, lambda unit: change_environment(unit, json.dumps(change)))
+        line = json.dumps(change)
+        self._virtual.act_on_controller(controller, lambda unit: change_environment(unit, line, self._contacts))
 
     # What has happened
 

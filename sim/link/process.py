@@ -26,6 +26,7 @@ from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.private_files import FILE_MODE, make_private_folder, open_for_append, open_private_file
 from orchestrator.model.problems import describe_first_error
+from sim.core.contact import ContactBench
 from sim.core.controller import (
     DeviceSpec,
     FirmwareTiming,
@@ -203,9 +204,10 @@ async def _follow_changes(
     lines: asyncio.StreamReader, server: Server, controller: SimulatedController, name: str
 ) -> None:
     """Change the environment line by line, until the stream ends."""
+    contacts = ContactBench(LiveClock())
     while line := await lines.readline():
         try:
-            change_environment(controller, line.decode("utf-8", "replace"))
+            change_environment(controller, line.decode("utf-8", "replace"), contacts)
         except EnvironmentRefused as error:
             sys.stderr.write(f"{name}: {error}\n")
         server.restore_link()

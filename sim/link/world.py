@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.problems import describe_first_error
+from sim.core.contact import ContactBench, ContactPlace
 from sim.core.controller import LimitSwitch, SimulatedController
 
 
@@ -21,6 +22,8 @@ class EnvironmentChange(BaseModel):
     limit: axis and switches.
     stall: axis, on.
     push: axis, and the counts by which it is moved by hand.
+    contact: axis, the counts from where it stands to the place where an input changes, the number of the input, and its
+    level from there on; 0 counts remove it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -31,19 +34,22 @@ class EnvironmentChange(BaseModel):
     limit: tuple[str, LimitSwitch] | None = None
     stall: tuple[str, bool] | None = None
     push: tuple[str, int] | None = None
+    contact: tuple[str, Annotated[float, Field(ge=-1e9, le=1e9)], Annotated[int, Field(ge=0)], bool] | None = None
 
 
-def change_environment(controller: SimulatedController, line: str) -> None:
-    """Carry out the JSON `line`. Raises `EnvironmentRefused`."""
+def change_environment(controller: SimulatedController, line: str, contacts: ContactBench | None = None) -> None:
+    """Carry out the JSON `line`. contacts: where a contact is put. Raises `EnvironmentRefused`."""
     try:
         change = EnvironmentChange.model_validate_json(line)
     except ValidationError as error:
         raise EnvironmentRefused(f'{describe_first_error(error, "line")}; e.g. {{"input": [1, true]}}') from None
-    for axis in [pair[0] for pair in (change.limit, change.stall, change.push) if pair is not None]:
+    for axis in [pair[0] for pair in (change.limit, change.stall, change.push, change.contact) if pair is not None]:
         if axis not in controller.axis_names:
             raise EnvironmentRefused(f"no axis {axis!r}; available: {', '.join(controller.axis_names)}")
     try:
         _apply_change(controller, change)
+        if change.contact is not None and contacts is not None:
+            _put_contact(controller, contacts, change.contact)
     except ValueError as error:
         raise EnvironmentRefused(str(error)) from None
 
@@ -63,3 +69,12 @@ def _apply_change(controller: SimulatedController, change: EnvironmentChange) ->
         controller.set_stalled(axis, stalled=is_stalled)
     if change.push is not None:
         controller.push_axis(*change.push)
+
+
+def _put_contact(controller: SimulatedController, contacts: ContactBench, change: tuple[str, float, int, bool]) -> None:
+    axis, distance, number, level = change
+    if not distance:
+        contacts.remove(controller, number)
+        return
+    at_counts = controller.physical_position(axis) + distance
+    contacts.put(controller, ContactPlace(axis, at_counts, 1 if distance > 0 else -1, number, level=level))

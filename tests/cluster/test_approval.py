@@ -282,7 +282,7 @@ CHANGES = {
     ),
     "the configuration of an input": Change(
         "[{do: wait, input: gantry.door, value: false, timeout: 1 s}]",
-        reload(lambda plain: plain["controllers"]["gantry"]["inputs"]["door"].update(number=2)),
+        reload(lambda plain: plain["controllers"]["gantry"]["inputs"]["door"].update(number=3)),
         "configuration of gantry was",
     ),
     "a permit": Change(

@@ -109,7 +109,10 @@ def test_a_job_that_names_unknown_axes_is_not_accepted() -> None:
                 "no axis gantry.q; did you mean gantry.y? its axes are: gantry.x, gantry.y, stage.u",
             ),
             ("[{do: output, output: gantry.horn, value: true}]", "no output gantry.horn; its outputs are: gantry.lamp"),
-            ("[{do: wait, input: stage.x, timeout: 1 s}]", "no input stage.x; its inputs are: gantry.door"),
+            (
+                "[{do: wait, input: stage.x, timeout: 1 s}]",
+                "no input stage.x; its inputs are: gantry.door, gantry.touch",
+            ),
             ("[{do: home, axes: [nothing]}]", "no axis, group or controller nothing"),
             (
                 "[{do: move, to: {gantry.x: 401}}]",

@@ -13,6 +13,7 @@ from adapters.abilities import (
     ManualDriver,
     OutputDriver,
     PathDriver,
+    ProbeDriver,
     SamplingDriver,
     SettingsDriver,
     SharedLineDriver,
@@ -45,6 +46,8 @@ from adapters.contract import (
     MoveSlot,
     MoveSlots,
     PathChunk,
+    ProbedContact,
+    ProbeMove,
     SampledPositions,
     SamplingPlan,
     SettingDifference,
@@ -86,7 +89,7 @@ from orchestrator.model.fleet import Axis, Controller, DigitalInput
 from orchestrator.model.messages import BudgetTerm, StartOptions, TriggerDrive, TriggerWait
 from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile, Segment
-from orchestrator.model.state import FaultReport, StartClass, StepCosts
+from orchestrator.model.state import FaultReport, ProbeAbility, StartClass, StepCosts
 
 __all__ = [
     "API_VERSION",
@@ -144,6 +147,10 @@ __all__ = [
     "PathChunk",
     "PathDriver",
     "PendingReply",
+    "ProbeAbility",
+    "ProbeDriver",
+    "ProbeMove",
+    "ProbedContact",
     "Profile",
     "ReceivedBytes",
     "Refusal",

@@ -78,7 +78,6 @@ class StatePolling:
             await self._timer.wait_until_ns(until_ns + NS_PER_MS)
 
     def _quiet_until_ns(self) -> int | None:
-        """Return until when the controller is not polled; None: it is polled. A jogging or homing controller is always
-        polled."""
-        manual_motion = self._status.jogging or self._status.homing
-        return None if manual_motion else self._steps.quiet_until_ns(self._context.clock.now_ns())
+        """Return until when the controller is not polled; None: it is polled. A controller that jogs, homes or probes
+        is always polled."""
+        return None if self._status.moved_singly else self._steps.quiet_until_ns(self._context.clock.now_ns())

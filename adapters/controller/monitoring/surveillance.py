@@ -50,7 +50,7 @@ class Surveillance:
         status, present = self._status, self._steps.present
         executes = present is not None and present.executes
         has_ended_step = not executes and (self._steps.is_followed or self._publisher.is_moving)
-        return has_ended_step or bool(status.homing | status.jogging) or status.stop_unseen
+        return has_ended_step or bool(status.moved_singly) or status.stop_unseen
 
     def _find_ordered_axes(self, reading: ControllerReading) -> frozenset[str]:
         """The axes that may have been moved by an order of this adapter when they were read. A step that is only loaded

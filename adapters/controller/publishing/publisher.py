@@ -3,15 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
-from typing import Any
-
-from pydantic import BaseModel
 
 from adapters.abilities import LearningDriver
 from adapters.contract import ControllerReading
 from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.publishing.events import EventRing
+from adapters.controller.publishing.info import make_info
 from adapters.controller.publishing.positions import read_interval, rest_positions
 from adapters.controller.publishing.tracing import read_trace_part
 from adapters.controller.state.armed_step import ArmedStep
@@ -32,7 +29,6 @@ from orchestrator.model.state import (
     ClockQuality,
     ClockReply,
     ControllerEvent,
-    ControllerInfo,
     ControllerState,
     EventKind,
     EventsRequest,
@@ -41,7 +37,6 @@ from orchestrator.model.state import (
     Mode,
     ReadPosition,
 )
-from orchestrator.model.version import PROTOCOL, find_own_version
 
 STATES_PER_CLOCK = 10  # states between two publications of what changes slowly
 _NONE = Fraction(0)
@@ -115,6 +110,8 @@ class StatePublisher:
             return "homing"
         if status.jogging:
             return "jogging"
+        if status.probing:
+            return "moving"
         if any(axis.moving for axis in status.reading.axes.values()):
             return "stopping" if self._clock.now_ns() < status.stopping_until_ns else "moving"
         unseen = status.reading.at_ns < status.stopped_ns and self._clock.now_ns() < status.stopping_until_ns
@@ -285,35 +282,7 @@ class StatePublisher:
         return read_trace_part(self._context, request).to_json()
 
     async def _answer_info(self, _: BusSample) -> bytes:
-        identity, capabilities = self._status.identity, self._driver.capabilities
-        return ControllerInfo(
-            controller=self._controller,
-            instance=self._context.instance,
-            make=self._context.make.name,
-            model=identity.model if identity else "",
-            firmware=identity.firmware if identity else "",
-            serial=identity.serial if identity else "",
-            axes={name: axis.to_plain() for name, axis in self._config.axes.items()},
-            start_classes=list(capabilities.start_classes),
-            orders=list(capabilities.orders),
-            independent_axes=capabilities.independent_axes,
-            costs=capabilities.costs,
-            chunk_s=capabilities.chunk_s,
-            chunk_load_s=capabilities.chunk_load_s,
-            chunk_triggers=capabilities.chunk_triggers,
-            retarget=capabilities.retarget,
-            digest=self._config.digest,
-            options_schema=_options_schema(self._context.make.options_model),
-            tutti=find_own_version(),
-            protocol=str(PROTOCOL),
-            certificate=self._context.certificate,
-        ).to_json()
-
-
-@cache
-def _options_schema(options: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON Schema of a make's options, which takes pydantic some milliseconds each time."""
-    return options.model_json_schema()
+        return make_info(self._context, self._status.identity).to_json()
 
 
 def _named_points(

@@ -41,9 +41,9 @@ class StepChecks:
         self._require_same_digest(request)
         if isinstance(request, ArmRequest):
             self._leases.require_lease(request.job, request.profiles)
-        if status.homing | status.jogging:
-            activity = "homing" if status.homing else "jogging"
-            raise Refusal(activity, f"{min(status.homing | status.jogging)} is {activity}", "wait for its end")
+        if status.moved_singly:
+            activity = "homing" if status.homing else "jogging" if status.jogging else "probing"
+            raise Refusal(activity, f"{min(status.moved_singly)} is {activity}", "wait for its end")
         status.require_no_fault()
 
     def _require_same_digest(self, request: ProposeRequest | ArmRequest) -> None:

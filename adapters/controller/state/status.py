@@ -19,6 +19,7 @@ class ControllerStatus:
     referenced: by axis.
     homing: axes that are searching for their reference.
     jogging: axes that are jogging.
+    probing: axes that move until an input changes.
     braked: axes whose motor is on and whose brake is not open yet.
     stopping_until_ns: until when a motion without a step counts as a stop, host time.
     stopped_ns: when the last stop was sent.
@@ -37,6 +38,7 @@ class ControllerStatus:
     identity: ControllerIdentity | None = None
     homing: set[str] = field(default_factory=set[str])
     jogging: set[str] = field(default_factory=set[str])
+    probing: set[str] = field(default_factory=set[str])
     braked: set[str] = field(default_factory=set[str])
     faults: list[FaultReport] = field(default_factory=lambda: [STARTING])
     stopping_until_ns: int = 0
@@ -50,6 +52,16 @@ class ControllerStatus:
 
     def __post_init__(self) -> None:
         self.forget_references()
+
+    @property
+    def searching(self) -> set[str]:
+        """Axes that move until they find something: their reference, or a contact."""
+        return self.homing | self.probing
+
+    @property
+    def moved_singly(self) -> set[str]:
+        """Axes that an order moves without a step."""
+        return self.homing | self.probing | self.jogging
 
     def require_online(self) -> ControllerReading:
         """Return the last reading. Raises `Refusal` with the reason when there is none."""

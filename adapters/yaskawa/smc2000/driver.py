@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.abilities import SharedLineDriver
+from adapters.abilities import ProbeDriver, SharedLineDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -15,10 +15,13 @@ from adapters.contract import (
     DriverSetup,
     ExamplePlace,
     Lowered,
+    ProbedContact,
+    ProbeMove,
     require_no_problems,
     validate_options,
 )
 from adapters.toolkit.frames import FrameDecoder
+from adapters.toolkit.refusals import log_refusals
 from adapters.yaskawa.common.arrays import SlowArrayTransfer
 from adapters.yaskawa.common.checks import Terminals, find_model_problems
 from adapters.yaskawa.common.continuing import EXTENSION_EXCHANGES
@@ -46,7 +49,9 @@ from adapters.yaskawa.smc2000.program import AXES_MOST, INPUTS_OF_WORD, LETTERS,
 from adapters.yaskawa.smc2000.replies import parse_serial_reply
 from adapters.yaskawa.smc2000.slots import SerialMover
 from adapters.yaskawa.smc2000.start import SerialStart
+from adapters.yaskawa.triggers.latch import PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, add_triggers, find_needs
+from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability, require_encoder
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import TriggerTraits
 from adapters.yaskawa.wire.record import FORWARD_SWITCH, REVERSE_SWITCH, AxisRecord
@@ -57,7 +62,7 @@ from orchestrator.model.fleet import Controller, DigitalInput, DigitalOutput, Se
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import StepCosts
+from orchestrator.model.state import ProbeAbility, StepCosts
 
 SECOND_LETTERS = "ABCDEFGH"  # alternative letters for the same axes (L1044-1048)
 CHAIN_ADDRESSES = range(8)  # addresses in a chain (L939)
@@ -66,6 +71,8 @@ ARRAY_CHARACTERS = 240
 ARRAY_BACK = 40  # elements per upload
 SAMPLED_AXES = (4, 8)  # arrays of the record mode: of models with up to four axes, and of larger ones (L11043)
 STEPPER_SPEED_MAX = 2_000_000  # counts/s (L11552)
+
+LATCH_TARGET_OFF = 2_147_483_647  # LT (L10166)
 
 # For the declared costs: characters of an exchange, sent and received, while arming.
 EXCHANGE_CHARACTERS = 36
@@ -102,7 +109,7 @@ def _make_trigger_traits(axes: int, char_ns: int) -> TriggerTraits:
     )
 
 
-class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
+class SMC2000Driver(YaskawaDriver[SerialDevice], ProbeDriver, SharedLineDriver):
     """One SMC-2000, alone on its port or in a daisy chain."""
 
     # After the first ones the controller accepts no commands; the others select controllers of a chain.
@@ -214,6 +221,18 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], SharedLineDriver):
             # A servo's position is still monitored while it is off (L10447), and SH begins from there (L11494).
             position_lost=open_loop and not axis.is_enabled,
         )
+
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        return find_ability(self._motors, AXES_MOST)
+
+    async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        require_encoder(axis, self._steppers)
+        self._jogging.drop_jogs([axis])
+        latch = PositionLatch(self._device, self._clock, self._motors, AXES_MOST, reads_polarity=False)
+        target = LatchTarget(LATCH_TARGET_OFF, self._model, self._watch)
+        with log_refusals(self._log, "the probe"):
+            return await LatchProbe(self._device, self._clock, latch, target, self._motors[axis]).run(axis, move)
 
     # Steps
 

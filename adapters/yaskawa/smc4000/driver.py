@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from adapters.abilities import LatchDriver
+from adapters.abilities import LatchDriver, ProbeDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -15,6 +15,8 @@ from adapters.contract import (
     ExamplePlace,
     LatchedPosition,
     Lowered,
+    ProbedContact,
+    ProbeMove,
     require_no_problems,
     validate_options,
 )
@@ -39,8 +41,9 @@ from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
-from adapters.yaskawa.triggers.latch import PositionLatch
+from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
+from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability, require_encoder
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from adapters.yaskawa.wire.exchange import parse_reply
@@ -58,12 +61,13 @@ from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLi
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile
-from orchestrator.model.state import StepCosts
+from orchestrator.model.state import ProbeAbility, StepCosts
 
 AXES = 4
 FREE_OWN_HANDLE = b"IHS=>-2\r"  # over UDP the controller cannot otherwise detect that a client has gone (L5851)
 BAUD_RATES = (9600, 19200)  # by jumper JP2 (L599, L851)
 LONGEST_EXCHANGE = 80  # characters, sent and received
+LATCH_TARGET_OFF = 0  # LT (L7147)
 POINTS = 8  # inputs, outputs (L390, L470)
 RELEASE_NS = 3 * NS_PER_MS  # in which a request to withdraw a following step arrives
 SAMPLED_AXES = 8  # arrays of the record mode (L9216)
@@ -77,7 +81,7 @@ LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
-class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
+class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
     """One SMC-4000."""
 
     # After the first ones the controller accepts no commands; QR is answered by a record.
@@ -201,6 +205,18 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver):
     async def latch_position(self, axis: str, point: DigitalInput, within_ns: int) -> LatchedPosition:
         with log_refusals(self._log, "the latch"):
             return await PositionLatch(self._device, self._clock, self._motors).take(axis, point, within_ns)
+
+    @property
+    def probe_ability(self) -> ProbeAbility:
+        return find_ability(self._motors, LATCHES)
+
+    async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
+        require_encoder(axis, self._steppers)
+        self._jogging.drop_jogs([axis])
+        latch = PositionLatch(self._device, self._clock, self._motors)
+        target = LatchTarget(LATCH_TARGET_OFF, self.traits, self._watch)
+        with log_refusals(self._log, "the probe"):
+            return await LatchProbe(self._device, self._clock, latch, target, self._motors[axis]).run(axis, move)
 
     # Steps
 

@@ -9,7 +9,7 @@ from orchestrator.cli.base.common import console, json_option, print_json
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.sim.campaign import campaign
 from orchestrator.cli.sim.serve import serve
-from orchestrator.cli.sim.world import limit, power, push, set_analog, set_input, stall
+from orchestrator.cli.sim.world import limit, power, push, put_contact, set_analog, set_input, stall
 
 
 @click.group(epilog="Example: tutti sim input gantry.door active")
@@ -17,7 +17,7 @@ def sim() -> None:
     """Simulated controllers: serve them, check them against test vectors, change the environment of running ones."""
 
 
-for command in (set_input, set_analog, limit, power, push, stall, serve, campaign):
+for command in (set_input, set_analog, limit, power, push, put_contact, stall, serve, campaign):
     sim.add_command(command)
 
 

@@ -1,4 +1,4 @@
-"""`tutti sim input|analog|limit|power|push|stall`: the environment of the simulated controllers of `tutti up --sim`."""
+"""`tutti sim input|analog|limit|power|push|contact|stall`: the environment of the controllers of `tutti up --sim`."""
 
 import json
 import os
@@ -110,6 +110,32 @@ def push(name: str, distance: float, fleet: str | None, state: Path | None, *, a
         raise click.BadParameter(f"{distance} is not a distance", param_hint="DISTANCE")
     change = {"push": [axis.motors[0], round(distance * axis.counts_per_unit)]}
     _write_change(folder, controller, change, f"{name} is pushed by {distance:g} {axis.unit}", as_json=as_json)
+
+
+@click.command("contact", epilog="Example: tutti sim contact gantry.touch gantry.y -- -2.5")
+@click.argument("name", metavar="CONTROLLER.INPUT", shell_complete=complete_inputs)
+@click.argument("axis_name", metavar="CONTROLLER.AXIS", shell_complete=complete_single_axes)
+@click.argument("distance", type=float)
+@_fleet
+@_state
+@json_option
+def put_contact(
+    name: str, axis_name: str, distance: float, fleet: str | None, state: Path | None, *, as_json: bool
+) -> None:
+    """Make an input active where a simulated axis is DISTANCE from where it stands, in its unit, and beyond.
+
+    0 removes the contact. A negative distance needs `--` before it.
+    """
+    folder, controller, axis = _find_axis(axis_name, fleet, state)
+    _, controllers = _find_simulation(fleet, state)
+    _, point = _split_name(name, {controller: controllers[controller].inputs}, "input")
+    if not isfinite(distance):
+        raise click.BadParameter(f"{distance} is not a distance", param_hint="DISTANCE")
+    wired_input = controllers[controller].inputs[point]
+    counts = float(distance * float(axis.counts_per_unit))
+    change = {"contact": [axis.motors[0], counts, wired_input.number, wired_input.active == "high"]}
+    state_words = f"active {distance:g} {axis.unit} from where {axis_name} stands" if distance else "free"
+    _write_change(folder, controller, change, f"{name} is {state_words}", as_json=as_json)
 
 
 @click.command(epilog="Example: tutti sim stall gantry.x on")

@@ -54,9 +54,9 @@ def forecast_at_once(forecaster: JobForecaster, number: int, step: Step) -> tupl
 
 
 def predict_s(fleet: Fleet, step: Step) -> float:
-    """How long a step without a plan of its own takes, s: a homing as long as it may, a dwell its duration; 0 for
-    others."""
-    if step.searches:
+    """How long a step without a plan of its own takes, s: a homing or a probe as long as it may, a dwell its duration;
+    0 for others."""
+    if step.searches or step.probes:
         return JobForecaster(fleet).take(0, step).most_s or 0.0
     return 0.0 if step.acts else (step.pause_ns or 0) / NS_PER_S
 

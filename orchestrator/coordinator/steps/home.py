@@ -5,18 +5,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.steps.context import ANSWER_S, ProgressCallback, ReportFields, StepContext
+from orchestrator.coordinator.steps.context import ProgressCallback, ReportFields, StepContext
+from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.state import ControllerState
 from orchestrator.model.steps.home import Home
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
 from orchestrator.plan.step import ExactTargets
-
-POLL_S = 0.05
-REPEAT_S = 1.0
-"""After this time the last state of an adapter that is not silent is one from after the request."""
 
 
 @dataclass(slots=True)
@@ -129,37 +127,12 @@ class HomingSequence:
             self._targets.forget_target(f"{controller}.{name}")
         timeout_s = max(self._fleet.view.fleet.controllers[controller].axes[name].homing.timeout_s for name in names)
         request = HomeRequest(**self._fleet.requests.request_fields(run.actor), axes=names, holder=run.holder)
-        state = self._fleet.view.last_state(controller)
-        instance = None if state is None else state.instance
-        requests, loop = self._fleet.requests, asyncio.get_running_loop()
 
-        def ask() -> "asyncio.Task[HomeReply]":
-            return loop.create_task(requests.request(controller, "home", request, HomeReply, timeout_s + ANSWER_S))
+        def is_homing(state: ControllerState) -> bool:
+            return any(state.axes[name].homing for name in names)
 
-        answer, begun_s = ask(), loop.time()
-        try:
-            while True:
-                await asyncio.wait([answer], timeout=POLL_S)
-                if answer.done():
-                    return answer.result()
-                # The answer may take as long as its axes may search: stop waiting once it is known that none will come.
-                absence = self._fleet.view.describe_absence(controller, instance)
-                if absence is not None:
-                    await self._fleet.stop_members([controller], "decelerate", run.actor, absence)
-                    remedy = "check its adapter host (`tutti status`), then home again"
-                    return HomeReply(
-                        refused=RefusalDetails(code="absent", text=absence, remedy=remedy, member=controller)
-                    )
-                if loop.time() - begun_s > REPEAT_S and not self._is_homing(controller, names):
-                    # The request or its answer was lost. It keeps its id, so it is executed once.
-                    answer.cancel()
-                    answer, begun_s = ask(), loop.time()
-        finally:
-            answer.cancel()
-
-    def _is_homing(self, controller: str, names: list[str]) -> bool:
-        state = self._fleet.view.last_state(controller)
-        return state is not None and any(state.axes[name].homing for name in names)
+        search = SearchRequest(controller, "home", request, HomeReply, timeout_s, is_homing, "home")
+        return await search.send(self._fleet)
 
     def _take_reply(self, run: _HomingRun, controller: str, reply: HomeReply) -> None:
         axes = run.busy.pop(controller)

@@ -9,6 +9,7 @@ from orchestrator.coordinator.steps.home import run_home
 from orchestrator.coordinator.steps.io import run_output, run_wait, run_wait_armed
 from orchestrator.coordinator.steps.latch import run_latch
 from orchestrator.coordinator.steps.motors import run_motors
+from orchestrator.coordinator.steps.probe import run_probe
 from orchestrator.coordinator.steps.set_position import run_set_position
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.dwell import Dwell
@@ -16,6 +17,7 @@ from orchestrator.model.steps.home import Home
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.latch import Latch
 from orchestrator.model.steps.motors import Disable, Enable
+from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
 
@@ -29,6 +31,7 @@ RUNNERS: Mapping[type[Step], Callable[[StepContext, Any], Awaitable[ReportFields
     WaitInput: run_wait,
     WaitArmed: run_wait_armed,
     Latch: run_latch,
+    Probe: run_probe,
 }
 """By kind. Motions are run by the chain of their job (`jobs/motion_chain.py`); repeats and scans consist of others."""
 

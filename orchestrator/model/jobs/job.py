@@ -9,6 +9,7 @@ from orchestrator.model.duration import Duration
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.base import Step, require_in_files
+from orchestrator.model.steps.measured import find_measure_problem
 from orchestrator.model.steps.repeat import JobStep
 from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.steps.triggers import check_job_outputs
@@ -63,6 +64,18 @@ class Job(ScriptModel):
         check_armed_waits(self.steps)
         steps = list(iterate_steps(self.steps))
         check_job_outputs(steps, (output for step in steps for output in step.switched_outputs))
+        return self
+
+    @model_validator(mode="after")
+    def _measured_before(self) -> "Job":
+        probed_axes: dict[str, str] = {}
+        for step in iterate_steps(self.steps):
+            for axis, target in step.measured_targets.items():
+                problem = find_measure_problem(axis, target, probed_axes)
+                if problem and not self.is_open:
+                    raise ValueError(f"{step.describe()}: {problem}")
+            for name in step.contact_names:
+                probed_axes[name] = step.named_axes[0]
         return self
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from orchestrator.model.names import Target
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.armed_terms import ArmedTerms
+from orchestrator.model.steps.measured import MeasuredTarget
 from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.steps.words import describe_field
 from orchestrator.model.text.text_fields import PLAIN_TEXT
@@ -75,6 +76,8 @@ class Step(ScriptModel):
     """Whether it enables its axes."""
     searches: ClassVar[bool] = False
     """Whether it finds the references of its axes."""
+    probes: ClassVar[bool] = False
+    """Whether it moves an axis until an input changes."""
     plans_long: ClassVar[bool] = False
     """Whether its plan can take so long that heartbeats must go on meanwhile."""
     follows_path: ClassVar[bool] = False
@@ -236,6 +239,21 @@ class Step(ScriptModel):
         """The step with quantities for names of positions. Raises `Refusal`."""
         del resolver
         return self
+
+    @property
+    def measured_targets(self) -> Mapping[str, MeasuredTarget]:
+        """Its targets that earlier steps measure, by axis."""
+        return {}
+
+    def with_measured(self, targets: Mapping[str, Quantity]) -> Self:
+        """The step with quantities for what was measured. targets: by axis, all of `measured_targets`."""
+        del targets
+        return self
+
+    @property
+    def contact_names(self) -> list[str]:
+        """How later steps name what it measures."""
+        return []
 
     # Words
 

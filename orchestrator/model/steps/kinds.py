@@ -8,6 +8,7 @@ from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
@@ -23,6 +24,7 @@ SingleStep = (
     | WaitInput
     | WaitArmed
     | Latch
+    | Probe
     | Scan
     | FollowPath
     | Live

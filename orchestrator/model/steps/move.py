@@ -11,6 +11,7 @@ from orchestrator.model.names import ALL_AXES, MoveTarget, Target, is_position_n
 from orchestrator.model.state import StartWish
 from orchestrator.model.steps.armed_terms import describe_armed_obstacle
 from orchestrator.model.steps.base import MotionOptions, Step, StepSampling, TargetResolver
+from orchestrator.model.steps.measured import MEASURED, MeasuredTarget, split_measured
 from orchestrator.model.steps.speed import join_speeds
 from orchestrator.model.steps.triggers import Triggers, check_step_triggers
 from orchestrator.model.steps.words import describe_trigger
@@ -25,12 +26,14 @@ class MoveTargets(Step):
     """Where axes move to."""
 
     is_motion: ClassVar[bool] = True
+    UNSAID: ClassVar[frozenset[str]] = frozenset({"measured"})
 
     do: Literal["move"] = "move"
     to: MoveTarget = Field(
         default={},
         description="Absolute targets by axis: quantities, or names of positions; or one name, for all its axes.",
     )
+    measured: dict[str, MeasuredTarget] = MEASURED
     by: dict[str, AxisQuantity] = Field(default={}, description="Relative moves by axis.")
     record: StepSampling | None = Field(
         default=None, description="Have controllers record positions by themselves, for the recording of the job."
@@ -52,28 +55,33 @@ class Move(MotionOptions, MoveTargets):
             **more: Any,
         ) -> None: ...
 
+    @model_validator(mode="before")
+    @classmethod
+    def _split_measured(cls, fields: Any) -> Any:
+        return split_measured(fields, "to")
+
     @model_validator(mode="after")
     def _targets(self) -> "Move":
         if ALL_AXES in self.to and not is_position_name(self.to[ALL_AXES]):
             raise ValueError(f"{self.to[ALL_AXES]} for all axes (`*`) must be the name of a position")
-        if not self.to and not self.by:
+        if not self.to and not self.by and not self.measured:
             raise ValueError("a move needs `to` (absolute) or `by` (relative) with at least one axis")
-        repetitions = sorted(self.to.keys() & self.by.keys())
+        repetitions = sorted((self.to.keys() | self.measured.keys()) & self.by.keys())
         if repetitions:
             raise ValueError(f"{', '.join(repetitions)} is in both `to` and `by`; an axis has one target")
-        check_step_triggers(self.triggers, [*self.to, *self.by])
+        check_step_triggers(self.triggers, [*self.to, *self.measured, *self.by])
         return self
 
     @property
     def named_axes(self) -> list[str]:
-        return [axis for axis in (*self.to, *self.by) if axis != ALL_AXES]
+        return [axis for axis in (*self.to, *self.measured, *self.by) if axis != ALL_AXES]
 
     def find_axes(self, fleet: Fleet) -> list[str]:
         return fleet.find_real_axes(self.named_axes)
 
     @property
     def absolute_axes(self) -> list[str]:
-        return list(self.to)
+        return [*self.to, *self.measured]
 
     @property
     def relative_axes(self) -> list[str]:
@@ -81,11 +89,11 @@ class Move(MotionOptions, MoveTargets):
 
     @property
     def placed_axes(self) -> list[str]:
-        return [*self.to, *self.by]
+        return [*self.to, *self.measured, *self.by]
 
     @property
     def can_join(self) -> bool:
-        return not (self.triggers or self.record or self.name or ALL_AXES in self.to)
+        return not (self.triggers or self.record or self.name or self.measured or ALL_AXES in self.to)
 
     def join_step(self, other: Step) -> "Move | None":
         if not isinstance(other, Move) or not (self.can_join and other.can_join):
@@ -132,6 +140,13 @@ class Move(MotionOptions, MoveTargets):
         """Whether all axes take one duration."""
         return self.sync != "none"
 
+    @property
+    def measured_targets(self) -> Mapping[str, MeasuredTarget]:
+        return self.measured
+
+    def with_measured(self, targets: Mapping[str, Quantity]) -> Self:
+        return self.model_copy(update={"to": {**self.to, **targets}, "measured": {}})
+
     def iterate_targets(self) -> Iterator[tuple[str, Target]]:
         yield from self.to.items()
 
@@ -148,4 +163,5 @@ class Move(MotionOptions, MoveTargets):
         return self.model_copy(update={"to": targets})
 
     def complete_words(self, fields: list[str]) -> list[str]:
-        return [*fields, *map(describe_trigger, self.triggers)]
+        target_words = [f"to {axis}={target.describe()}" for axis, target in self.measured.items()]
+        return [*target_words, *fields, *map(describe_trigger, self.triggers)]

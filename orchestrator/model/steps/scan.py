@@ -26,6 +26,7 @@ _NOT_AT_EACH = {
     "disable": "the next point needs the axes; put it behind the scan",
     "path": "a scan stops at its points; put the path before or behind the scan",
     "latch": "the record of a scan has no place for it; put it before or behind the scan",
+    "probe": "the record of a scan has no place for it; put it before or behind the scan",
     "set-position": "it would shift the points after it; put it before the scan",
     "scan": "add its axes to `axes` of this scan instead",
     "repeat": "write its steps out, or repeat the scan",

@@ -12,6 +12,7 @@ from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.repeat import Repeat
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
@@ -26,6 +27,7 @@ from orchestrator.plan.forecast.live import forecast_live
 from orchestrator.plan.forecast.motors import forecast_motors
 from orchestrator.plan.forecast.move import forecast_move
 from orchestrator.plan.forecast.path import forecast_path
+from orchestrator.plan.forecast.probe import forecast_probe
 from orchestrator.plan.forecast.scan import forecast_scan
 from orchestrator.plan.forecast.set_position import forecast_set_position
 from orchestrator.plan.forecast.span import Span
@@ -52,6 +54,7 @@ FORECASTERS: Mapping[type[Step], Callable[[ForecastState, ForecastContext, Any],
     WaitInput: forecast_wait,
     WaitArmed: forecast_wait_armed,
     Latch: forecast_latch,
+    Probe: forecast_probe,
     Live: forecast_live,
     Repeat: _forecast_repeat,
 }

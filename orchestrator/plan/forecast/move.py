@@ -3,6 +3,7 @@
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.steps.move import Move
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.measured import take_measured
 from orchestrator.plan.forecast.motion import check_record, check_triggers, plan_ways
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
@@ -15,6 +16,10 @@ from orchestrator.plan.virtual_moves import find_virtual_names, straighten
 def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span:
     """Run a move forward."""
     check_record(state, at, step)
+    if step.measured:
+        take_measured(state, at, step, "to")
+        known_move = step.with_measured({})
+        return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
     unknown = state.note_unknown_positions(step)
     if unknown:
         named_axes = state.find_named(at, [axis for axis in unknown if axis != ALL_AXES], "to")

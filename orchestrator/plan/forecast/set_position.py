@@ -10,6 +10,9 @@ from orchestrator.plan.forecast.state import ForecastState
 
 def forecast_set_position(state: ForecastState, at: ForecastContext, step: SetPosition) -> Span:
     """Set user positions on paper."""
+    for name in step.measured:
+        if state.find_axis(at, name, ("axes", name)) is not None:
+            state.axes[name] = state.find_state(at, name).model_copy(update={"offset_kind": "unknown"})
     for name, value in step.axes.items():
         field = ("axes", name)
         axis = state.find_axis(at, name, field)

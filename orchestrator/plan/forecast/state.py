@@ -15,6 +15,7 @@ from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.ways import ForecastMotion
+from orchestrator.plan.probes import ContactRange, ProbeAbilities
 from orchestrator.plan.triggers import find_brake_outputs
 
 Order = Literal[2, 3]
@@ -25,7 +26,7 @@ class ForecastState:
 
     motion: the step that was run forward last, if it is a motion all of whose positions are known. notes: conditions of
     the written step that is run forward. outputs: levels that steps have set. reserved: outputs with a use of their
-    own, by name.
+    own, by name. contacts: by the names of later steps, where probes may find them; None: not known.
     """
 
     def __init__(
@@ -34,11 +35,13 @@ class ForecastState:
         axes: Mapping[str, AxisForecast] | None = None,
         orders: Mapping[str, Order] | None = None,
         chunks: Mapping[str, ChunkAbility] | None = None,
+        probes: Mapping[str, ProbeAbilities] | None = None,
     ) -> None:
         """axes: their states now; others are unknown. orders: of the profiles that each controller executes; chunks:
-        how it takes paths in chunks."""
+        how it takes paths in chunks; probes: how it stops axes by inputs."""
         self.fleet = fleet
         self.chunks = chunks or {}
+        self.probes = probes or {}
         self.orders = orders or {}
         self.axes: dict[str, AxisForecast] = dict(axes or {})
         self.problems: list[StepProblem] = []
@@ -47,6 +50,7 @@ class ForecastState:
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
+        self.contacts: dict[str, ContactRange | None] = {}
 
     def order_of(self, name: str, axis: Axis) -> Order:
         return self.orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)

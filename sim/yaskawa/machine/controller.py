@@ -121,7 +121,7 @@ class YaskawaController:
 
     def physical_position(self, axis: str) -> float:
         self.machine.advance_to_now()
-        return float(self._find_axis(axis).physical_at(self.machine.current_sample()))
+        return self._find_axis(axis).physical_between(self.machine.timebase.current_instant())
 
     def velocity(self, axis: str) -> float:
         """Commanded velocity, counts per true second."""

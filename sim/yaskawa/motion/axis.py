@@ -136,6 +136,12 @@ class ServoAxis:
         """Return the physical position: 0 at power-up, not changed by redefinitions."""
         return self.actual_at(sample) - self.physical_zero
 
+    def physical_between(self, instant: float) -> float:
+        """Return the physical position at an instant between samples: on the profile while it follows its command."""
+        if self.frozen is None and self.command_velocity(instant - self.lag) != 0.0:
+            return self.command_at(instant - self.lag) - self.physical_zero
+        return float(self.actual_between(instant) - self.physical_zero)
+
     def stand_at(self, sample: int, position: float) -> None:
         """Stand at `position` (before gearing) from `sample` on."""
         self.profile = VelocityProfile(sample, position)

@@ -20,6 +20,7 @@ from orchestrator.model.jobs.service import DryRun, DryRunDone
 from orchestrator.model.steps.tree import as_motion
 from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.job import JobForecaster
+from orchestrator.plan.probes import ProbeAbilities
 from orchestrator.plan.virtual_bound import bound_virtual_axes
 from orchestrator.plan.virtual_moves import straighten
 
@@ -43,12 +44,14 @@ class JobRehearsal:
         axes = request.begin if request.begin is not None else self._look_at_axes()
         orders: dict[str, Literal[2, 3]] = {}
         chunks: dict[str, ChunkAbility] = {}
+        probes: dict[str, ProbeAbilities] = {}
         for name in view.fleet.controllers:
             # A controller that does not answer is planned by the fleet file.
             with suppress(BusError):
                 info = await view.query_info(name)
                 orders[name], chunks[name] = max(info.orders), make_chunk_ability(info)
-        forecaster = JobForecaster(view.fleet, axes, orders, chunks)
+                probes[name] = ProbeAbilities(info.make, info.probe, info.host_probe)
+        forecaster = JobForecaster(view.fleet, axes, orders, chunks, probes)
         steps: list[StepForecast] = []
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):

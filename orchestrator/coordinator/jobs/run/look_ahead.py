@@ -79,6 +79,8 @@ def _find_hindrance(fleet: Fleet, moving: Motion, step: Motion) -> str:
     """Why `step` cannot be loaded while `moving` moves; empty if it can."""
     if step.rests or moving.rests:
         return "a path begins and ends at rest"
+    if step.measured_targets:
+        return "it goes to a position that a probe measures"
     settling = [name for name in moving.find_axes(fleet) if fleet.axis(name).done == "in_position"]
     if settling:
         return f"{settling[0]} must settle in position before it"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.jobs.check import predict_s
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
+from orchestrator.coordinator.jobs.run.measured_contacts import MeasuredContacts
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.retargets import RETARGETED, StepRetargets
 from orchestrator.coordinator.jobs.run.run_state import JobPause, RunState
@@ -45,6 +46,7 @@ class StepRun:
         self._retargets = StepRetargets(services, state, chain)
         self._axes = axes
         self._rest = axes.rest
+        self._contacts = MeasuredContacts(services.view)
 
     async def retarget(self, request: RetargetJob) -> JobRetargeted:
         """Send the axes of the present move to other targets. Raises `Refusal`: nothing has changed."""
@@ -71,6 +73,15 @@ class StepRun:
     async def run_step(self, index: int, step: Step) -> StepReport:
         """Run a step; after a feed hold it continues to the same targets from where its axes stand, after a retarget to
         the new ones."""
+        try:
+            step = await self._contacts.fill_measured(step)
+        except Refusal as error:
+            return self._fail(index, step, error)
+        report = await self._run_filled(index, step)
+        self._contacts.take_report(step, report)
+        return report
+
+    async def _run_filled(self, index: int, step: Step) -> StepReport:
         holds: list[FeedHold] = []
         waited_codes = {SETTING_CHANGED}
         motion = as_motion(step)
@@ -128,20 +139,23 @@ class StepRun:
             await self._on_state("running", "")
             added_fields = await run_step(self._context, step)
         except Refusal as error:
-            services.log.warning(error.text, job=self._context.holder, step=index, code=error.code)
-            reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
-            return StepReport(
-                index=index,
-                do=step.kind,
-                name=step.name or "",
-                state="failed",
-                reason=reason,
-                refused=RefusalDetails.of(error),
-            )
+            return self._fail(index, step, error)
         took_s = (services.clock.now_ns() - began_ns) / NS_PER_S
         name = step.name or ""
         report = StepReport(index=index, do=step.kind, name=name, state="done", actual_s=took_s)
         return report.model_copy(update=added_fields)
+
+    def _fail(self, index: int, step: Step, error: Refusal) -> StepReport:
+        self._services.log.warning(error.text, job=self._context.holder, step=index, code=error.code)
+        reason = f"{error.text}; {error.remedy}" if error.remedy else error.text
+        return StepReport(
+            index=index,
+            do=step.kind,
+            name=step.name or "",
+            state="failed",
+            reason=reason,
+            refused=RefusalDetails.of(error),
+        )
 
     async def _run_motion(self, step: MotionStep) -> StepReport:
         """Run a motion step: behind the one before, if it is loaded there; otherwise from rest. Raises `Refusal`."""

@@ -1,6 +1,7 @@
 """The touch probes of a drive: inputs that capture its position in hardware (CiA 402-2, objects 60B8h to 60BDh)."""
 
-from contextlib import suppress
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 
 from adapters.cia402.canopen import objects as o
@@ -75,14 +76,23 @@ class TouchProbe:
         """Switch the probe on, wait until it has captured a position, and switch it off. Raises `Refusal`,
         `ControllerFault`."""
         node, stops = self._node, self._node.stops
-        if bool(await node.sdo.read_value(o.INPUTS) & point_bit(point.number)) == (point.active == "high"):
-            raise Refusal("line-level", f"input {point.number} is active already", "make it passive before the step")
+        await self.require_passive(point)
         until_ns = node.clock.now_ns() + within_ns
+        async with self.switched_on():
+            return await self._wait(node.clock.now_ns(), until_ns, within_ns, stops)
+
+    async def require_passive(self, point: DigitalInput) -> None:
+        """Raise `Refusal` if the input has the level of its edge already."""
+        if bool(await self._node.sdo.read_value(o.INPUTS) & point_bit(point.number)) == (point.active == "high"):
+            raise Refusal("line-level", f"input {point.number} is active already", "make it passive before the step")
+
+    @asynccontextmanager
+    async def switched_on(self) -> AsyncGenerator[None]:
+        """Switch the probe on, with nothing stored, and off at the end. Raises `Refusal`."""
         try:
             await self._switch(0)  # what was stored before goes with that
-            armed_ns = node.clock.now_ns()
             await self._switch(self._edge.asked)
-            return await self._wait(armed_ns, until_ns, within_ns, stops)
+            yield
         except SdoAborted as error:
             if error.abort in NOT_THERE:
                 text = f"axis {self._axis}: the drive has no touch probe (60B8h)"
@@ -94,6 +104,19 @@ class TouchProbe:
             with suppress(ControllerFault, LinkClosed):
                 await self._switch(0)
 
+    async def read(self) -> int | None:
+        """The position that it has captured; None: none yet. Raises `Refusal` (code `latch-lost`) if it is off."""
+        node, edge = self._node, self._edge
+        status = await node.sdo.read_value(o.PROBE_STATUS)
+        if not status & edge.on:
+            raise Refusal(
+                "latch-lost",
+                f"touch probe {edge.number} of {node.name} is off: the drive has restarted, or another client has "
+                "switched it off",
+                "see the log; is another master on the bus?",
+            )
+        return await node.sdo.read_value(edge.position) if status & edge.stored else None
+
     async def _switch(self, asked: int) -> None:
         """Write the function of this probe; that of the other one stays."""
         word = await self._node.sdo.read_value(o.PROBE_FUNCTION)
@@ -103,17 +126,10 @@ class TouchProbe:
         node, edge = self._node, self._edge
         while True:
             asked_ns = node.clock.now_ns()
-            status = await node.sdo.read_value(o.PROBE_STATUS)
+            counts = await self.read()
             read_ns = node.clock.now_ns()
-            if not status & edge.on:
-                raise Refusal(
-                    "latch-lost",
-                    f"touch probe {edge.number} of {node.name} is off: the drive has restarted, or another client has "
-                    "switched it off",
-                    "see the log; is another master on the bus?",
-                )
-            if status & edge.stored:
-                return LatchedPosition(await node.sdo.read_value(edge.position), HostInterval(armed_ns, read_ns))
+            if counts is not None:
+                return LatchedPosition(counts, HostInterval(armed_ns, read_ns))
             armed_ns = asked_ns
             if node.stops != stops:
                 raise Refusal("stopped", f"a stop came while touch probe {edge.number} was on", "")
