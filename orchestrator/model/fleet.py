@@ -662,6 +662,11 @@ class Fleet(Model):
         """The virtual axes, with the maps to their real ones."""
         return VirtualAxes(self.virtual, self.axis)
 
+    @cached_property
+    def path_frames(self) -> Mapping[str, FrameSpec]:
+        """The frames in which paths can be given, with those of virtual axes."""
+        return {**self.virtual_axes.frames, **self.frames}
+
     def unit_of(self, name: str) -> Unit:
         """The unit of an axis, also of a virtual one. Raises `UnknownName`."""
         return self.virtual_axes.unit_of(name) if name in self.names.virtual else self.axis(name).unit

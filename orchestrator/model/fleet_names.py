@@ -29,6 +29,7 @@ class DefinedNames:
     inputs: list[str] = field(default_factory=list[str])
     outputs: list[str] = field(default_factory=list[str])
     positions: list[str] = field(default_factory=list[str])
+    frames: list[str] = field(default_factory=list[str])
     virtual_groups: list[str] = field(default_factory=list[str])
     virtual: list[str] = field(default_factory=list[str])
 
@@ -89,6 +90,7 @@ def collect_names(plain: Mapping[str, Any]) -> DefinedNames:
         collection += [f"{path[1]}.{path[3]}" for path, _ in select(plain, "controllers", EACH, kind, EACH)]
     names.virtual_groups.extend(str(path[1]) for path, _ in select(plain, "virtual", EACH))
     names.virtual.extend(f"{path[1]}.{path[3]}" for path, _ in select(plain, "virtual", EACH, "axes", EACH))
+    names.frames.extend(str(path[1]) for path, _ in select(plain, "frames", EACH))
     names.groups.extend(str(path[1]) for path, _ in select(plain, "groups", EACH))
     names.positions.extend(str(path[1]) for path, _ in select(plain, "positions", EACH))
     return names
@@ -141,7 +143,8 @@ def _find_group_problems(names: DefinedNames) -> Iterator[Problem]:
         if group in names.controllers:
             yield Problem(("groups", group), f"group {group} has the name of a controller; rename one of them")
     for group in names.virtual_groups:
-        for noun, known_names in (("controller", names.controllers), ("group", names.groups)):
+        owners = (("controller", names.controllers), ("group", names.groups), ("frame", names.frames))
+        for noun, known_names in owners:
             if group in known_names:
                 text = f"the virtual axes {group} have the name of a {noun}; rename one of them"
                 yield Problem(("virtual", group), text)

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
+from functools import cached_property
 from itertools import islice, pairwise, product
 from typing import Protocol
 
 from orchestrator.model.axis_units import SoftLimits
 from orchestrator.model.curved_map import CrystalEnergy, CurvedMap, Kinematics, SineBar
-from orchestrator.model.frame import WORST_CONDITION
+from orchestrator.model.frame import WORST_CONDITION, FrameSpec
 from orchestrator.model.linear_map import LinearMap, MapError, Matrix, SingularMap, chain_maps, find_condition, invert
 from orchestrator.model.names import split_name
 from orchestrator.model.plugins import PluginError, UnknownPlugin, load_plugin
@@ -176,6 +177,25 @@ class VirtualAxes:
         self._groups = groups
         self._find_axis = find_axis
         self.maps: dict[str, VirtualMap] = {name: make_whole_map(name, groups, find_axis) for name in groups}
+
+    @cached_property
+    def frames(self) -> dict[str, FrameSpec]:
+        """The groups in whose axes a path can be given, as frames: linear ones, with one unit of all axes."""
+        frames: dict[str, FrameSpec] = {}
+        for name, virtual_map in self.maps.items():
+            units = {
+                *map(self.unit_of, virtual_map.virtual),
+                *(self._find_axis(axis).unit for axis in virtual_map.real),
+            }
+            if isinstance(virtual_map, LinearMap) and len(units) == 1:
+                frames[name] = FrameSpec(
+                    axes=list(virtual_map.real),
+                    coordinates=[split_name(axis)[1] for axis in virtual_map.virtual],
+                    unit=units.pop(),
+                    matrix=[list(map(float, row)) for row in virtual_map.inverse],
+                    offset=[float(position) for position in virtual_map.to_real([Fraction(0)] * len(virtual_map.real))],
+                )
+        return frames
 
     def find(self, name: str) -> VirtualAxis:
         """The virtual axis `group.axis`, which exists."""

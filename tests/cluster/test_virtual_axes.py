@@ -154,3 +154,32 @@ def test_the_real_axes_are_leased_and_a_fault_of_one_names_it() -> None:
         assert 0 < height < 15 and abs(pitch) < 1 and abs(roll) < 1
 
     run_fleet(main, table_fleet())
+
+
+def test_a_path_is_given_in_virtual_axes() -> None:
+    """A circle of gap and centre, from rest to rest, by the simulators' motors."""
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, _ = await run_watched(fleet, f"{PREPARE}, {{do: move, to: {{slit.gap: 6, slit.centre: 1}}}}")
+        assert report.state == "done", report.reason
+        seen: list[tuple[float, ...]] = []
+
+        async def watch() -> None:
+            while True:
+                seen.append(tuple(map(float, read_truth(fleet, "slit"))))
+                await sleep_ns(fleet.clock, SAMPLE_NS)
+
+        watching = asyncio.get_running_loop().create_task(watch())
+        circle = "{piece: arc, to: [6, 1], centre: [4, 1]}"
+        axes = "axes: [front.upper, front.lower]"
+        path = f"{{do: path, {axes}, frame: slit, start: [6, 1], pieces: [{circle}], tolerance: 50 um}}"
+        report = await outcome(fleet, job(f"[{path}]"))
+        watching.cancel()
+        assert report.state == "done", report.reason
+        bound = report.steps[0].path.bound if report.steps[0].path else None
+        assert bound is not None and bound.predicted <= 0.05
+        off = max(abs(np.hypot(gap - 4, centre - 1) - 2) for gap, centre in seen)
+        # The bound is a distance of real axes; of a slit, gap and centre are off by up to 1.5 times that.
+        assert off <= 1.5 * bound.predicted and max(gap for gap, _ in seen) - min(gap for gap, _ in seen) > 3.9
+
+    run_fleet(main, table_fleet())

@@ -67,7 +67,7 @@ def plot(file: Path, fleet: Path, step: int | None, at: tuple[str, ...], out: Pa
     target = out or file.with_suffix(".png")
     title = f"{job.name!r}, {name_step(index)}: {lines[0].partition(';')[0]}"
     frame_name = next(iter(path.frames), None)
-    frame = None if frame_name is None else loaded_fleet.frames[frame_name]
+    frame = None if frame_name is None else loaded_fleet.path_frames[frame_name]
     write_picture(plot_path(path_plan, PathAxes(axes, offsets, frame), title), target)
     print_result({"file": str(target), "path": path_plan.report.to_plain()}, f"{lines[0]}\n{target}", as_json=as_json)
 

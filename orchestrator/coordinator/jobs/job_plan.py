@@ -205,7 +205,9 @@ def _describe_entries(fleet: Fleet, uses: _JobUses) -> dict[str, str]:
     """What else of the fleet file the job depends on: groups and the order of homing, wires, permits."""
     parts = {f"group {name}": ", ".join(fleet.groups[name]) for name in uses.groups}
     # A frame that does not exist is refused when the path is planned.
-    parts |= {f"frame {name}": fleet.frames[name].to_json().decode() for name in uses.frames if name in fleet.frames}
+    parts |= {
+        f"frame {name}": fleet.path_frames[name].to_json().decode() for name in uses.frames if name in fleet.path_frames
+    }
     parts |= {f"virtual axes {name}": fleet.virtual[name].to_json().decode() for name in uses.virtual}
     if uses.homes_all:
         order = "; ".join(", ".join(fleet.expand_name(name)) for name in fleet.home_order)

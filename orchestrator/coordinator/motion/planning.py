@@ -206,7 +206,7 @@ async def _plan_from(
             if isinstance(move, FlightPath):
                 path, triggers = plan_flight_step(move, starts), place_triggers(move.part, triggers)
             else:
-                path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.frames)
+                path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.path_frames)
             resolved_move = ResolvedMove(path.moves, dict(path.exact))
             return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved_move = resolve_targets(move, context, goal)

@@ -43,7 +43,7 @@ def find_stood_path(ended: EndedJob, step: FollowPath, *, is_recorded: bool) -> 
         raise Refusal("triggers", text, "run the whole step again: `tutti job retry`")
     fleet = ended.fleet
     axis_units = [Unit(fleet.axis(name).unit) for name in step.axes]
-    frame = None if step.frame is None else find_frame(step, fleet.frames)
+    frame = None if step.frame is None else find_frame(step, fleet.path_frames)
     units = axis_units if frame is None else [frame.unit] * len(axis_units)
     axes = [PathAxis(name, unit, 1.0, 1.0) for name, unit in zip(step.axes, axis_units, strict=True)]
     path = resolve_path(step, axes, frame)
@@ -61,7 +61,7 @@ def find_stood_path(ended: EndedJob, step: FollowPath, *, is_recorded: bool) -> 
 def find_start_by_axis(step: FollowPath, fleet: Fleet) -> dict[str, Fraction]:
     """Where the axes of a path stand at its start: user positions, in their units. Raises `Refusal`."""
     units = [Unit(fleet.axis(name).unit) for name in step.axes]
-    return dict(zip(step.axes, find_start(step, units, fleet.frames), strict=True))
+    return dict(zip(step.axes, find_start(step, units, fleet.path_frames), strict=True))
 
 
 def _require_same_zeros(ended: EndedJob, recording: StepRecording, start: Mapping[str, Fraction]) -> None:

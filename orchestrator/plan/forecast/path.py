@@ -31,7 +31,7 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         if isinstance(step, FlightPath):
             path = plan_flight_step(step, starts)
         else:
-            path = plan_path_step(step, starts, state.fleet.frames)
+            path = plan_path_step(step, starts, state.fleet.path_frames)
     except (Refusal, PlanError) as error:
         code, text, remedy = ("plan", str(error), "")
         if isinstance(error, Refusal):
@@ -56,7 +56,7 @@ def _note_bare_speed(state: ForecastState, step: FollowPath) -> None:
     ]
     slowest = min(speeds, default=1.0)
     if slowest < 1:
-        frame = None if step.frame is None else state.fleet.frames.get(step.frame)
+        frame = None if step.frame is None else state.fleet.path_frames.get(step.frame)
         unit = state.fleet.axis(step.axes[0]).unit if frame is None else frame.unit
         percent = f'"{100 * slowest:g} %"'
         state.notes[
@@ -70,7 +70,7 @@ def _find_starts(
 ) -> list[PathStart]:
     """Where the axes of a path are before it: an axis whose position is not known must be at its start."""
     starts: list[PathStart] = []
-    begin = find_start(step, [axis.unit for axis in axes.values()], state.fleet.frames)
+    begin = find_start(step, [axis.unit for axis in axes.values()], state.fleet.path_frames)
     for value, point, (name, axis) in zip(step.start, begin, axes.items(), strict=True):
         state_before = state.find_state(at, name)
         motor_here = state_before.motor

@@ -36,7 +36,7 @@ async def _split_path(services: JobServices, step: FollowPath) -> Step:
     if not slow or not known_names.issuperset(step.axes):
         return step
     units = {axis: view.fleet.axis(axis).unit for axis in step.axes}
-    parts = await services.motion.plan(split_path, step, slow, units, view.fleet.frames)
+    parts = await services.motion.plan(split_path, step, slow, units, view.fleet.path_frames)
     if len(parts) == 1:
         return step
     if len(parts) > MAX_REPEATED:
