@@ -28,7 +28,7 @@ from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
-from orchestrator.model.axis_info import AxisInfo
+from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast

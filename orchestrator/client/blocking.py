@@ -27,7 +27,7 @@ from orchestrator.client.ready import ReadyCallback
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
-from orchestrator.model.axis_info import AxisInfo
+from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast

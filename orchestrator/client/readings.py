@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.client.fleet import FleetRequests
 from orchestrator.client.states import StateReading, StateStream
-from orchestrator.model.axis_info import AxisInfo, describe_axis
+from orchestrator.model.operation.axis_info import AxisInfo, describe_axis
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller

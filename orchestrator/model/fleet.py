@@ -22,6 +22,7 @@ from pydantic import (
 from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
 from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
+from orchestrator.model.compensation import Backlash, Correction, Play, find_covered_problem
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.frame import FrameSpec
@@ -157,6 +158,14 @@ class Axis(Model):
         default=None, description="In the axis's unit; a larger following error is a fault."
     )
     max_deviation: UnitNumber | None = Field(default=None, description="In the axis's unit; between coupled motors.")
+    backlash: Backlash | None = Field(
+        default=None, exclude_if=lambda backlash: backlash is None, description="Play of its drive, which is made up for."
+    )
+    correction: Correction | None = Field(
+        default=None,
+        exclude_if=lambda correction: correction is None,
+        description="Measured errors of its position, which are corrected.",
+    )
 
     @model_validator(mode="wrap")
     @classmethod
@@ -232,6 +241,42 @@ class Axis(Model):
             raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
         return deviation
 
+    @field_validator("backlash")
+    @classmethod
+    def _check_backlash(cls, backlash: Backlash | None, info: ValidationInfo) -> Backlash | None:
+        limits: AxisLimits | None = info.data.get("limits")
+        if backlash is None or limits is None:
+            return backlash
+        if backlash.speed is not None and backlash.speed > limits.velocity:
+            raise ValueError(
+                f"backlash.speed ({backlash.speed:g}) is above limits.velocity ({limits.velocity:g}); lower it"
+            )
+        if backlash.overrun_length < backlash.amount:
+            raise ValueError(
+                f"backlash.overrun ({backlash.overrun:g}) is below backlash.amount ({backlash.amount:g}), so that it "
+                "would not take up the play; raise it"
+            )
+        return backlash
+
+    @field_validator("correction")
+    @classmethod
+    def _check_correction(cls, correction: Correction | None, info: ValidationInfo) -> Correction | None:
+        if correction is None:
+            return None
+        raise_problems(correction.find_problems(), cls.__name__)
+        limits: SoftLimits | None = info.data.get("soft_limits")
+        if info.data.get("wrap") is not None:
+            raise ValueError("an axis that wraps cannot have a table yet; remove `wrap` or `correction`")
+        if limits is None and info.data.get("soft_limits", ...) is None:
+            raise ValueError("needs soft_limits, which the table must cover; add them")
+        if limits is not None and correction.points and "unit" in info.data:
+            unit: Unit = info.data["unit"]
+            problem = find_covered_problem(
+                correction, (parse_quantity(limits.min, unit), parse_quantity(limits.max, unit)), unit
+            )
+            raise_problems([] if problem is None else [problem], cls.__name__)
+        return correction
+
     @cached_property
     def counts_per_unit(self) -> Fraction:
         """Signed counts of the controller per unit."""
@@ -248,20 +293,47 @@ class Axis(Model):
         return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
 
     def to_counts(self, position: Fraction) -> int:
-        """Convert a position (in the axis's unit) to the nearest count."""
-        return round(position * self.counts_per_unit)
+        """The nearest count at which the motor has the axis at a position (in the axis's unit)."""
+        return round(self._find_motor(position) * self.counts_per_unit)
 
     def to_target_counts(self, position: Fraction) -> int:
-        """The count for a target, a motor position in the axis's unit: the nearest one; of a target inside the soft
-        limits the nearest one inside, where a limit is no whole number of counts."""
+        """The count for a target, a position in the axis's unit without user offset: the nearest one; of a target
+        inside the soft limits the nearest one inside, where a limit is no whole number of counts."""
         counts, limits, exact = self.to_counts(position), self.soft_limits_counts, self._exact_soft_limits
-        if limits is None or exact is None or not exact[0] <= position * self.counts_per_unit <= exact[1]:
+        if limits is None or exact is None:
+            return counts
+        if not exact[0] <= self._find_motor(position) * self.counts_per_unit <= exact[1]:
             return counts
         return min(max(counts, limits[0]), limits[1])
 
+    def to_position(self, counts: int | Fraction) -> Fraction:
+        """The exact position of the axis, in its unit, where its motor is at `counts`, without play."""
+        motor = Fraction(counts) / self.counts_per_unit
+        return motor if self.correction is None else motor + self.correction.table.find_error(motor)
+
     def to_unit(self, counts: float) -> float:
-        """Convert counts to the axis's unit."""
+        """The position of the axis, in its unit, where its motor is at `counts`, without play."""
+        if self.correction is None:
+            return counts / self._float_scale
+        return float(self.to_position(Fraction(counts)))
+
+    def to_length(self, counts: float) -> float:
+        """Convert a distance of its motor, or a speed, to the axis's unit: with the scale alone."""
         return counts / self._float_scale
+
+    def _find_motor(self, position: Fraction) -> Fraction:
+        """The position of the motor, in the axis's unit, at which the axis is at `position`."""
+        return position if self.correction is None else self.correction.table.invert(position)
+
+    @cached_property
+    def play(self) -> Play | None:
+        """The play of its drive, counts; None without any. An axis is 0 ahead of its motor after a motion in the
+        direction of `approach` (positive without one), in which tables and references count."""
+        if self.backlash is None:
+            return None
+        counts = round(self.backlash.amount * float(self.scale))
+        is_ahead = (self.backlash.approach == "negative") != (self.sign > 0)
+        return Play(least=0, most=counts) if is_ahead else Play(least=-counts, most=0)
 
     @cached_property
     def turn_length(self) -> Fraction | None:
@@ -283,11 +355,21 @@ class Axis(Model):
 
     @cached_property
     def soft_limits_counts(self) -> tuple[int, int] | None:
-        """The soft limits as (low, high) counts of the controller, rounded inwards; None without limits."""
+        """The soft limits as (low, high) counts of the controller, rounded inwards, without play; None without
+        limits."""
         if self._exact_soft_limits is None:
             return None
         low, high = self._exact_soft_limits
         return -((-low.numerator) // low.denominator), high.numerator // high.denominator
+
+    @cached_property
+    def motor_limits_counts(self) -> tuple[int, int] | None:
+        """The soft limits as (low, high) counts that the motor may reach: with the play that it takes up on its way to
+        them."""
+        limits, play = self.soft_limits_counts, self.play
+        if limits is None or play is None:
+            return limits
+        return limits[0] - play.most, limits[1] - play.least
 
     @cached_property
     def _exact_soft_limits(self) -> tuple[Fraction, Fraction] | None:
@@ -295,7 +377,7 @@ class Axis(Model):
         if self.soft_limits is None:
             return None
         ends = [
-            parse_quantity(end, self.unit) * self.counts_per_unit
+            self._find_motor(parse_quantity(end, self.unit)) * self.counts_per_unit
             for end in (self.soft_limits.min, self.soft_limits.max)
         ]
         return min(ends), max(ends)
@@ -327,6 +409,18 @@ class StateRates(Model):
     idle_hz: Hertz = Field(default=5.0, gt=0, le=200)
 
 
+class AxisMechanics(Model):
+    """What is behind the motor of a simulated axis, in the axis's unit: what `backlash` and `correction` make up for."""
+
+    backlash: float = Field(default=0.0, ge=0)
+    errors: list[list[float]] = Field(
+        default=[], description="`[position of the motor, error]`, sorted; straight between them."
+    )
+    errors_of: dict[Id, list[list[float]]] = Field(
+        default={}, description="The same by another axis of the controller, whose motor moves this one as well."
+    )
+
+
 class SimulationSettings(Model):
     """How a controller is simulated, for `--sim` and tests: the simulator's options and the timing of its firmware and
     crystal."""
@@ -345,6 +439,9 @@ class SimulationSettings(Model):
     wander_ppm: float = Field(default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s.")
     hold_ms: float = Field(default=0.0, ge=0, le=100, description="Maximum receive delay of a USB serial adapter.")
     link: Link | None = Field(default=None, description="Where the simulator listens; set by `--sim`.")
+    mechanics: dict[Id, AxisMechanics] = Field(
+        default={}, description="What is behind the motors, by axis; only tests can see it."
+    )
 
 
 class Controller(Model):

@@ -5,6 +5,7 @@ from math import floor
 from typing import Literal
 
 from orchestrator.model.fleet import MAX_COUNTS, Axis
+from orchestrator.model.state import AxisState
 from orchestrator.plan.step import AxisMove
 
 # Of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it.
@@ -57,6 +58,20 @@ def explain_beyond_range(name: str, axis: Axis, target: Fraction) -> str | None:
     if -MAX_COUNTS <= counts < MAX_COUNTS:
         return None
     return f"axis {name}: the target is {counts} counts; positions are within ±{MAX_COUNTS} counts"
+
+
+def find_motor_target(axis: Axis, state: AxisState, counts: int) -> int:
+    """The count to which the motor of an axis must go for the axis to be at `counts`: behind a reversal it takes up the
+    play of its drive."""
+    if axis.play is None:
+        return counts
+    return (state.play or axis.play).find_target(state.commanded_counts, counts, axis.play)
+
+
+def expect_counts(axis: Axis, state: AxisState, counts: int) -> AxisState:
+    """The state of an axis when its motor has moved to `counts`, in one direction."""
+    play = None if axis.play is None else (state.play or axis.play).follow(counts - state.commanded_counts, axis.play)
+    return state.model_copy(update={"commanded_counts": counts, "play": play})
 
 
 def make_axis_move(name: str, axis: Axis, start_counts: int, target_counts: int, order: Literal[2, 3]) -> AxisMove:

@@ -61,7 +61,7 @@ def _bound_real_axes(fleet: Fleet, virtual_map: LinearMap, agreement: AgreedStar
             most_ns = max(abs(end - middle_ns) for end in offsets[axis])
             counts += agreement.plan.profiles[axis].peak_velocity * most_ns / NS_PER_S
             counts += agreement.proposals[controller].path_error_counts.get(name, 0.0)
-        errors[axis] = abs(fleet.axis(axis).to_unit(counts))
+        errors[axis] = abs(fleet.axis(axis).to_length(counts))
     return errors
 
 

@@ -81,7 +81,7 @@ class Surveillance:
             if at_rest and abs(by) > JUMP_COUNTS and self._status.referenced[name]:
                 jumped_axes.append(name)
                 text = (
-                    f"axis {name}: its position has changed by {axis.to_unit(by):g} {axis.unit} at rest, without an "
+                    f"axis {name}: its position has changed by {axis.to_length(by):g} {axis.unit} at rest, without an "
                     "order: another client has set it, or moved it; it must be homed again"
                 )
                 self._drop_reference(name, text)
@@ -100,7 +100,7 @@ class Surveillance:
                 continue
             was_commanded = abs(axis_reading.commanded_counts - began.commanded_counts) > JUMP_COUNTS
             if was_commanded or abs(axis_reading.actual_counts - began.actual_counts) > _deadband_counts(axis):
-                by = axis.to_unit(axis_reading.actual_counts - began.actual_counts)
+                by = axis.to_length(axis_reading.actual_counts - began.actual_counts)
                 return f"axis {name} has moved by {by:g} {axis.unit}, although this step does not move it"
         return None
 

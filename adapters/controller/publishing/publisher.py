@@ -190,12 +190,14 @@ class StatePublisher:
                 referenced=False,
             )
         axis_reading = reading.axes[name]
-        motor = axis.to_unit(axis_reading.actual_counts)
+        play = self._status.play.find_play(name)
+        ahead = 0.0 if play is None else float(play.middle)
+        motor = axis.to_unit(axis_reading.actual_counts + ahead)
         shift = float(offset) if offset else 0.0
         return AxisState(
             position=axis.wrap_position(motor + shift),
-            commanded=axis.wrap_position(axis.to_unit(axis_reading.commanded_counts) + shift),
-            velocity=axis.to_unit(axis_reading.velocity_counts_s),
+            commanded=axis.wrap_position(axis.to_unit(axis_reading.commanded_counts + ahead) + shift),
+            velocity=axis.to_length(axis_reading.velocity_counts_s),
             motor_position=motor,
             raw_counts=axis_reading.actual_counts,
             commanded_counts=axis_reading.commanded_counts,
@@ -207,6 +209,7 @@ class StatePublisher:
             referenced=self._status.referenced[name],
             limit=axis_reading.limit,
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
+            play=play,
         )
 
     def _clock_mapping(self) -> TickMapping | None:

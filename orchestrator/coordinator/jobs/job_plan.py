@@ -192,7 +192,7 @@ def _describe_start(name: str, axis: Axis, state: AxisState) -> str:
     if not state.referenced:
         return "not referenced"
     # The commanded position: the measured one of a servo axis is never quite at rest.
-    return format_position(axis, float(Fraction(state.commanded_counts) / axis.counts_per_unit + state.offset))
+    return format_position(axis, float(axis.to_position(state.axis_counts) + state.offset))
 
 
 def _format_exact(value: Fraction) -> str:

@@ -25,6 +25,7 @@ from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan
+from orchestrator.plan.targets import expect_counts
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
@@ -179,7 +180,7 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     for axis, (_, counts) in before.ends.items():
         if axis in states:
-            states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
+            states[axis] = expect_counts(view.fleet.axis(axis), states[axis], counts)
     context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
     planned_step = await _plan_from(services, request, context, {}, instances)
     return replace(planned_step, ends={**before.ends, **planned_step.ends})

@@ -13,7 +13,7 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.path_step import PathStart
 from orchestrator.plan.step import AxisMove, ExactTargets
-from orchestrator.plan.targets import choose_turn, explain_beyond_limits, make_axis_move
+from orchestrator.plan.targets import choose_turn, explain_beyond_limits, find_motor_target, make_axis_move
 from orchestrator.plan.virtual_moves import find_virtual_names, find_virtual_targets, group_virtual, require_apart
 
 
@@ -37,7 +37,7 @@ class AxisContext:
     def find_position(self, name: str) -> Fraction:
         """The motor position of an axis, exact where it was moved to an exact target."""
         axis, state = self.fleet.axis(name), self.states[name]
-        return self.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+        return self.targets.exact_position(name, state.commanded_counts, axis.to_position(state.axis_counts))
 
 
 def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fraction]) -> ResolvedMove:
@@ -55,10 +55,11 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         if beyond_limits is not None:
             remedy = "change the target, or the soft limits in the fleet file"
             raise Refusal("soft-limit", beyond_limits, remedy, controller)
+        counts = find_motor_target(axis, state, counts)
         exact[name] = (target, counts)
         order = max(context.infos[controller].orders)
         move = make_axis_move(name, axis, state.commanded_counts, counts, order)
-        moves.append(replace(move, soft_limits=axis.soft_limits_counts))
+        moves.append(replace(move, soft_limits=axis.motor_limits_counts))
     return ResolvedMove(moves, exact)
 
 

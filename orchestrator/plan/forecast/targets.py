@@ -86,7 +86,10 @@ def check_target(
 def exceeds_room(axis: Axis, reached: tuple[Fraction, Fraction]) -> bool:
     """Whether the soft limits are too near to each other for all positions in a range."""
     limits = axis.soft_limits_counts
-    return limits is not None and abs(axis.to_counts(reached[1] - reached[0])) > limits[1] - limits[0]
+    if limits is None:
+        return False
+    width = abs(axis.to_position(limits[1]) - axis.to_position(limits[0]))
+    return round(abs(reached[1] - reached[0]) * axis.scale) > round(width * axis.scale)
 
 
 def check_room(state: ForecastState, at: ForecastContext, field: TargetField, after: AxisForecast) -> bool:
@@ -95,8 +98,8 @@ def check_room(state: ForecastState, at: ForecastContext, field: TargetField, af
     limits = axis.soft_limits_counts
     if limits is None or not exceeds_room(axis, (after.lowest, after.highest)):
         return True
-    span = abs(axis.to_unit(axis.to_counts(after.highest - after.lowest)))
-    width = abs(axis.to_unit(limits[1] - limits[0]))
+    span = abs(float(after.highest - after.lowest))
+    width = abs(axis.to_unit(limits[1]) - axis.to_unit(limits[0]))
     text = (
         f"axis {field.name}: the moves from {name_step(after.since)} (`steps[{after.since}]`) on cover "
         f"{span:g} {axis.unit}; its soft limits are {width:g} {axis.unit} apart"

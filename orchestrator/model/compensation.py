@@ -1,0 +1,278 @@
+"""Compensation of an axis: the play of its drive, and measured errors of position.
+
+Two positions of an axis are told apart: where its motor is (counts of the controller, divided by the scale), and where
+the axis itself is. A table of errors states the difference at positions of the motor, as ISO 230-2 does: the actual
+position minus the commanded one. The map between both is strictly monotone, so that it can be inverted.
+"""
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from fractions import Fraction
+from functools import cached_property
+from typing import Annotated, Any, Literal, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
+
+from orchestrator.model.base import Int53, Model, Rational
+from orchestrator.model.numbers import Part, UnitNumber
+from orchestrator.model.problems import Problem
+
+Array = NDArray[np.float64]
+
+MAX_ROWS = 1_000  # of a table
+MOST_SLOPE = 0.1  # a larger error is one of the scale, or of the unit in the table
+ROUNDING = 1e-9  # of a slope
+HALVINGS = 60  # halvings of a row's interval that leave no more than the rounding of a double
+Approach = Literal["positive", "negative", "none"]
+
+
+class Backlash(Model):
+    """Play between the motor of an axis and the axis itself."""
+
+    amount: UnitNumber = Field(description="How far the motor turns after a reversal until the axis follows.")
+    speed: UnitNumber | None = Field(
+        default=None, description="Of the motor while it takes up the play, unit/s; default: that of the move."
+    )
+    approach: Approach = Field(
+        default="none",
+        description="none: the play is added to a move that reverses; positive, negative: moves end in that direction, "
+        "after an overrun where they come from the other side.",
+    )
+    overrun: UnitNumber | None = Field(
+        default=None, description="How far beyond the target such a move turns; default: twice the amount."
+    )
+
+    @property
+    def overrun_length(self) -> float:
+        """How far beyond its target a move turns that ends in one direction, in the axis's unit."""
+        return self.overrun or 2 * self.amount
+
+
+class Play(Model):
+    """By how many counts an axis is ahead of its motor: an interval, ends included. The axis of a drive with play is
+    moved along at one end of its range in motions to higher counts (`least`), at the other one in those to lower."""
+
+    least: Int53
+    most: Int53
+
+    @property
+    def middle(self) -> Fraction:
+        """Its middle, which is off by half its width at most."""
+        return Fraction(self.least + self.most, 2)
+
+    def follow(self, by: int, whole: "Play") -> "Play":
+        """What is left of it after a motion of the motor by `by` counts in one direction. whole: of the drive."""
+        least, most = (min(max(end - by, whole.least), whole.most) for end in (self.least, self.most))
+        return Play(least=least, most=most)
+
+    def find_target(self, start: int, target: int, whole: "Play") -> int:
+        """Where the motor must go from `start` for the axis to be at `target`, in counts. whole: of the drive."""
+        if target < start + self.least:
+            return target - whole.most
+        if self.least == self.most and target == start + self.least:
+            return start
+        # Where the play is not known to the count, the motor ends in a motion to higher counts.
+        return max(start, target - whole.least)
+
+
+class TableRow(Model):
+    """One row of a table, in the unit of the axis whose position it corrects; position: in that of the axis it is of."""
+
+    position: Rational
+    error: Rational
+    uncertainty: Rational = Fraction(0)
+
+
+def _read_rows(rows: Any) -> Any:
+    """Rows as lists, as they stand in a file: position, error, and perhaps its uncertainty."""
+    if not isinstance(rows, list):
+        return rows
+    return [_read_row(row) for row in cast(list[Any], rows)]
+
+
+def _read_row(row: Any) -> Any:
+    names = ("position", "error", "uncertainty")
+    plain = cast(list[Any], row)
+    is_row = isinstance(row, list) and 2 <= len(plain) <= len(names)
+    return dict(zip(names, plain, strict=False)) if is_row else plain
+
+
+class Correction(Model):
+    """A table of errors of position: in a CSV file beside the fleet file, or listed."""
+
+    file: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=4096,
+        description="A CSV file: a line of names with units, e.g. `position mm, error um, uncertainty um`, then rows.",
+    )
+    points: Annotated[list[TableRow], BeforeValidator(_read_rows)] = Field(
+        default=[],
+        max_length=MAX_ROWS,
+        description="The rows, instead of `file`: `[position, error]` or `[position, error, uncertainty]`, in the unit "
+        "of the axis; error: where the axis is, minus where its motor is.",
+    )
+    interpolation: Literal["linear", "cubic"] = Field(
+        default="linear", description="Between rows: straight lines, or a monotone cubic without steps of the slope."
+    )
+    max_slope: Part = Field(
+        default=0.01, le=MOST_SLOPE, description="The steepest change of the error that is accepted, by position."
+    )
+
+    @cached_property
+    def table(self) -> "ErrorTable":
+        """The table as a function."""
+        return ErrorTable(self)
+
+    def find_problems(self) -> list[Problem]:
+        """What is wrong with the rows, each with its number."""
+        if self.file is not None and not self.points:
+            return []  # it was not read yet
+        if len(self.points) < 2:
+            return [Problem(("points",), f"has {len(self.points)} rows; a table needs at least 2")]
+        problems = list(self._find_row_problems())
+        if not problems and self.interpolation == "cubic":
+            problems = list(self._find_steep_curves())
+        return problems
+
+    def _find_row_problems(self) -> Iterator[Problem]:
+        for number, row in enumerate(self.points):
+            if row.uncertainty < 0:
+                yield Problem(("points", number), f"uncertainty {float(row.uncertainty):g} is below 0; write it without sign")
+            if number == 0:
+                continue
+            first = self.points[number - 1]
+            if row.position <= first.position:
+                yield Problem(
+                    ("points", number),
+                    f"position {float(row.position):g} is not above the one before it, {float(first.position):g}; sort "
+                    "the rows by position, and keep one for each",
+                )
+                continue
+            slope = float((row.error - first.error) / (row.position - first.position))
+            if abs(slope) > self.max_slope + ROUNDING:
+                yield Problem(("points", number), self._describe_slope(row, slope))
+
+    def _find_steep_curves(self) -> Iterator[Problem]:
+        for number, slope in enumerate(self.table.find_slopes()):
+            if abs(slope) > self.max_slope + ROUNDING:
+                row = self.points[number + 1]
+                yield Problem(("points", number + 1), self._describe_slope(row, slope, " of the cubic"))
+
+    def _describe_slope(self, row: TableRow, slope: float, of: str = "") -> str:
+        return (
+            f"error {float(row.error):g} at {float(row.position):g}: the slope{of} from the row before is {slope:.3g}, "
+            f"above max_slope {self.max_slope:g}; check the units and the sign, or raise max_slope (at most {MOST_SLOPE:g})"
+        )
+
+
+class ErrorTable:
+    """The error as a function of position. Beyond its ends it stays as it is there."""
+
+    def __init__(self, correction: Correction) -> None:
+        rows = correction.points
+        self._positions = [row.position for row in rows]
+        self._errors = [row.error for row in rows]
+        self._uncertainties = [row.uncertainty for row in rows]
+        self._actual = [row.position + row.error for row in rows]
+        self._x, self._e = (np.array([float(value) for value in values]) for values in (self._positions, self._errors))
+        self._slopes = _find_cubic_slopes(self._x, self._e) if correction.interpolation == "cubic" else None
+
+    @cached_property
+    def slope(self) -> float:
+        """The steepest change of the error, without its sign."""
+        return max(map(abs, self.find_slopes()))
+
+    @cached_property
+    def most_uncertainty(self) -> float:
+        """The largest uncertainty of a row."""
+        return float(max(self._uncertainties))
+
+    def find_error(self, position: Fraction) -> Fraction:
+        """The error at a position: exact between straight lines, else to the rounding of a double."""
+        number = bisect_right(self._positions, position)
+        if number == 0 or number == len(self._positions):
+            return self._errors[0 if number == 0 else -1]
+        begin, end = self._positions[number - 1], self._positions[number]
+        if self._slopes is None:
+            share = (position - begin) / (end - begin)
+            return self._errors[number - 1] + share * (self._errors[number] - self._errors[number - 1])
+        return Fraction(float(self.evaluate(np.array([float(position)]))[0]))
+
+    def evaluate(self, positions: Array) -> Array:
+        """The errors at positions, as doubles."""
+        if self._slopes is None:
+            return np.interp(positions, self._x, self._e)
+        inside = np.clip(positions, self._x[0], self._x[-1])
+        k = np.clip(np.searchsorted(self._x, inside, side="right") - 1, 0, len(self._x) - 2)
+        length = self._x[k + 1] - self._x[k]
+        u = (inside - self._x[k]) / length
+        begin, end = self._e[k], self._e[k + 1]
+        bend = (1 - u) ** 2 * u * length * self._slopes[k] - (1 - u) * u * u * length * self._slopes[k + 1]
+        return begin + (3 - 2 * u) * u * u * (end - begin) + bend
+
+    def find_slopes(self) -> list[float]:
+        """The steepest change of the error between each two rows, with its sign."""
+        secants = np.diff(self._e) / np.diff(self._x)
+        if self._slopes is None:
+            return secants.tolist()
+        first, last = self._slopes[:-1], self._slopes[1:]
+        # The slope of the cubic is a parabola: its largest value is at an end, or at its vertex.
+        curvature = 3 * (first + last - 2 * secants)
+        linear = 2 * (3 * secants - 2 * first - last)
+        vertex = np.divide(-linear, 2 * curvature, out=np.zeros_like(linear), where=curvature != 0).clip(0, 1)
+        candidates = np.stack([first, last, first + vertex * (linear + vertex * curvature)])
+        return candidates[np.abs(candidates).argmax(axis=0), np.arange(len(secants))].tolist()
+
+    def invert(self, actual: Fraction) -> Fraction:
+        """The position of the motor at which the axis is at `actual`."""
+        number = bisect_right(self._actual, actual)
+        if number == 0 or number == len(self._actual):
+            return actual - self._errors[0 if number == 0 else -1]
+        begin, end = self._positions[number - 1], self._positions[number]
+        actual_begin, actual_end = self._actual[number - 1], self._actual[number]
+        if self._slopes is None:
+            return begin + (actual - actual_begin) * (end - begin) / (actual_end - actual_begin)
+        low, high = float(begin), float(end)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            if middle + float(self.evaluate(np.array([middle]))[0]) < actual:
+                low = middle
+            else:
+                high = middle
+        return Fraction(low)
+
+
+def _find_cubic_slopes(x: Array, e: Array) -> Array:
+    """Slopes at the rows of a cubic that is monotone wherever the rows are (Fritsch and Butland, SIAM J. Sci. Stat.
+    Comput. 5, 300, 1984): a weighted harmonic mean of the two secants, 0 where they have different signs."""
+    lengths, secants = np.diff(x), np.diff(e) / np.diff(x)
+    slopes = np.zeros_like(x)
+    slopes[0], slopes[-1] = secants[0], secants[-1]
+    for k in range(1, len(x) - 1):
+        before, behind = secants[k - 1], secants[k]
+        if before * behind > 0:
+            first, second = 2 * lengths[k] + lengths[k - 1], lengths[k] + 2 * lengths[k - 1]
+            slopes[k] = (first + second) / (first / before + second / behind)
+    return slopes
+
+
+def find_covered_problem(
+    correction: Correction, limits: tuple[Fraction, Fraction], unit: str
+) -> Problem | None:
+    """Why a table does not reach as far as the soft limits, in the axis's unit; None if it does."""
+    first, last = correction.points[0], correction.points[-1]
+    low, high = limits
+    for number, row, end, is_short in (
+        (0, first, low, first.position + first.error > low),
+        (len(correction.points) - 1, last, high, last.position + last.error < high),
+    ):
+        if is_short:
+            text = (
+                f"the table ends at {float(row.position):g} {unit}, and the soft limits reach to {float(end):g} {unit}; "
+                "measure the rest, or narrow soft_limits"
+            )
+            return Problem(("points", number), text)
+    return None
