@@ -28,7 +28,6 @@ from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
-from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
@@ -37,6 +36,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.rest import JobRest
 from orchestrator.model.jobs.restart import FirstMotion, StartPreview
 from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms

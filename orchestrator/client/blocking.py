@@ -27,7 +27,6 @@ from orchestrator.client.ready import ReadyCallback
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.worker import BlockingObject, LoopThread, Worker
-from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.forecast import JobForecast
@@ -38,6 +37,7 @@ from orchestrator.model.jobs.service import FleetNames, JobRetargeted, JobRetrie
 from orchestrator.model.messages import TraceReply
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobPlan, JobPlanned
+from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.operation.virtual_state import VirtualState

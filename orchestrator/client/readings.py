@@ -10,12 +10,12 @@ from pydantic import ValidationError
 from orchestrator.bus.base import BusDeclaration, BusSample
 from orchestrator.client.fleet import FleetRequests
 from orchestrator.client.states import StateReading, StateStream
-from orchestrator.model.operation.axis_info import AxisInfo, describe_axis
 from orchestrator.model.base import UnknownName
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.fleet_names import DefinedNames
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.operation.axis_info import AxisInfo, describe_axis
 from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 

@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from fractions import Fraction
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +78,7 @@ class Play(Model):
 
 
 class TableRow(Model):
-    """One row of a table, in the unit of the axis whose position it corrects; position: in that of the axis it is of."""
+    """One row of a table, in the unit of the axis."""
 
     position: Rational
     error: Rational
@@ -140,7 +140,9 @@ class Correction(Model):
     def _find_row_problems(self) -> Iterator[Problem]:
         for number, row in enumerate(self.points):
             if row.uncertainty < 0:
-                yield Problem(("points", number), f"uncertainty {float(row.uncertainty):g} is below 0; write it without sign")
+                yield Problem(
+                    ("points", number), f"uncertainty {float(row.uncertainty):g} is below 0; write it without sign"
+                )
             if number == 0:
                 continue
             first = self.points[number - 1]
@@ -164,7 +166,8 @@ class Correction(Model):
     def _describe_slope(self, row: TableRow, slope: float, of: str = "") -> str:
         return (
             f"error {float(row.error):g} at {float(row.position):g}: the slope{of} from the row before is {slope:.3g}, "
-            f"above max_slope {self.max_slope:g}; check the units and the sign, or raise max_slope (at most {MOST_SLOPE:g})"
+            f"above max_slope {self.max_slope:g}; check the units and the sign, or raise max_slope, at most to "
+            f"{MOST_SLOPE:g}"
         )
 
 
@@ -259,9 +262,7 @@ def _find_cubic_slopes(x: Array, e: Array) -> Array:
     return slopes
 
 
-def find_covered_problem(
-    correction: Correction, limits: tuple[Fraction, Fraction], unit: str
-) -> Problem | None:
+def find_covered_problem(correction: Correction, limits: tuple[Fraction, Fraction], unit: str) -> Problem | None:
     """Why a table does not reach as far as the soft limits, in the axis's unit; None if it does."""
     first, last = correction.points[0], correction.points[-1]
     low, high = limits
@@ -271,8 +272,8 @@ def find_covered_problem(
     ):
         if is_short:
             text = (
-                f"the table ends at {float(row.position):g} {unit}, and the soft limits reach to {float(end):g} {unit}; "
-                "measure the rest, or narrow soft_limits"
+                f"the table ends at {float(row.position):g} {unit}, and the soft limits reach to {float(end):g} "
+                f"{unit}; measure the rest, or narrow soft_limits"
             )
             return Problem(("points", number), text)
     return None

@@ -159,7 +159,9 @@ class Axis(Model):
     )
     max_deviation: UnitNumber | None = Field(default=None, description="In the axis's unit; between coupled motors.")
     backlash: Backlash | None = Field(
-        default=None, exclude_if=lambda backlash: backlash is None, description="Play of its drive, which is made up for."
+        default=None,
+        exclude_if=lambda backlash: backlash is None,
+        description="Play of its drive, which is made up for.",
     )
     correction: Correction | None = Field(
         default=None,
@@ -410,7 +412,7 @@ class StateRates(Model):
 
 
 class AxisMechanics(Model):
-    """What is behind the motor of a simulated axis, in the axis's unit: what `backlash` and `correction` make up for."""
+    """What is behind the motor of a simulated axis, in the axis's unit: for `backlash` and `correction`."""
 
     backlash: float = Field(default=0.0, ge=0)
     errors: list[list[float]] = Field(

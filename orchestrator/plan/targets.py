@@ -60,14 +60,6 @@ def explain_beyond_range(name: str, axis: Axis, target: Fraction) -> str | None:
     return f"axis {name}: the target is {counts} counts; positions are within ±{MAX_COUNTS} counts"
 
 
-def find_motor_target(axis: Axis, state: AxisState, counts: int) -> int:
-    """The count to which the motor of an axis must go for the axis to be at `counts`: behind a reversal it takes up the
-    play of its drive."""
-    if axis.play is None:
-        return counts
-    return (state.play or axis.play).find_target(state.commanded_counts, counts, axis.play)
-
-
 def expect_counts(axis: Axis, state: AxisState, counts: int) -> AxisState:
     """The state of an axis when its motor has moved to `counts`, in one direction."""
     play = None if axis.play is None else (state.play or axis.play).follow(counts - state.commanded_counts, axis.play)

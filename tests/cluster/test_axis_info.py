@@ -5,9 +5,9 @@ import logging
 import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
-from orchestrator.model.operation.axis_info import describe_axis
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.operation.axis_info import describe_axis
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 

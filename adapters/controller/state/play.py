@@ -11,7 +11,9 @@ class PlayFollower:
     """The play of the drives of one controller. It is unknown at first, and after what may have set a position."""
 
     def __init__(self, config: Controller) -> None:
-        self._whole: Mapping[str, Play] = {name: axis.play for name, axis in config.axes.items() if axis.play is not None}
+        self._whole: Mapping[str, Play] = {
+            name: axis.play for name, axis in config.axes.items() if axis.play is not None
+        }
         self._present = dict(self._whole)
         self._directions: dict[str, int] = {}
         self._homing = frozenset[str]()

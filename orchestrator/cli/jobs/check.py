@@ -110,6 +110,7 @@ def describe_totals(job: "Job", forecast: "JobForecast", repeat: int = 1) -> str
 
 def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
     """Print every step with its duration and conditions, and the conditions of the job. commands: of each member."""
+    from orchestrator.monitor.bound_words import describe_bound
     from orchestrator.monitor.path_words import describe_path
 
     def line(text: str) -> None:
@@ -121,6 +122,8 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
             line(f"      if {condition}")
         for text in [step.lines] * bool(step.lines) + ([] if step.path is None else describe_path(step.path)):
             line(f"      {text}")
+        for name, bound in step.bounds.items():
+            line(f"      {describe_bound(name, bound)}")
         if commands:
             _print_commands(step, line)
     if forecast.conditions:

@@ -24,7 +24,7 @@ from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
-from orchestrator.plan.step import StepPlan
+from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.targets import expect_counts
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
@@ -125,6 +125,13 @@ async def plan_request(
     return await _plan_from(services, request, context, goal, instances)
 
 
+def plan_take_up(planned: PlannedStep) -> PlannedStep:
+    """The motion before a step by which motors take up the play of their drives: its axes do not move."""
+    moves = planned.resolved.take_ups
+    # Nothing of the step has happened behind it, and its axes stand where they stood.
+    return replace(planned, resolved=ResolvedMove(moves, {}), plan=plan_step(moves, "none", 1.0, "own"), triggers=())
+
+
 @dataclass(frozen=True, slots=True)
 class PathRest:
     """Where a path was braked: at `path_s` of its own time, `moved_ns` after T0. planned: the step as it was planned.
@@ -168,6 +175,8 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:
     """Plan a step from where `before`, which moves now, will leave its axes. Raises `Refusal`."""
+    if before.resolved.overruns:
+        raise Refusal("overrun", f"{', '.join(before.resolved.overruns)} comes back from its overrun before it")
     view = services.fleet.view
     states: dict[str, AxisState] = {}
     infos: dict[str, ControllerInfo] = {}
@@ -183,6 +192,9 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
             states[axis] = expect_counts(view.fleet.axis(axis), states[axis], counts)
     context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
     planned_step = await _plan_from(services, request, context, {}, instances)
+    if planned_step.resolved.take_ups:
+        axes = ", ".join(move.axis for move in planned_step.resolved.take_ups)
+        raise Refusal("take-up", f"{axes} takes up its play before it, at the speed of `backlash`")
     return replace(planned_step, ends={**before.ends, **planned_step.ends})
 
 

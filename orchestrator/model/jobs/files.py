@@ -122,7 +122,11 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
         raise FileError(
             [
                 *(FileProblem(problem.file, problem.line, "", problem.text) for problem in table_problems),
-                *(file.problem(problem.place, problem.text) for problem in problems if not fleet_tables.locate(problem)),
+                *(
+                    file.problem(problem.place, problem.text)
+                    for problem in problems
+                    if not fleet_tables.locate(problem)
+                ),
             ]
         )
     return checked_file

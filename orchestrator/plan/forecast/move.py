@@ -1,5 +1,6 @@
 """The forecast of a move."""
 
+from orchestrator.model.errors import Refusal
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.steps.move import Move
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
@@ -9,6 +10,7 @@ from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
 from orchestrator.plan.forecast.virtual import take_virtual_targets
 from orchestrator.plan.forecast.ways import ForecastMotion, MoveWays
+from orchestrator.plan.play import require_play
 from orchestrator.plan.virtual_moves import find_virtual_names, straighten
 
 
@@ -21,7 +23,11 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
         state.lose_positions(at, list(state.axes) if ALL_AXES in unknown else named_axes)
         known_move = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
         return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
-    ways = MoveWays()
+    try:
+        require_play(state.fleet, step)
+    except Refusal as error:
+        state.add_problem(at, ("approach",), error)
+    ways = MoveWays(step.approach)
     if not take_virtual_targets(state, at, ways, step):
         return Span()
     _take_real_targets(state, at, ways, step)

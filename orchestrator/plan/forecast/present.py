@@ -23,5 +23,6 @@ def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[st
                 offset=axis_now.offset,
                 enabled=axis_now.enabled or axis.enable != "manual",
                 referenced=axis_now.referenced,
+                play=axis_now.play,
             )
     return axes

@@ -140,6 +140,7 @@ class JobRehearsal:
                 offset=state_now.offset,
                 enabled=state_now.enabled or axis.enable != "manual",
                 referenced=state_now.referenced,
+                play=state_now.play,
             )
         return axes
 
