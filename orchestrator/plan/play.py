@@ -43,8 +43,11 @@ def choose_approach(axis: Axis, asked: Approach | None) -> Approach:
 
 def require_play(fleet: Fleet, step: Move) -> None:
     """Raise `Refusal` for a step that asks for an approach of axes without `backlash`."""
-    rigid_axes = [name for name in step.find_axes(fleet) if fleet.axis(name).backlash is None]
-    if step.approach not in (None, "none") and rigid_axes:
+    if step.approach in (None, "none"):
+        return
+    real_axes = (name for name in fleet.find_real_axes(step.named_axes) if name in fleet.names.axes)
+    rigid_axes = [name for name in real_axes if fleet.axis(name).backlash is None]
+    if rigid_axes:
         text = f"`approach: {step.approach}`: axis {rigid_axes[0]} has no `backlash`, which states how far to overrun"
         raise Refusal("no-backlash", text, "add `backlash` to the axis in the fleet file, or name it in another step")
 

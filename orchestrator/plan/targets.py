@@ -5,7 +5,6 @@ from math import floor
 from typing import Literal
 
 from orchestrator.model.fleet import MAX_COUNTS, Axis
-from orchestrator.model.state import AxisState
 from orchestrator.plan.step import AxisMove
 
 # Of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it.
@@ -58,12 +57,6 @@ def explain_beyond_range(name: str, axis: Axis, target: Fraction) -> str | None:
     if -MAX_COUNTS <= counts < MAX_COUNTS:
         return None
     return f"axis {name}: the target is {counts} counts; positions are within ±{MAX_COUNTS} counts"
-
-
-def expect_counts(axis: Axis, state: AxisState, counts: int) -> AxisState:
-    """The state of an axis when its motor has moved to `counts`, in one direction."""
-    play = None if axis.play is None else (state.play or axis.play).follow(counts - state.commanded_counts, axis.play)
-    return state.model_copy(update={"commanded_counts": counts, "play": play})
 
 
 def make_axis_move(name: str, axis: Axis, start_counts: int, target_counts: int, order: Literal[2, 3]) -> AxisMove:

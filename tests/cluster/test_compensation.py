@@ -69,10 +69,12 @@ def test_a_cross_slide_ends_in_one_direction_after_an_overrun() -> None:
 def test_moves_in_one_job_follow_each_other_with_the_play_in_both() -> None:
     async def main(fleet: VirtualFleet) -> None:
         mechanics = fleet.mechanics["lathe"]
-        steps = ", ".join(f"{{do: move, to: {{lathe.z: {target}}}}}" for target in (60, 55, 70, 69.99, 69.98, 69.99))
+        steps = ", ".join(
+            f"{{do: move, to: {{lathe.z: {target}}}}}" for target in (60, 55, 70, 69.99, 69.98, 69.99, 70.1)
+        )
         report = await outcome(fleet, job(f"[{PREPARE}, {steps}]"))
         assert report.state == "done", report.reason
-        assert [step.chain.kept for step in report.steps[3:] if step.chain is not None] == [True] * 5
-        assert abs(mechanics.position("z") - 69.99) <= report.steps[-1].bounds["lathe.z"].most
+        assert [step.chain.kept for step in report.steps[3:] if step.chain is not None] == [True] * 6
+        assert abs(mechanics.position("z") - 70.1) <= report.steps[-1].bounds["lathe.z"].most
 
     run_fleet(main, lathe_fleet())

@@ -126,6 +126,21 @@ class Surveillance:
         self.doubt_positions(misplaced_axes)
         return "; ".join(misplaced_axes.values()) or None
 
+    def follow_play(self, reading: ControllerReading) -> None:
+        """Follow the motors of drives with play to a reading. The step behind the present one may have begun when the
+        end of this one is not seen yet."""
+        present, following = self._steps.present, self._steps.following.armed_step
+        has_begun = (
+            following is not None and following.executes and not following.is_before_begin(find_last_instant(reading))
+        )
+        if present is not None and has_begun:
+            self.note_end(present)
+        self._status.play.handle_reading(reading, self._status.homing)
+
+    def note_end(self, step: ArmedStep) -> None:
+        """A step has ended as planned."""
+        self._status.play.end_step(step)
+
     def find_wrong_ends(self, step: ArmedStep) -> dict[str, str]:
         """Axes that the last reading shows elsewhere than where the step, which is done, ends, in words."""
         reading = self._status.reading

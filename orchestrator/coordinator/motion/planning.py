@@ -10,6 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
+from orchestrator.model.compensation import Play
 from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.fleet import TriggerWire
 from orchestrator.model.jobs.job import Job
@@ -25,7 +26,6 @@ from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan, plan_step
-from orchestrator.plan.targets import expect_counts
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
@@ -85,7 +85,8 @@ class StepRequest:
 class PlannedStep:
     """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller.
 
-    ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
+    ends: where axes will be after it, with those of the steps before that are not over yet. plays: how far axes are
+    ahead of their motors there. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
     motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. elapsed_ns: how long
     it was moved along before. triggers: of the step.
@@ -96,6 +97,7 @@ class PlannedStep:
     plan: StepPlan
     instances: Mapping[str, str]
     ends: Mapping[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])
+    plays: Mapping[str, Play] = field(default_factory=dict[str, Play])
     rehearsal: bool = False
     path: PlannedPath | None = None
     begun_s: float = 0.0
@@ -189,13 +191,15 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     for axis, (_, counts) in before.ends.items():
         if axis in states:
-            states[axis] = expect_counts(view.fleet.axis(axis), states[axis], counts)
+            update = {"commanded_counts": counts, "play": before.plays.get(axis)}
+            states[axis] = states[axis].model_copy(update=update)
     context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
     planned_step = await _plan_from(services, request, context, {}, instances)
     if planned_step.resolved.take_ups:
         axes = ", ".join(move.axis for move in planned_step.resolved.take_ups)
         raise Refusal("take-up", f"{axes} takes up its play before it, at the speed of `backlash`")
-    return replace(planned_step, ends={**before.ends, **planned_step.ends})
+    plays = {**before.plays, **planned_step.plays}
+    return replace(planned_step, ends={**before.ends, **planned_step.ends}, plays=plays)
 
 
 async def _plan_from(
@@ -226,7 +230,8 @@ async def _plan_from(
         plan = plan_motion(context.fleet, move, resolved_move.moves)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return PlannedStep(request, resolved_move, plan, instances, resolved_move.exact, triggers=triggers)
+    exact, plays = resolved_move.exact, resolved_move.plays
+    return PlannedStep(request, resolved_move, plan, instances, exact, plays, triggers=triggers)
 
 
 async def _query_controller(

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
+from orchestrator.model.compensation import Play
 from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
@@ -31,7 +32,8 @@ class ResolvedMove:
     """A move in counts, with the exact targets that the counts were rounded from.
 
     take_ups: motions before it, by which motors take up play. overruns: the targets of axes that go beyond them first,
-    by a motion of their own. bounds: how far axes may be from their targets.
+    by a motion of their own. bounds: how far axes may be from their targets. plays: how far they are ahead of their
+    motors at the end.
     """
 
     moves: list[AxisMove]
@@ -39,6 +41,7 @@ class ResolvedMove:
     take_ups: list[AxisMove] = field(default_factory=list[AxisMove])
     overruns: dict[str, Fraction] = field(default_factory=dict[str, Fraction])
     bounds: dict[str, PositionBound] = field(default_factory=dict[str, PositionBound])
+    plays: dict[str, Play] = field(default_factory=dict[str, Play])
 
     @property
     def goal(self) -> dict[str, Fraction]:
@@ -99,6 +102,8 @@ def _add_way(resolved: ResolvedMove, name: str, context: AxisContext, target: Fr
     elif way.is_return:
         move = replace(move, velocity=min(move.velocity, slowly))
     resolved.moves.append(move)
+    if way.left is not None:
+        resolved.plays[name] = way.left
     bound = bound_position(axis, way)
     if bound is not None:
         resolved.bounds[name] = bound
