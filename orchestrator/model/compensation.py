@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 MAX_ROWS = 1_000  # of a table
 MOST_SLOPE = 0.1  # a larger error is one of the scale, or of the unit in the table
 ROUNDING = 1e-9  # of a slope
+FIXED_POINT_STEPS = 16  # each makes the distance smaller by the slope of the table
 HALVINGS = 60  # halvings of a row's interval that leave no more than the rounding of a double
 Approach = Literal["positive", "negative", "none"]
 
@@ -215,6 +216,30 @@ class ErrorTable:
         begin, end = self._e[k], self._e[k + 1]
         bend = (1 - u) ** 2 * u * length * self._slopes[k] - (1 - u) * u * u * length * self._slopes[k + 1]
         return begin + (3 - 2 * u) * u * u * (end - begin) + bend
+
+    def invert_all(self, actual: Array) -> tuple[Array, Array]:
+        """Positions of the motor at which the axis is at `actual`, and how fast it turns there, by the speed of the
+        axis."""
+        motors = actual
+        for _ in range(FIXED_POINT_STEPS):
+            motors = actual - self.evaluate(motors)
+        return motors, 1 / (1 + self._find_slopes_at(motors))
+
+    def _find_slopes_at(self, positions: Array) -> Array:
+        k = np.clip(np.searchsorted(self._x, positions, side="right") - 1, 0, len(self._x) - 2)
+        length = self._x[k + 1] - self._x[k]
+        secants = (self._e[k + 1] - self._e[k]) / length
+        is_inside = (positions >= self._x[0]) & (positions <= self._x[-1])
+        if self._slopes is None:
+            return secants * is_inside
+        u, first, last = (positions - self._x[k]) / length, self._slopes[k], self._slopes[k + 1]
+        slopes = 6 * u * (1 - u) * secants + (1 - u) * (1 - 3 * u) * first + u * (3 * u - 2) * last
+        return slopes * is_inside
+
+    @property
+    def span(self) -> float:
+        """Between the smallest and the largest error."""
+        return float(self._e.max() - self._e.min())
 
     def find_slopes(self) -> list[float]:
         """The steepest change of the error between each two rows, with its sign."""

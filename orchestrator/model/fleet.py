@@ -22,7 +22,7 @@ from pydantic import (
 from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
 from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
-from orchestrator.model.compensation import Backlash, Correction, Play, find_covered_problem
+from orchestrator.model.compensation import Array, Backlash, Correction, Play, find_covered_problem
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.frame import FrameSpec
@@ -285,6 +285,11 @@ class Axis(Model):
         return self.scale * self.sign
 
     @property
+    def is_compensated(self) -> bool:
+        """Whether its position differs from that of its motor."""
+        return self.backlash is not None or self.correction is not None
+
+    @property
     def homing_sign(self) -> Literal[1, -1]:
         """The direction of its reference search in counts; `homing.direction` is that of its unit."""
         return 1 if (self.homing.direction == "positive") == (self.sign > 0) else -1
@@ -318,6 +323,11 @@ class Axis(Model):
         if self.correction is None:
             return counts / self._float_scale
         return float(self.to_position(Fraction(counts)))
+
+    def to_units(self, counts: Array) -> Array:
+        """`to_unit` for many counts."""
+        motors = counts / self._float_scale
+        return motors if self.correction is None else motors + self.correction.table.evaluate(motors)
 
     def to_length(self, counts: float) -> float:
         """Convert a distance of its motor, or a speed, to the axis's unit: with the scale alone."""

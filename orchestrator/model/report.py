@@ -175,7 +175,7 @@ class SyncBudget(Model):
         return max(0, min([self.allowed_ns - self.predicted_ns, *margins_ns]))
 
 
-PathTermName = Literal["profile-fit", "execution", "start", "clock"]
+PathTermName = Literal["profile-fit", "compensation", "execution", "start", "clock"]
 
 
 class PathTerm(Model):

@@ -127,3 +127,17 @@ def bound_position(axis: Axis, way: MotorWay) -> PositionBound | None:
         rounding += ROUNDED_COUNTS / scale
         play = (left.most - left.least) / scale
     return PositionBound(most=rounding + table + play, rounding=rounding, table=table, play=play, unit=axis.unit)
+
+
+def bound_path(axis: Axis) -> PositionBound | None:
+    """The same of an axis on a path, where the play of a reversal is not taken up."""
+    return bound_position(axis, MotorWay(0, 0, 0, axis.play))
+
+
+def bound_way(axis: Axis) -> float:
+    """How far an axis may be from where its motor would have it on the way of a move, in its unit: its play before it
+    follows, and what tables have between the ends of the way. 0 for an axis that is not compensated."""
+    bound = bound_path(axis)
+    if bound is None:
+        return 0.0
+    return bound.most + (0.0 if axis.correction is None else axis.correction.table.span)

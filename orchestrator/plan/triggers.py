@@ -148,6 +148,9 @@ def _resolve_trigger(fleet: Fleet, place: int, trigger: Trigger, find_offset: Fi
         text = f"`triggers.{place}`: {trigger.of} is a virtual axis, and triggers count positions of real ones"
         raise Refusal("virtual-axis", text, "give instants (`every: 20 ms`), or name a real axis", plain.owner)
     axis = fleet.axis(trigger.of)
+    if axis.is_compensated:
+        text = f"`triggers.{place}`: {trigger.of} has `backlash` or `correction`, which do not count on the way yet"
+        raise Refusal("not-compensated", text, "give instants (`every: 20 ms`)", plain.owner)
     try:
         if trigger.every is not None:
             step = abs(float(parse_quantity(trigger.every, axis.unit) * axis.counts_per_unit))

@@ -224,7 +224,7 @@ async def _plan_from(
                 path, triggers = plan_flight_step(move, starts), place_triggers(move.part, triggers)
             else:
                 path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.frames)
-            resolved_move = ResolvedMove(path.moves, dict(path.exact))
+            resolved_move = ResolvedMove(path.moves, dict(path.exact), bounds=dict(path.bounds))
             return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved_move = resolve_targets(move, context, goal)
         plan = plan_motion(context.fleet, move, resolved_move.moves)

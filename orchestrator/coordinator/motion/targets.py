@@ -163,6 +163,7 @@ def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
                 start_counts=state.commanded_counts,
                 offset=state.offset,
                 order=order,
+                ahead=0 if axis.play is None else round((state.play or axis.play).middle),
             )
         )
     return starts

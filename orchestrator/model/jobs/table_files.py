@@ -114,7 +114,7 @@ def _read_table(path: Path, unit_name: Any) -> TableFile:
         table.note(0, "is no text in UTF-8; save it as CSV in UTF-8")
         return table
     separator = find_separator(lines[0])
-    units = _read_header(table, next(csv.reader(lines[:1], delimiter=separator)))
+    units = _read_header(table, next(csv.reader(lines[:1], delimiter=separator)), unit)
     for number, line in enumerate(lines[1:], 2):
         if line.strip() and units:
             cells = [read_cell(cell, separator) for cell in next(csv.reader([line], delimiter=separator))]
@@ -122,7 +122,7 @@ def _read_table(path: Path, unit_name: Any) -> TableFile:
     return table
 
 
-def _read_header(table: TableFile, cells: Sequence[str]) -> list[str]:
+def _read_header(table: TableFile, cells: Sequence[str], unit: Unit) -> list[str]:
     """The units of the columns; none with a mistake."""
     parts = [cell.split() for cell in cells]
     names = tuple(words[0] if words else "" for words in parts)
@@ -130,7 +130,14 @@ def _read_header(table: TableFile, cells: Sequence[str]) -> list[str]:
         shown = ", ".join(cells)[:MAX_TEXT]
         table.note(1, f"the first line is `{shown}`; name two or three columns with their units: `{HEADER}`")
         return []
-    return [words[1] for words in parts]
+    units = [words[1] for words in parts]
+    for cell, cell_unit in zip(cells, units, strict=True):
+        try:
+            parse_quantity(f"0 {cell_unit}", unit)
+        except UnitError as error:
+            table.note(1, f"column `{cell.strip()}`: {error}")
+            return []
+    return units
 
 
 def _read_row(table: TableFile, line: int, cells: Sequence[str], units: Sequence[str], unit: Unit) -> None:
