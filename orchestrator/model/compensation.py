@@ -1,19 +1,19 @@
 """Compensation of an axis: the play of its drive, and measured errors of position.
 
-Two positions of an axis are told apart: where its motor is (counts of the controller, divided by the scale), and where
+An axis has two positions: where its motor is (counts of the controller, divided by the scale), and where
 the axis itself is. A table of errors states the difference at positions of the motor, as ISO 230-2 does: the actual
 position minus the commanded one. The map between both is strictly monotone, so that it can be inverted.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cached_property
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.numbers import Part, UnitNumber
@@ -44,6 +44,21 @@ class Backlash(Model):
     overrun: UnitNumber | None = Field(
         default=None, description="How far beyond the target such a move turns; default: twice the amount."
     )
+
+    @model_validator(mode="after")
+    def _check_overrun(self) -> "Backlash":
+        if self.overrun_length < self.amount:
+            raise ValueError(
+                f"overrun ({self.overrun:g}) is below amount ({self.amount:g}), so that it would not take up the play; "
+                "raise it"
+            )
+        return self
+
+    def count_play(self, scale: Fraction, sign: int) -> "Play":
+        """The play in counts of a motor with `scale` counts per unit. sign: of counts in positive direction."""
+        counts = round(self.amount * float(scale))
+        is_ahead = (self.approach == "negative") != (sign > 0)
+        return Play(least=0, most=counts) if is_ahead else Play(least=-counts, most=0)
 
     @property
     def overrun_length(self) -> float:
@@ -127,16 +142,34 @@ class Correction(Model):
         """The table as a function."""
         return ErrorTable(self)
 
-    def find_problems(self) -> list[Problem]:
-        """What is wrong with the rows, each with its number."""
-        if self.file is not None and not self.points:
-            return []  # it was not read yet
+    def find_problems(self, limits: Sequence[Fraction] | None, unit: str, *, wraps: bool) -> list[Problem]:
+        """What is wrong with the table of an axis, its rows by their numbers. limits: the soft limits of the axis, in
+        its unit."""
+        if wraps:
+            return [Problem((), "an axis that wraps cannot have a table yet; remove `wrap` or `correction`")]
+        if limits is None:
+            return [Problem((), "needs soft_limits, which the table must cover; add them")]
+        if self.file is not None:
+            return [] if not self.points else [Problem(("file",), "`points` has the rows already; remove one of both")]
         if len(self.points) < 2:
             return [Problem(("points",), f"has {len(self.points)} rows; a table needs at least 2")]
         problems = list(self._find_row_problems())
         if not problems and self.interpolation == "cubic":
             problems = list(self._find_steep_curves())
-        return problems
+        return problems or list(self._find_short_ends(limits[0], limits[1], unit))
+
+    def _find_short_ends(self, low: Fraction, high: Fraction, unit: str) -> Iterator[Problem]:
+        first, last, number = self.points[0], self.points[-1], len(self.points) - 1
+        for row, at, end, is_short in (
+            (first, 0, low, first.position + first.error > low),
+            (last, number, high, last.position + last.error < high),
+        ):
+            if is_short:
+                text = (
+                    f"the table ends at {float(row.position):g} {unit}, and the soft limits reach to {float(end):g} "
+                    f"{unit}; measure the rest, or narrow soft_limits"
+                )
+                yield Problem(("points", at), text)
 
     def _find_row_problems(self) -> Iterator[Problem]:
         for number, row in enumerate(self.points):
@@ -209,10 +242,10 @@ class ErrorTable:
         """The errors at positions, as doubles."""
         if self._slopes is None:
             return np.interp(positions, self._x, self._e)
-        inside = np.clip(positions, self._x[0], self._x[-1])
-        k = np.clip(np.searchsorted(self._x, inside, side="right") - 1, 0, len(self._x) - 2)
+        x = np.clip(positions, self._x[0], self._x[-1])
+        k = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)
         length = self._x[k + 1] - self._x[k]
-        u = (inside - self._x[k]) / length
+        u = (x - self._x[k]) / length
         begin, end = self._e[k], self._e[k + 1]
         bend = (1 - u) ** 2 * u * length * self._slopes[k] - (1 - u) * u * u * length * self._slopes[k + 1]
         return begin + (3 - 2 * u) * u * u * (end - begin) + bend
@@ -280,25 +313,8 @@ def _find_cubic_slopes(x: Array, e: Array) -> Array:
     slopes = np.zeros_like(x)
     slopes[0], slopes[-1] = secants[0], secants[-1]
     for k in range(1, len(x) - 1):
-        before, behind = secants[k - 1], secants[k]
-        if before * behind > 0:
+        secant, next_secant = secants[k - 1], secants[k]
+        if secant * next_secant > 0:
             first, second = 2 * lengths[k] + lengths[k - 1], lengths[k] + 2 * lengths[k - 1]
-            slopes[k] = (first + second) / (first / before + second / behind)
+            slopes[k] = (first + second) / (first / secant + second / next_secant)
     return slopes
-
-
-def find_covered_problem(correction: Correction, limits: tuple[Fraction, Fraction], unit: str) -> Problem | None:
-    """Why a table does not reach as far as the soft limits, in the axis's unit; None if it does."""
-    first, last = correction.points[0], correction.points[-1]
-    low, high = limits
-    for number, row, end, is_short in (
-        (0, first, low, first.position + first.error > low),
-        (len(correction.points) - 1, last, high, last.position + last.error < high),
-    ):
-        if is_short:
-            text = (
-                f"the table ends at {float(row.position):g} {unit}, and the soft limits reach to {float(end):g} "
-                f"{unit}; measure the rest, or narrow soft_limits"
-            )
-            return Problem(("points", number), text)
-    return None

@@ -22,7 +22,7 @@ from pydantic import (
 from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
 from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
-from orchestrator.model.compensation import Array, Backlash, Correction, Play, find_covered_problem
+from orchestrator.model.compensation import Array, Backlash, Correction, Play
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.frame import FrameSpec
@@ -117,7 +117,7 @@ MotorName = Annotated[str, BeforeValidator(lambda name: str(name) if type(name) 
 
 Scale = Annotated[Rational, AfterValidator(_check_scale)]
 
-SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings)
+SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings, Backlash | None)
 
 
 class Axis(Model):
@@ -219,7 +219,7 @@ class Axis(Model):
                 )
         return limits
 
-    @field_validator("homing", "jog")
+    @field_validator("homing", "jog", "backlash")
     @classmethod
     def _check_speeds(cls, settings: SpeedSettings, info: ValidationInfo) -> SpeedSettings:
         limits: AxisLimits | None = info.data.get("limits")
@@ -243,40 +243,14 @@ class Axis(Model):
             raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
         return deviation
 
-    @field_validator("backlash")
-    @classmethod
-    def _check_backlash(cls, backlash: Backlash | None, info: ValidationInfo) -> Backlash | None:
-        limits: AxisLimits | None = info.data.get("limits")
-        if backlash is None or limits is None:
-            return backlash
-        if backlash.speed is not None and backlash.speed > limits.velocity:
-            raise ValueError(
-                f"backlash.speed ({backlash.speed:g}) is above limits.velocity ({limits.velocity:g}); lower it"
-            )
-        if backlash.overrun_length < backlash.amount:
-            raise ValueError(
-                f"backlash.overrun ({backlash.overrun:g}) is below backlash.amount ({backlash.amount:g}), so that it "
-                "would not take up the play; raise it"
-            )
-        return backlash
-
     @field_validator("correction")
     @classmethod
     def _check_correction(cls, correction: Correction | None, info: ValidationInfo) -> Correction | None:
-        if correction is None:
-            return None
-        raise_problems(correction.find_problems(), cls.__name__)
-        limits: SoftLimits | None = info.data.get("soft_limits")
-        if info.data.get("wrap") is not None:
-            raise ValueError("an axis that wraps cannot have a table yet; remove `wrap` or `correction`")
-        if limits is None and info.data.get("soft_limits", ...) is None:
-            raise ValueError("needs soft_limits, which the table must cover; add them")
-        if limits is not None and correction.points and "unit" in info.data:
-            unit: Unit = info.data["unit"]
-            problem = find_covered_problem(
-                correction, (parse_quantity(limits.min, unit), parse_quantity(limits.max, unit)), unit
-            )
-            raise_problems([] if problem is None else [problem], cls.__name__)
+        if correction is not None and "unit" in info.data and "soft_limits" in info.data:
+            limits: SoftLimits | None = info.data["soft_limits"]
+            ends = limits and [parse_quantity(end, info.data["unit"]) for end in (limits.min, limits.max)]
+            wraps = info.data.get("wrap") is not None
+            raise_problems(correction.find_problems(ends, info.data["unit"], wraps=wraps), cls.__name__)
         return correction
 
     @cached_property
@@ -341,11 +315,7 @@ class Axis(Model):
     def play(self) -> Play | None:
         """The play of its drive, counts; None without any. An axis is 0 ahead of its motor after a motion in the
         direction of `approach` (positive without one), in which tables and references count."""
-        if self.backlash is None:
-            return None
-        counts = round(self.backlash.amount * float(self.scale))
-        is_ahead = (self.backlash.approach == "negative") != (self.sign > 0)
-        return Play(least=0, most=counts) if is_ahead else Play(least=-counts, most=0)
+        return None if self.backlash is None else self.backlash.count_play(self.scale, self.sign)
 
     @cached_property
     def turn_length(self) -> Fraction | None:

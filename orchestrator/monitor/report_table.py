@@ -9,8 +9,7 @@ from rich.text import Text
 from orchestrator.model.report import JobReport, SkewInterval, StepReport, SyncBudget, TriggerReport
 from orchestrator.model.state import AxisEvidence
 from orchestrator.model.steps.numbers import name_step, number_step
-from orchestrator.monitor.bound_words import describe_bound
-from orchestrator.monitor.path_words import describe_path
+from orchestrator.monitor.path_words import describe_bound, describe_path
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
 

@@ -25,7 +25,7 @@ from orchestrator.plan.path.resolve import parse_along, parse_speed
 from orchestrator.plan.path_course import PathCourse
 from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_lines import LineTimes, time_lines
-from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
+from orchestrator.plan.path_profiles import Array, Evaluate, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.play import bound_path
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import find_jerk, make_axis_move
@@ -111,13 +111,7 @@ def plan_path_step(
         exact[start.name] = Fraction(end), start.axis.to_target_counts(Fraction(end)) - start.ahead
         axes.append(make_fitted_axis(start, exact[start.name][1]))
 
-    is_compensated = any(start.axis.is_compensated for start in starts)
-
-    def evaluate_motors(times_s: Array) -> PathStates:
-        rows = plan.evaluate(times_s)
-        states = PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
-        return _turn_motors(starts, states) if is_compensated else states
-
+    evaluate_motors = _make_evaluator(plan, starts, shift)
     slow = next((start for start in starts if start.order < 3), None)
     stretches, course = _list_stretches(plan), None
     if slow is not None and len(step.pieces) == 1 and isinstance(step.pieces[0], LinePiece):
@@ -155,6 +149,18 @@ def plan_path_step(
         bounds=_bound_axes(starts, is_straight=course is None),
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
+
+
+def _make_evaluator(plan: PathPlan, starts: Sequence[PathStart], shift: Array) -> Evaluate:
+    """The path of the motors. shift: user minus motor positions of the axes."""
+    is_compensated = any(start.axis.is_compensated for start in starts)
+
+    def evaluate(times_s: Array) -> PathStates:
+        rows = plan.evaluate(times_s)
+        states = PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
+        return _turn_motors(starts, states) if is_compensated else states
+
+    return evaluate
 
 
 def _turn_motors(starts: Sequence[PathStart], axes: PathStates) -> PathStates:

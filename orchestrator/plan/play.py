@@ -55,28 +55,28 @@ def require_play(fleet: Fleet, step: Move) -> None:
 def find_motor_way(axis: Axis, start: int, play: Play | None, target: int, approach: Approach) -> MotorWay:
     """The way of a motor from count `start`, so that the axis is at `target`, which counts without play. play: how far
     the axis is ahead of its motor now; None: unknown."""
-    whole = axis.play
-    if whole is None:
+    drive = axis.play
+    if drive is None:
         return MotorWay(start, target, target)
-    play = play or whole
+    play = play or drive
     if approach != "none":
         return _find_one_sided(axis, start, play, target, approach)
-    end = play.find_target(start, target, whole)
+    end = play.find_target(start, target, drive)
     take_up = _find_take_up(axis, start, play, end)
-    return MotorWay(start, end, end, play.follow(end - start, whole), take_up)
+    return MotorWay(start, end, end, play.follow(end - start, drive), take_up)
 
 
 def _find_one_sided(axis: Axis, start: int, play: Play, target: int, approach: Approach) -> MotorWay:
     assert axis.backlash is not None and axis.play is not None
-    whole, direction = axis.play, 1 if (approach == "positive") == (axis.sign > 0) else -1
-    ahead = whole.least if direction > 0 else whole.most
-    end = target - ahead
-    left = play.follow(end - start, whole)
-    overrun = max(round(axis.backlash.overrun_length * float(axis.scale)), whole.most - whole.least)
-    if left.least == left.most == ahead and (end - start) * direction >= 0:
-        return MotorWay(start, end, end, left, is_return=abs(end - start) <= overrun)
-    beyond = end - direction * overrun
-    return MotorWay(start, beyond, end, play.follow(beyond - start, whole), is_overrun=True)
+    drive, direction = axis.play, 1 if (approach == "positive") == (axis.sign > 0) else -1
+    ahead_counts = drive.least if direction > 0 else drive.most
+    end = target - ahead_counts
+    play_left = play.follow(end - start, drive)
+    overrun = max(round(axis.backlash.overrun_length * float(axis.scale)), drive.most - drive.least)
+    if play_left.least == play_left.most == ahead_counts and (end - start) * direction >= 0:
+        return MotorWay(start, end, end, play_left, is_return=abs(end - start) <= overrun)
+    turn = end - direction * overrun
+    return MotorWay(start, turn, end, play.follow(turn - start, drive), is_overrun=True)
 
 
 def _find_take_up(axis: Axis, start: int, play: Play, end: int) -> int | None:
@@ -91,8 +91,8 @@ def find_play_at_end(axis: Axis, way: MotorWay) -> Play | None:
     """How far an axis is ahead of its motor at its target, behind the way back from an overrun."""
     if not way.is_overrun or axis.play is None:
         return way.left
-    ahead = axis.play.least if way.target < way.end else axis.play.most
-    return Play(least=ahead, most=ahead)
+    ahead_counts = axis.play.least if way.target < way.end else axis.play.most
+    return Play(least=ahead_counts, most=ahead_counts)
 
 
 def explain_overrun(name: str, axis: Axis, way: MotorWay, offset: float) -> Refusal | None:
@@ -122,10 +122,10 @@ def bound_position(axis: Axis, way: MotorWay) -> PositionBound | None:
         table = errors.most_uncertainty
         # The table was measured with the play taken up in one direction.
         rounding += 0.0 if axis.backlash is None else errors.slope * axis.backlash.amount
-    left = find_play_at_end(axis, way)
-    if left is not None:
+    last_play = find_play_at_end(axis, way)
+    if last_play is not None:
         rounding += ROUNDED_COUNTS / scale
-        play = (left.most - left.least) / scale
+        play = (last_play.most - last_play.least) / scale
     return PositionBound(most=rounding + table + play, rounding=rounding, table=table, play=play, unit=axis.unit)
 
 

@@ -9,9 +9,11 @@ import pytest
 from cluster.worlds import EXAMPLES, job, outcome, run_fleet
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
+from sim.core.mechanics import Mechanics
 
 PREPARE = "{do: enable, axes: [lathe]}, {do: home, axes: [lathe]}"
 COUNT_MM = 1e-3
@@ -29,10 +31,15 @@ def lathe_fleet(*, compensated: bool = True, **axis_z: Any) -> Fleet:
     return Fleet.model_validate(plain)
 
 
+def find_mechanics(fleet: VirtualFleet) -> Mechanics:
+    """What is behind the motors: where the axes truly are."""
+    return Mechanics(fleet.controllers["lathe"], fleet.fleet.controllers["lathe"])
+
+
 async def measure_errors(fleet: VirtualFleet, moves: int) -> list[float]:
     """How far z truly is from its target after moves to and fro, mm; never farther than its bound."""
     await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{lathe.z: 100}}}}]"))
-    draw, mechanics = np.random.default_rng(1), fleet.mechanics["lathe"]
+    draw, mechanics = np.random.default_rng(1), find_mechanics(fleet)
     errors: list[float] = []
     for _ in range(moves):
         target = round(float(draw.uniform(0.1, 199.9)), 4)
@@ -59,7 +66,7 @@ def test_an_axis_is_at_its_targets_by_truth_in_moves_to_and_fro(moves: int) -> N
 
 def test_a_cross_slide_ends_in_one_direction_after_an_overrun() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        mechanics = fleet.mechanics["lathe"]
+        mechanics = find_mechanics(fleet)
         await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{lathe.x: 30}}}}]"))
         for target in (20, 19.5, 19.51, 40, 39.999):
             begun = len(fleet.controllers["lathe"].commanded_motions)
@@ -76,7 +83,7 @@ def test_a_cross_slide_ends_in_one_direction_after_an_overrun() -> None:
 
 def test_moves_in_one_job_follow_each_other_with_the_play_in_both() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        mechanics = fleet.mechanics["lathe"]
+        mechanics = find_mechanics(fleet)
         steps = ", ".join(
             f"{{do: move, to: {{lathe.z: {target}}}}}" for target in (60, 55, 70, 69.99, 69.98, 69.99, 70.1)
         )
@@ -92,7 +99,7 @@ def test_a_path_follows_the_table_and_states_the_play_of_its_reversals() -> None
     axes = {"z": {"interpolation": "cubic"}}
 
     async def main(fleet: VirtualFleet) -> None:
-        mechanics = fleet.mechanics["lathe"]
+        mechanics = find_mechanics(fleet)
         await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{lathe.z: 30, lathe.x: 20}}}}]"))
         radii: list[float] = []
 
@@ -129,10 +136,6 @@ def test_a_path_follows_the_table_and_states_the_play_of_its_reversals() -> None
     [
         ("{do: move, to: {lathe.x: 0.01}}", "the overrun of 0.03 mm leads to"),
         ("{do: move, to: {lathe.z: 0}, approach: positive}", "the overrun of 0.04 mm leads to"),
-        (
-            "{do: scan, axes: {lathe.z: {from: 10, to: 20, points: 11}}, fly: {per_point: 100 ms}}",
-            "which are not applied in flight yet",
-        ),
     ],
 )
 def test_what_cannot_be_compensated_is_refused_by_name(step: str, text: str) -> None:
@@ -146,6 +149,15 @@ def test_what_cannot_be_compensated_is_refused_by_name(step: str, text: str) -> 
     run_fleet(main, lathe_fleet())
 
 
+def test_a_flight_of_a_compensated_axis_is_refused_when_it_is_submitted() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        scan = "{do: scan, axes: {lathe.z: {from: 10, to: 20, points: 11}}, fly: {duration: 100 ms}}"
+        with pytest.raises(Refusal, match="which are not applied in flight yet"):
+            await outcome(fleet, job(f"[{scan}]"))
+
+    run_fleet(main, lathe_fleet())
+
+
 def test_play_is_taken_up_at_its_own_speed_before_a_move_that_reverses() -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{lathe.z: 50}}}}]"))
@@ -155,7 +167,7 @@ def test_play_is_taken_up_at_its_own_speed_before_a_move_that_reverses() -> None
         motions = fleet.controllers["lathe"].commanded_motions[begun:]
         distances = [motion.end_counts - motion.start_counts for motion in motions if motion.end_counts is not None]
         assert len(distances) == 3 and distances[0] == -20
-        assert abs(fleet.mechanics["lathe"].position("z") - 30) <= report.steps[1].bounds["lathe.z"].most
+        assert abs(find_mechanics(fleet).position("z") - 30) <= report.steps[1].bounds["lathe.z"].most
 
     run_fleet(main, lathe_fleet(backlash={"amount": 0.02, "speed": 1.0}))
 

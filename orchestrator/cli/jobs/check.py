@@ -110,8 +110,7 @@ def describe_totals(job: "Job", forecast: "JobForecast", repeat: int = 1) -> str
 
 def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
     """Print every step with its duration and conditions, and the conditions of the job. commands: of each member."""
-    from orchestrator.monitor.bound_words import describe_bound
-    from orchestrator.monitor.path_words import describe_path
+    from orchestrator.monitor.path_words import describe_bound, describe_path
 
     def line(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)

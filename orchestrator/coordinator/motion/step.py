@@ -24,7 +24,7 @@ from orchestrator.coordinator.motion.planning import (
     plan_take_up,
 )
 from orchestrator.coordinator.motion.recorder import StepRecorder
-from orchestrator.coordinator.motion.report import judge_completed_step, make_step_report
+from orchestrator.coordinator.motion.report import add_return, judge_completed_step, make_step_report
 from orchestrator.coordinator.motion.sampling import StepSampler
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, StateCallback
@@ -250,17 +250,7 @@ class MotionStep:
             return report
         planned_return = await self._plan_once(observer, None)
         return_report = await self._run_once(observer, replace(planned_return, triggers=()))
-        took_s = [times for times in (report.actual_s, return_report.actual_s) if times is not None]
-        return report.model_copy(
-            update={
-                "state": return_report.state,
-                "reason": return_report.reason,
-                "refused": return_report.refused,
-                "actual_s": sum(took_s) if took_s else None,
-                "positions": {**report.positions, **return_report.positions},
-                "bounds": {**report.bounds, **return_report.bounds},
-            }
-        )
+        return add_return(report, return_report)
 
     async def _plan_once(self, observer: StepObserver, seen_ns: int | None) -> PlannedStep:
         planned_step = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
@@ -270,17 +260,7 @@ class MotionStep:
     async def _run_once(self, observer: StepObserver, planned_step: PlannedStep) -> StepReport:
         services, request = self._services, self._request
         if not planned_step.plan.profiles:
-            name = request.move.name or ""
-            positions = services.fleet.view.read_positions(self._goal)
-            return StepReport(
-                index=request.index,
-                do=request.move.do,
-                name=name,
-                state="done",
-                reason="already there",
-                positions=positions,
-                bounds=planned_step.resolved.bounds,
-            )
+            return _make_standing_report(services, planned_step)
         motion = self._motion = await PlannedMotion.agree(services, planned_step)
         whole_plan = (
             planned_step.plan if planned_step.path is not None and not planned_step.begun_s else motion.agreement.plan
@@ -381,7 +361,7 @@ class MotionStep:
                 motion = self._motion
                 recorder.profiles = motion.agreement.plan.profiles
             if motion.watch.failure is not None:
-                await self._handle_failure(motion, observer)
+                await _handle_failure(services, motion, observer)
             done_report = report = await self._finish(motion)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
@@ -418,21 +398,6 @@ class MotionStep:
         report = make_step_report(self._request, motion.agreement, motion.start.state, motion.watch.reports, outcome)
         return report.model_copy(update={"refused": RefusalDetails(code=code, text=reason)})
 
-    async def _handle_failure(self, motion: PlannedMotion, observer: StepObserver) -> None:
-        """Stop all members, because one has failed or is missed. The step is done all the same if all have logged
-        their end, as when the bus was away at that moment."""
-        watch, services = motion.watch, self._services
-        reason = "" if watch.failure is None else watch.failure[1]
-        actors, actor, missed_members = motion.agreement.actors, self._request.job.actor, watch.missed_members
-        await services.fleet.stop_members(actors, "decelerate", actor, reason)
-        await motion.start.disarm_line_driver()
-        if missed_members:
-            names = ", ".join(missed_members)
-            await observer.on_state("running", f"waits for the log of {names}, stopped at the planned end: {reason}")
-            is_done = await watch.read_logs()
-            outcome = "is logged" if is_done else "is not logged"
-            services.fleet.log.warning(f"{reason}; the end of {names} {outcome}", job=self._request.job_id)
-
     async def _finish(self, motion: PlannedMotion) -> StepReport:
         """Make the report."""
         start, watch, agreement, feed = motion.start, motion.watch, motion.agreement, motion.feed
@@ -461,3 +426,33 @@ def _make_report(
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
     virtual_bounds = bound_virtual_axes(fleet, request.move, motion.agreement)
     return report.model_copy(update={"virtual": virtual_bounds, "bounds": motion.planned.resolved.bounds})
+
+
+def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:
+    """The report of a step whose axes are at its targets already."""
+    request, resolved_move = planned.request, planned.resolved
+    return StepReport(
+        index=request.index,
+        do=request.move.do,
+        name=request.move.name or "",
+        state="done",
+        reason="already there",
+        positions=services.fleet.view.read_positions(resolved_move.goal),
+        bounds=resolved_move.bounds,
+    )
+
+
+async def _handle_failure(services: MotionServices, motion: PlannedMotion, observer: StepObserver) -> None:
+    """Stop all members, because one has failed or is missed. The step is done all the same if all have logged their
+    end, as when the bus was away at that moment."""
+    watch, request = motion.watch, motion.planned.request
+    reason = "" if watch.failure is None else watch.failure[1]
+    actors, missed_members = motion.agreement.actors, watch.missed_members
+    await services.fleet.stop_members(actors, "decelerate", request.job.actor, reason)
+    await motion.start.disarm_line_driver()
+    if missed_members:
+        names = ", ".join(missed_members)
+        await observer.on_state("running", f"waits for the log of {names}, stopped at the planned end: {reason}")
+        is_done = await watch.read_logs()
+        outcome = "is logged" if is_done else "is not logged"
+        services.fleet.log.warning(f"{reason}; the end of {names} {outcome}", job=request.job_id)

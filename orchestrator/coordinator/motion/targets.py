@@ -94,8 +94,8 @@ def _add_way(resolved: ResolvedMove, name: str, context: AxisContext, target: Fr
     slow = None if axis.backlash is None else axis.backlash.speed
     slowly = move.velocity if slow is None else slow * float(axis.scale)
     if way.is_overrun:
-        ahead = 0 if way.left is None else way.left.middle
-        resolved.exact[name] = (axis.to_position(way.target + ahead), way.target)
+        ahead_counts = 0 if way.left is None else way.left.middle
+        resolved.exact[name] = (axis.to_position(way.target + ahead_counts), way.target)
         resolved.overruns[name] = target
     elif way.take_up is not None:
         resolved.take_ups.append(replace(move, target_counts=way.take_up, velocity=slowly))

@@ -59,10 +59,10 @@ class FleetTables:
 
     def locate(self, problem: Problem) -> TableProblem | None:
         """A mistake of the fleet that is in a row of a table, with its line there; None for another one."""
-        table, rest = self.tables.get(problem.place[:PLACE_PARTS]), problem.place[PLACE_PARTS:]
-        if table is None or rest[:1] != ("points",):
+        table, path = self.tables.get(problem.place[:PLACE_PARTS]), problem.place[PLACE_PARTS:]
+        if table is None or path[:1] != ("points",):
             return None
-        number = rest[1] if len(rest) > 1 else None
+        number = path[1] if len(path) > 1 else None
         return TableProblem(table.name, table.lines[number] if isinstance(number, int) else 1, problem.text)
 
 
@@ -79,9 +79,11 @@ def read_tables(value: Mapping[str, Any], folder: Path) -> FleetTables:
                 continue
             table = _read_table(folder / file, fields.get("unit"))
             tables["controllers", name, "axes", axis, "correction"] = table
-            rest = {key: entry for key, entry in fields.items() if key != "correction"}
-            kept = {key: entry for key, entry in correction.items() if key != "file"}
-            axes[axis] = rest if table.problems else {**rest, "correction": {**kept, "points": table.rows}}
+            other_fields = {key: entry for key, entry in fields.items() if key != "correction"}
+            options = {key: entry for key, entry in correction.items() if key != "file"}
+            axes[axis] = (
+                other_fields if table.problems else {**other_fields, "correction": {**options, "points": table.rows}}
+            )
         controllers[name] = {**controllers[name], "axes": axes} if axes else controllers[name]
     return FleetTables({**value, "controllers": controllers} if tables else value, tables)
 
@@ -127,8 +129,8 @@ def _read_header(table: TableFile, cells: Sequence[str], unit: Unit) -> list[str
     parts = [cell.split() for cell in cells]
     names = tuple(words[0] if words else "" for words in parts)
     if names not in (COLUMNS, COLUMNS[:2]) or any(len(words) != 2 for words in parts):
-        shown = ", ".join(cells)[:MAX_TEXT]
-        table.note(1, f"the first line is `{shown}`; name two or three columns with their units: `{HEADER}`")
+        header = ", ".join(cells)[:MAX_TEXT]
+        table.note(1, f"the first line is `{header}`; name two or three columns with their units: `{HEADER}`")
         return []
     units = [words[1] for words in parts]
     for cell, cell_unit in zip(cells, units, strict=True):

@@ -7,7 +7,6 @@ import asyncio
 from collections.abc import Callable, Coroutine, Sequence
 from contextvars import Context, copy_context
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from random import Random
 from typing import Any, TypeVar
@@ -49,7 +48,6 @@ from orchestrator.runtime.live.bridge import network_wire
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.virtual.disk import VirtualDisk
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
-from sim.core.mechanics import Mechanics
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
 
@@ -147,11 +145,6 @@ class VirtualFleet:
             self._start_simulator(names)
         for connection in (wired or fleet).connections:
             self._connect_wire(connection)
-
-    @cached_property
-    def mechanics(self) -> dict[str, Mechanics]:
-        """What is behind the motors, by controller: where axes truly are."""
-        return {name: Mechanics(unit, self.fleet.controllers[name]) for name, unit in self.controllers.items()}
 
     # Start, wait, client
 

@@ -126,7 +126,7 @@ def test_mistakes_in_tables_have_their_line_there(tmp_path: Path, table: str, li
         (
             "backlash: {amount: 20 um}",
             "backlash: {amount: 20 um, speed: 2 m/s}",
-            "above limits.velocity (100); lower it",
+            "backlash.speed (2000) is above limits.velocity (100)",
         ),
         ("backlash: {amount: 20 um}", "backlash: {amount: 20 um, overrun: 10 um}", "would not take up the play"),
         ("        soft_limits: {min: 0, max: 200}\n", "", "needs soft_limits, which the table must cover"),
