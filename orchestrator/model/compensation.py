@@ -5,27 +5,23 @@ the axis itself is. A table of errors states the difference at positions of the 
 position minus the commanded one. The map between both is strictly monotone, so that it can be inverted.
 """
 
-from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cached_property
-from typing import Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.numbers import Part, UnitNumber
 from orchestrator.model.problems import Problem
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from orchestrator.model.tables.error_table import ErrorTable
 
 MAX_ROWS = 1_000  # of a table
 MOST_SLOPE = 0.1  # a larger error is one of the scale, or of the unit in the table
 ROUNDING = 1e-9  # of a slope
-FIXED_POINT_STEPS = 16  # each makes the distance smaller by the slope of the table
-HALVINGS = 60  # halvings of a row's interval that leave no more than the rounding of a double
 Approach = Literal["positive", "negative", "none"]
 
 
@@ -140,7 +136,14 @@ class Correction(Model):
     @cached_property
     def table(self) -> "ErrorTable":
         """The table as a function."""
-        return ErrorTable(self)
+        from orchestrator.model.tables.error_table import ErrorTable  # numpy, which reading a file does not need
+
+        return ErrorTable(
+            [row.position for row in self.points],
+            [row.error for row in self.points],
+            [row.uncertainty for row in self.points],
+            is_cubic=self.interpolation == "cubic",
+        )
 
     def find_problems(self, limits: Sequence[Fraction] | None, unit: str, *, wraps: bool) -> list[Problem]:
         """What is wrong with the table of an axis, its rows by their numbers. limits: the soft limits of the axis, in
@@ -203,118 +206,3 @@ class Correction(Model):
             f"above max_slope {self.max_slope:g}; check the units and the sign, or raise max_slope, at most to "
             f"{MOST_SLOPE:g}"
         )
-
-
-class ErrorTable:
-    """The error as a function of position. Beyond its ends it stays as it is there."""
-
-    def __init__(self, correction: Correction) -> None:
-        rows = correction.points
-        self._positions = [row.position for row in rows]
-        self._errors = [row.error for row in rows]
-        self._uncertainties = [row.uncertainty for row in rows]
-        self._actual = [row.position + row.error for row in rows]
-        self._x, self._e = (np.array([float(value) for value in values]) for values in (self._positions, self._errors))
-        self._slopes = _find_cubic_slopes(self._x, self._e) if correction.interpolation == "cubic" else None
-
-    @cached_property
-    def slope(self) -> float:
-        """The steepest change of the error, without its sign."""
-        return max(map(abs, self.find_slopes()))
-
-    @cached_property
-    def most_uncertainty(self) -> float:
-        """The largest uncertainty of a row."""
-        return float(max(self._uncertainties))
-
-    def find_error(self, position: Fraction) -> Fraction:
-        """The error at a position: exact between straight lines, else to the rounding of a double."""
-        number = bisect_right(self._positions, position)
-        if number == 0 or number == len(self._positions):
-            return self._errors[0 if number == 0 else -1]
-        begin, end = self._positions[number - 1], self._positions[number]
-        if self._slopes is None:
-            share = (position - begin) / (end - begin)
-            return self._errors[number - 1] + share * (self._errors[number] - self._errors[number - 1])
-        return Fraction(float(self.evaluate(np.array([float(position)]))[0]))
-
-    def evaluate(self, positions: Array) -> Array:
-        """The errors at positions, as doubles."""
-        if self._slopes is None:
-            return np.interp(positions, self._x, self._e)
-        x = np.clip(positions, self._x[0], self._x[-1])
-        k = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)
-        length = self._x[k + 1] - self._x[k]
-        u = (x - self._x[k]) / length
-        begin, end = self._e[k], self._e[k + 1]
-        bend = (1 - u) ** 2 * u * length * self._slopes[k] - (1 - u) * u * u * length * self._slopes[k + 1]
-        return begin + (3 - 2 * u) * u * u * (end - begin) + bend
-
-    def invert_all(self, actual: Array) -> tuple[Array, Array]:
-        """Positions of the motor at which the axis is at `actual`, and how fast it turns there, by the speed of the
-        axis."""
-        motors = actual
-        for _ in range(FIXED_POINT_STEPS):
-            motors = actual - self.evaluate(motors)
-        return motors, 1 / (1 + self._find_slopes_at(motors))
-
-    def _find_slopes_at(self, positions: Array) -> Array:
-        k = np.clip(np.searchsorted(self._x, positions, side="right") - 1, 0, len(self._x) - 2)
-        length = self._x[k + 1] - self._x[k]
-        secants = (self._e[k + 1] - self._e[k]) / length
-        is_inside = (positions >= self._x[0]) & (positions <= self._x[-1])
-        if self._slopes is None:
-            return secants * is_inside
-        u, first, last = (positions - self._x[k]) / length, self._slopes[k], self._slopes[k + 1]
-        slopes = 6 * u * (1 - u) * secants + (1 - u) * (1 - 3 * u) * first + u * (3 * u - 2) * last
-        return slopes * is_inside
-
-    @property
-    def span(self) -> float:
-        """Between the smallest and the largest error."""
-        return float(self._e.max() - self._e.min())
-
-    def find_slopes(self) -> list[float]:
-        """The steepest change of the error between each two rows, with its sign."""
-        secants = np.diff(self._e) / np.diff(self._x)
-        if self._slopes is None:
-            return secants.tolist()
-        first, last = self._slopes[:-1], self._slopes[1:]
-        # The slope of the cubic is a parabola: its largest value is at an end, or at its vertex.
-        curvature = 3 * (first + last - 2 * secants)
-        linear = 2 * (3 * secants - 2 * first - last)
-        vertex = np.divide(-linear, 2 * curvature, out=np.zeros_like(linear), where=curvature != 0).clip(0, 1)
-        candidates = np.stack([first, last, first + vertex * (linear + vertex * curvature)])
-        return candidates[np.abs(candidates).argmax(axis=0), np.arange(len(secants))].tolist()
-
-    def invert(self, actual: Fraction) -> Fraction:
-        """The position of the motor at which the axis is at `actual`."""
-        number = bisect_right(self._actual, actual)
-        if number == 0 or number == len(self._actual):
-            return actual - self._errors[0 if number == 0 else -1]
-        begin, end = self._positions[number - 1], self._positions[number]
-        actual_begin, actual_end = self._actual[number - 1], self._actual[number]
-        if self._slopes is None:
-            return begin + (actual - actual_begin) * (end - begin) / (actual_end - actual_begin)
-        low, high = float(begin), float(end)
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            if middle + float(self.evaluate(np.array([middle]))[0]) < actual:
-                low = middle
-            else:
-                high = middle
-        return Fraction(low)
-
-
-def _find_cubic_slopes(x: Array, e: Array) -> Array:
-    """Slopes at the rows of a cubic that is monotone wherever the rows are (Fritsch and Butland, SIAM J. Sci. Stat.
-    Comput. 5, 300, 1984): a weighted harmonic mean of the two secants, 0 where they have different signs."""
-    lengths, secants = np.diff(x), np.diff(e) / np.diff(x)
-    slopes = np.zeros_like(x)
-    slopes[0], slopes[-1] = secants[0], secants[-1]
-    for k in range(1, len(x) - 1):
-        secant, next_secant = secants[k - 1], secants[k]
-        if secant * next_secant > 0:
-            first, second = 2 * lengths[k] + lengths[k - 1], lengths[k] + 2 * lengths[k - 1]
-            slopes[k] = (first + second) / (first / secant + second / next_secant)
-    return slopes

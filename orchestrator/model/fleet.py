@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -22,7 +22,7 @@ from pydantic import (
 from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
 from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
-from orchestrator.model.compensation import Array, Backlash, Correction, Play
+from orchestrator.model.compensation import Backlash, Correction, Play
 from orchestrator.model.duration import Duration
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.frame import FrameSpec
@@ -34,6 +34,9 @@ from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualAxes, VirtualGroup, find_virtual_problems
 from orchestrator.model.web_views import WebSettings
+
+if TYPE_CHECKING:
+    from orchestrator.model.tables.cubic import Array
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
 MAX_POSITIONS, MAX_DESCRIPTION = 1_000, 200  # named positions, characters
@@ -298,7 +301,7 @@ class Axis(Model):
             return counts / self._float_scale
         return float(self.to_position(Fraction(counts)))
 
-    def to_units(self, counts: Array) -> Array:
+    def to_units(self, counts: "Array") -> "Array":
         """`to_unit` for many counts."""
         motors = counts / self._float_scale
         return motors if self.correction is None else motors + self.correction.table.evaluate(motors)

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.model.compensation import Correction, ErrorTable, Play, TableRow
+from orchestrator.model.compensation import Correction, Play, TableRow
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
+from orchestrator.model.tables.error_table import ErrorTable
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
 LATHE = (EXAMPLES / "lathe.fleet.yaml").read_text()
@@ -32,7 +33,7 @@ def make_table(interpolation: str = "linear", seed: int = 1) -> ErrorTable:
     rows = [
         TableRow(position=Fraction(5 * k), error=Fraction(round(draw.uniform(-20, 20)), 1000)) for k in range(-2, 40)
     ]
-    return ErrorTable(Correction.model_validate({"points": rows, "interpolation": interpolation}))
+    return Correction.model_validate({"points": rows, "interpolation": interpolation}).table
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
