@@ -15,9 +15,9 @@ from pydantic import BaseModel
 import tutti
 import tutti.testing
 from orchestrator.cli.main import main as command
-from orchestrator.model.duration import format_ns
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.templates.button import ButtonDeclaration
 from orchestrator.model.templates.parameters import ParameterDeclarations
 

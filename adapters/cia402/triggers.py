@@ -13,10 +13,10 @@ from adapters.cia402.shapes.switching import EdgeGrid, EdgeTimes, OutputSchedule
 from adapters.contract import PathChunk
 from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_US
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.messages import BudgetTerm, OutputTrigger, StartOptions, TriggerDrive, sum_terms
+from orchestrator.model.numbers import format_ns
 
 
 def add_triggers(

@@ -22,6 +22,8 @@ class ReadingEvaluation:
         status.may_move = False
         unreferenced_axes = self._parts.referencing.handle_reading(reading)
         unreferenced_axes += self._parts.surveillance.find_jumps(last_reading, reading)
+        self._parts.surveillance.follow_play(reading)
+        status.play.forget(unreferenced_axes)
         if reading.restarted:
             self._parts.publisher.emit_event("fault", "the controller was restarted; its axes are no longer referenced")
             self._parts.withdrawal.drop_step("the controller was restarted")

@@ -191,6 +191,7 @@ class ControllerSupervisor:
         status = self._parts.status
         self._parts.polling.is_connected = False
         last_reading, status.reading = status.reading, None
+        status.play.lose_sight()
         was_online = last_reading is not None
         is_repeated, status.faults = status.faults == [fault], [fault]
         # A stop that was sent is not yet a stop: its bytes may have been lost with the link.

@@ -14,10 +14,10 @@ from adapters.shrc203.fleetaxes import OUTPUTS, TRIGGER_NUMBER, motor_number
 from adapters.shrc203.options import ShrcOptions
 from adapters.toolkit.wired_points import find_driven_output
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Controller
 from orchestrator.model.messages import BudgetTerm, OutputTrigger, TriggerDrive
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.profile import Profile
 
 INTERVAL_LEAST, INTERVAL_MOST = 2, 30_000  # drive pulses (L5404)
@@ -129,7 +129,7 @@ def fit_trigger(
     axis = config.axes[trigger.axis]
     peak = max(max(speed, speed + duration * a) for duration, speed, a in legs)
     if peak > SPEED_MOST:
-        most = axis.to_unit(SPEED_MOST)
+        most = axis.to_length(SPEED_MOST)
         raise Refusal(
             "trigger-speed",
             f"output {trigger.output}: axis {trigger.axis} moves at {peak:.0f} pulses/s, and the trigger output works "
@@ -179,7 +179,7 @@ def _find_interval(axis: Axis, profile: Profile, trigger: OutputTrigger) -> int:
 
 def _refuse_places(axis: Axis, trigger: OutputTrigger, why: str, exact: float = 0.0) -> Refusal:
     fitting = list(dict.fromkeys((math.floor(exact), math.ceil(exact)))) if exact else []
-    lengths = " or ".join(f"`every: {abs(axis.to_unit(length)):g} {axis.unit}`" for length in fitting if length)
+    lengths = " or ".join(f"`every: {abs(axis.to_length(length)):g} {axis.unit}`" for length in fitting if length)
     return Refusal(
         "trigger-positions",
         f"output {trigger.output}: the trigger output pulses every whole number of pulses of axis {trigger.axis}, from "

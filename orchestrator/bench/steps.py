@@ -258,7 +258,7 @@ async def _run_scan(subject: StepsFleet, clock: VirtualClock, points: int) -> Mo
     client = virtual.make_client()
     ((axis, counts),) = subject.counts.items()
     await _run_steps(client, "prepare", [{"do": "enable", "axes": list(subject.fleet.controllers)}, {"do": "home"}])
-    positions = [subject.fleet.axis(axis).to_unit(counts * number) for number in (1, points)]
+    positions = [subject.fleet.axis(axis).to_length(counts * number) for number in (1, points)]
     scan = {"do": "scan", "axes": {axis: {"from": positions[0], "to": positions[1], "points": points}}}
     await _run_steps(client, "scan", [scan])
     return {name: motions[-points:] for name, motions in read_virtual_motions(virtual, [axis]).items()}
@@ -285,7 +285,7 @@ async def _run_job(client: Tutti, subject: StepsFleet, steps: int) -> JobReport:
     names = list(subject.fleet.controllers)
     await _run_steps(client, "prepare", [{"do": "enable", "axes": names}, {"do": "home"}])
     moves: list[dict[str, Any]] = [
-        {"do": "move", "to": {axis: subject.fleet.axis(axis).to_unit(counts) for axis, counts in move.items()}}
+        {"do": "move", "to": {axis: subject.fleet.axis(axis).to_length(counts) for axis, counts in move.items()}}
         for move in _make_moves(subject.counts, steps)
     ]
     await _run_steps(client, "learn", moves[: KNOWN_STEPS // 2 * 2])

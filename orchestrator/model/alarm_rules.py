@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from orchestrator.model.base import Model
-from orchestrator.model.duration import Duration
-from orchestrator.model.numbers import Part
+from orchestrator.model.numbers import Duration, Part
 
 AlarmPriority = Literal["high", "medium", "low"]
 NS_PER_S = 1_000_000_000

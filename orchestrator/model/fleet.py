@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -22,18 +22,21 @@ from pydantic import (
 from orchestrator.model.alarm_rules import AlarmRules, NotifyCommand
 from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational, UnknownName
-from orchestrator.model.duration import Duration
+from orchestrator.model.compensation import Backlash, Correction, Play
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.names import split_name
-from orchestrator.model.numbers import Hertz, Part, Seconds, UnitNumber
+from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, UnitNumber
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
 from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup
 from orchestrator.model.virtual_maps import VirtualAxes, find_virtual_problems, list_real_axes
 from orchestrator.model.web_views import WebSettings
+
+if TYPE_CHECKING:
+    from orchestrator.model.tables.cubic import Array
 
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
 MAX_POSITIONS, MAX_DESCRIPTION = 1_000, 200  # named positions, characters
@@ -117,7 +120,7 @@ MotorName = Annotated[str, BeforeValidator(lambda name: str(name) if type(name) 
 
 Scale = Annotated[Rational, AfterValidator(_check_scale)]
 
-SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings)
+SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings, Backlash | None)
 
 
 class Axis(Model):
@@ -158,6 +161,16 @@ class Axis(Model):
         default=None, description="In the axis's unit; a larger following error is a fault."
     )
     max_deviation: UnitNumber | None = Field(default=None, description="In the axis's unit; between coupled motors.")
+    backlash: Backlash | None = Field(
+        default=None,
+        exclude_if=lambda backlash: backlash is None,
+        description="Play of its drive, which is made up for.",
+    )
+    correction: Correction | None = Field(
+        default=None,
+        exclude_if=lambda correction: correction is None,
+        description="Measured errors of its position, which are corrected.",
+    )
 
     @model_validator(mode="wrap")
     @classmethod
@@ -216,7 +229,7 @@ class Axis(Model):
                 )
         return limits
 
-    @field_validator("homing", "jog")
+    @field_validator("homing", "jog", "backlash")
     @classmethod
     def _check_speeds(cls, settings: SpeedSettings, info: ValidationInfo) -> SpeedSettings:
         limits: AxisLimits | None = info.data.get("limits")
@@ -240,10 +253,25 @@ class Axis(Model):
             raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
         return deviation
 
+    @field_validator("correction")
+    @classmethod
+    def _check_correction(cls, correction: Correction | None, info: ValidationInfo) -> Correction | None:
+        if correction is not None and "unit" in info.data and "soft_limits" in info.data:
+            limits: SoftLimits | None = info.data["soft_limits"]
+            ends = limits and [parse_quantity(end, info.data["unit"]) for end in (limits.min, limits.max)]
+            wraps = info.data.get("wrap") is not None
+            raise_problems(correction.find_problems(ends, info.data["unit"], wraps=wraps), cls.__name__)
+        return correction
+
     @cached_property
     def counts_per_unit(self) -> Fraction:
         """Signed counts of the controller per unit."""
         return self.scale * self.sign
+
+    @property
+    def is_compensated(self) -> bool:
+        """Whether its position differs from that of its motor."""
+        return self.backlash is not None or self.correction is not None
 
     @property
     def homing_sign(self) -> Literal[1, -1]:
@@ -256,20 +284,48 @@ class Axis(Model):
         return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
 
     def to_counts(self, position: Fraction) -> int:
-        """Convert a position (in the axis's unit) to the nearest count."""
-        return round(position * self.counts_per_unit)
+        """The nearest count at which the motor has the axis at a position (in the axis's unit)."""
+        return round(self._find_motor(position) * self.counts_per_unit)
 
     def to_target_counts(self, position: Fraction) -> int:
-        """The count for a target, a motor position in the axis's unit: the nearest one; of a target inside the soft
-        limits the nearest one inside, where a limit is no whole number of counts."""
+        """The count for a target, a position in the axis's unit without user offset: the nearest one; of a target
+        inside the soft limits the nearest one inside, where a limit is no whole number of counts."""
         counts, limits, exact = self.to_counts(position), self.soft_limits_counts, self._exact_soft_limits
-        if limits is None or exact is None or not exact[0] <= position * self.counts_per_unit <= exact[1]:
+        if limits is None or exact is None:
+            return counts
+        if not exact[0] <= self._find_motor(position) * self.counts_per_unit <= exact[1]:
             return counts
         return min(max(counts, limits[0]), limits[1])
 
+    def to_position(self, counts: int | Fraction) -> Fraction:
+        """The exact position of the axis, in its unit, where its motor is at `counts`, without play."""
+        motor = Fraction(counts) / self.counts_per_unit
+        return motor if self.correction is None else motor + self.correction.table.find_error(motor)
+
     def to_unit(self, counts: float) -> float:
-        """Convert counts to the axis's unit."""
+        """The position of the axis, in its unit, where its motor is at `counts`, without play."""
+        if self.correction is None:
+            return counts / self._float_scale
+        return float(self.to_position(Fraction(counts)))
+
+    def to_units(self, counts: "Array") -> "Array":
+        """`to_unit` for many counts."""
+        motors = counts / self._float_scale
+        return motors if self.correction is None else motors + self.correction.table.evaluate(motors)
+
+    def to_length(self, counts: float) -> float:
+        """Convert a distance of its motor, or a speed, to the axis's unit: with the scale alone."""
         return counts / self._float_scale
+
+    def _find_motor(self, position: Fraction) -> Fraction:
+        """The position of the motor, in the axis's unit, at which the axis is at `position`."""
+        return position if self.correction is None else self.correction.table.invert(position)
+
+    @cached_property
+    def play(self) -> Play | None:
+        """The play of its drive, counts; None without any. An axis is 0 ahead of its motor after a motion in the
+        direction of `approach` (positive without one), in which tables and references count."""
+        return None if self.backlash is None else self.backlash.count_play(self.scale, self.sign)
 
     @cached_property
     def turn_length(self) -> Fraction | None:
@@ -291,18 +347,28 @@ class Axis(Model):
 
     @cached_property
     def soft_limits_counts(self) -> tuple[int, int] | None:
-        """The soft limits as (low, high) counts of the controller, rounded inwards; None without limits."""
+        """The soft limits as (low, high) counts of the controller, rounded inwards, without play; None without
+        limits."""
         if self._exact_soft_limits is None:
             return None
         low, high = self._exact_soft_limits
         return -((-low.numerator) // low.denominator), high.numerator // high.denominator
 
     @cached_property
+    def motor_limits_counts(self) -> tuple[int, int] | None:
+        """The soft limits as (low, high) counts that the motor may reach: with the play that it takes up on its way to
+        them."""
+        limits, play = self.soft_limits_counts, self.play
+        if limits is None or play is None:
+            return limits
+        return limits[0] - play.most, limits[1] - play.least
+
+    @cached_property
     def _exact_soft_limits(self) -> tuple[Fraction, Fraction] | None:
         """The soft limits as (low, high) counts, not rounded."""
         if self.soft_limits is None:
             return None
-        low, high = sorted(end * self.counts_per_unit for end in self.soft_limits.in_unit(self.unit))
+        low, high = sorted(self._find_motor(end) * self.counts_per_unit for end in self.soft_limits.in_unit(self.unit))
         return low, high
 
 
@@ -332,6 +398,18 @@ class StateRates(Model):
     idle_hz: Hertz = Field(default=5.0, gt=0, le=200)
 
 
+class AxisMechanics(Model):
+    """What is behind the motor of a simulated axis, in the axis's unit: for `backlash` and `correction`."""
+
+    backlash: float = Field(default=0.0, ge=0)
+    errors: list[list[float]] = Field(
+        default=[], description="`[position of the motor, error]`, sorted; straight between them."
+    )
+    errors_of: dict[Id, list[list[float]]] = Field(
+        default={}, description="The same by another axis of the controller, whose motor moves this one as well."
+    )
+
+
 class SimulationSettings(Model):
     """How a controller is simulated, for `--sim` and tests: the simulator's options and the timing of its firmware and
     crystal."""
@@ -350,6 +428,9 @@ class SimulationSettings(Model):
     wander_ppm: float = Field(default=0.0, ge=0, le=10, description="Random walk of the rate, ppm per √s.")
     hold_ms: float = Field(default=0.0, ge=0, le=100, description="Maximum receive delay of a USB serial adapter.")
     link: Link | None = Field(default=None, description="Where the simulator listens; set by `--sim`.")
+    mechanics: dict[Id, AxisMechanics] = Field(
+        default={}, description="What is behind the motors, by axis; only tests can see it."
+    )
 
 
 class Controller(Model):

@@ -1,11 +1,12 @@
-"""Numbers as people write them in files: with the unit that is expected, or explained."""
+"""Numbers and durations as people write them in files: with the unit that is expected, or explained."""
 
 import re
 from collections.abc import Mapping
+from decimal import Decimal
 from fractions import Fraction
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 MAX_NUMBER = 1e12  # of any number in a file, in its unit
 MAX_TEXT = 60  # characters of a number with its unit
@@ -106,3 +107,50 @@ Seconds = Annotated[float, accept_units(SECONDS), _NUMBER_OR_TEXT]
 
 Hertz = Annotated[float, accept_units({"Hz": Fraction(1), "kHz": Fraction(1000)}), _NUMBER_OR_TEXT]
 """Hz; in a file also text with the unit, `"10 Hz"`."""
+
+
+# Durations
+
+_SIZES_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000, "min": 60_000_000_000, "h": 3_600_000_000_000}
+_DURATION = re.compile(r"^\s*(\d+\.?\d*|\.\d+)\s*(ns|us|µs|ms|s|min|h)\s*$")
+
+MAX_DURATION_NS = 24 * _SIZES_NS["h"]
+
+
+def parse_duration(value: object) -> int:
+    """Parse `"10 ms"`, `"1.5 s"` or `"2 min"` to nanoseconds. A bare number is refused: its unit is ambiguous.
+
+    Raises `ValueError`, also for negative durations and those above 24 h.
+    """
+    match = _DURATION.match(value) if isinstance(value, str) and len(value) <= MAX_TEXT else None
+    if not match:
+        text = value[:MAX_TEXT] if isinstance(value, str) else value
+        hint = suggest_number(value) if isinstance(value, str) else ""
+        hint = f" ({hint})" if hint else ""
+        raise ValueError(
+            f'{text!r} is not a duration; write a number and a unit (ns, us, ms, s, min, h), e.g. "10 ms"{hint}'
+        )
+    number, unit = match.groups()
+    duration_ns = int(Decimal(number) * _SIZES_NS[unit.replace("µ", "u")])
+    if duration_ns > MAX_DURATION_NS:
+        raise ValueError(f"{value} is too long; a duration is at most 24 h")
+    return duration_ns
+
+
+def format_ns(duration_ns: float) -> str:
+    """Format a duration with three significant digits in the fitting unit, e.g. `1.25 ms`."""
+    size = abs(duration_ns)
+    for unit in ("s", "ms", "us"):
+        if size >= _SIZES_NS[unit]:
+            return f"{duration_ns / _SIZES_NS[unit]:.4g} {unit}"
+    return f"{duration_ns:.0f} ns"
+
+
+Duration = Annotated[
+    int,
+    BeforeValidator(parse_duration),
+    Field(ge=0, le=MAX_DURATION_NS),
+    PlainSerializer(lambda duration_ns: f"{duration_ns} ns"),
+    WithJsonSchema({"type": "string", "pattern": _DURATION.pattern}),
+]
+"""A span of time: `"10 ms"` in a file, nanoseconds in the program."""

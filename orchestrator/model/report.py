@@ -139,6 +139,18 @@ class VirtualBound(Model):
     unit: Unit
 
 
+class PositionBound(Model):
+    """How far an axis may be from its target once it rests there, in its unit, by what the fleet file states of it:
+    `most`, the sum of the other terms. rounding: to whole counts. table: the uncertainty of its table of errors. play:
+    what is not known of the play of its drive, as before the first motion that takes it up."""
+
+    most: float
+    rounding: float
+    table: float
+    play: float
+    unit: Unit
+
+
 class SyncBudget(Model):
     """The guaranteed predicted start skew of a step and the member with the largest share; end and path skew once the
     step is lowered."""
@@ -164,7 +176,7 @@ class SyncBudget(Model):
         return max(0, min([self.allowed_ns - self.predicted_ns, *margins_ns]))
 
 
-PathTermName = Literal["profile-fit", "execution", "start", "clock"]
+PathTermName = Literal["profile-fit", "compensation", "execution", "start", "clock"]
 
 
 class PathTerm(Model):
@@ -494,6 +506,9 @@ class StepReport(Model):
     path: PathReport | None = None
     virtual: dict[str, VirtualBound] = Field(
         default={}, description="Of a move of virtual axes: how far each may be off its straight line on the way."
+    )
+    bounds: dict[str, PositionBound] = Field(
+        default={}, description="Of axes with `backlash` or `correction`: how far each may be from its target at rest."
     )
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 

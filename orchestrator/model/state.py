@@ -6,6 +6,7 @@ from typing import Any, Literal, Self
 from pydantic import Field
 
 from orchestrator.model.base import HostNs, Id, Int53, Label, Model, Rational
+from orchestrator.model.compensation import Play
 from orchestrator.model.errors import ControllerFault
 from orchestrator.model.queue import Utc
 from orchestrator.model.units import Unit
@@ -55,9 +56,9 @@ class FaultReport(Model):
 
 
 class AxisState(Model):
-    """One axis now, in its unit. Three coordinates: raw (counts of the controller), motor (raw in the axis's unit),
-    user (motor plus `offset`, within one turn where the axis wraps). Jobs use user positions; soft limits are motor
-    positions.
+    """One axis now, in its unit. Three coordinates: raw (counts of the controller), motor (raw in the axis's unit,
+    with its play and its table of errors), user (motor plus `offset`, within one turn where the axis wraps). Jobs use
+    user positions; soft limits are motor positions.
 
     position, commanded: user. moving: also while it is offline, unless it was seen at rest before its link broke.
     homing: it is searching for its reference.
@@ -77,6 +78,16 @@ class AxisState(Model):
     referenced: bool
     limit: Literal["none", "forward", "reverse", "both"] = "none"
     fault: str | None = None
+    play: Play | None = Field(
+        default=None,
+        exclude_if=lambda play: play is None,
+        description="By how many counts the axis is ahead of its motor; left out for one without `backlash`.",
+    )
+
+    @property
+    def axis_counts(self) -> int | Fraction:
+        """The commanded counts with the middle of the play: those of the axis, not of its motor."""
+        return self.commanded_counts if self.play is None else self.commanded_counts + self.play.middle
 
 
 class ClockQuality(Model):

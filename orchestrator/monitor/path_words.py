@@ -1,6 +1,6 @@
 """A planned path in a few lines."""
 
-from orchestrator.model.report import PathReport
+from orchestrator.model.report import PathReport, PositionBound
 
 MAX_BINDING = 4  # limits that are named in one line
 
@@ -33,3 +33,10 @@ def _describe_binding(report: PathReport) -> str:
     shown_limits = [f"{binds} ({100 * spans[binds] / whole_s:.0f} %)" for binds in longest[:MAX_BINDING] if whole_s]
     more = len(longest) - len(shown_limits)
     return ", ".join(shown_limits) + (f" and {more} more" if more else "") if shown_limits else "nothing"
+
+
+def describe_bound(axis: str, bound: PositionBound) -> str:
+    """The bound of an axis with its causes: `gantry.x ends within 0.0015 mm of its target (…)`."""
+    causes = {"rounding": bound.rounding, "table": bound.table, "play": bound.play}
+    terms = ", ".join(f"{name} {value:.3g}" for name, value in causes.items() if value)
+    return f"{axis} ends within {bound.most:.3g} {bound.unit} of its target ({terms})"

@@ -2,9 +2,9 @@
 moves when."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from math import inf
+from math import hypot, inf
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from orchestrator.model.frame import FrameSpec
 from orchestrator.model.names import controller_of
 from orchestrator.model.numbers import split_number
 from orchestrator.model.paths.pieces import LinePiece
-from orchestrator.model.report import PathBound, PathReport, PathStretch
+from orchestrator.model.report import PathBound, PathReport, PathStretch, PositionBound
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
@@ -25,7 +25,8 @@ from orchestrator.plan.path.resolve import parse_along, parse_speed
 from orchestrator.plan.path_course import PathCourse
 from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_lines import LineTimes, time_lines
-from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
+from orchestrator.plan.path_profiles import Array, Evaluate, FittedAxis, PathStates, find_fit_error, fit_profiles
+from orchestrator.plan.play import bound_path
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import find_jerk, make_axis_move
 
@@ -37,8 +38,9 @@ MAX_START_COUNTS = 1  # by which an axis may stand beside the start of its path:
 
 
 class PathStart(NamedTuple):
-    """An axis of a path before it. here: its exact motor position, which is start_counts; offset: user minus motor
-    position, both in its unit. order: of the profiles that its controller executes."""
+    """An axis of a path before it. here: its exact motor position, which is start_counts and what it is `ahead` of its
+    motor by the play of its drive, in counts; offset: user minus motor position, both in its unit. order: of the
+    profiles that its controller executes."""
 
     name: str
     axis: Axis
@@ -46,6 +48,7 @@ class PathStart(NamedTuple):
     start_counts: int
     offset: Fraction
     order: Literal[2, 3]
+    ahead: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +58,7 @@ class PlannedPath:
     exact: the end of each axis (motor position) and its counts. tolerance, fit_error: in the unit of `report`.
     counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
     motion, for members that execute it in chunks; a line on a trapezoid has none.
-    lines: of the file that it was made of.
+    lines: of the file that it was made of. bounds: of compensated axes, by what the fleet file states of them.
     """
 
     plan: StepPlan
@@ -69,6 +72,12 @@ class PlannedPath:
     speeds: Mapping[str, Array]
     course: PathCourse | None
     lines: LineTimes | None = None
+    bounds: Mapping[str, PositionBound] = field(default_factory=dict[str, PositionBound])
+
+    @property
+    def compensation_error(self) -> float:
+        """How far the axes together may be off the path because their compensation is not exact, in its unit."""
+        return hypot(*(bound.table + bound.play for bound in self.bounds.values()))
 
     def find_speeds(self, member: str) -> tuple[Array, Array]:
         """Instants, s, and the speed of the axes of a member together, in the unit of `report` per s."""
@@ -99,13 +108,10 @@ def plan_path_step(
     axes: list[FittedAxis] = []
     exact: dict[str, tuple[Fraction, int]] = {}
     for start, end in zip(starts, ends, strict=True):
-        exact[start.name] = Fraction(end), start.axis.to_target_counts(Fraction(end))
+        exact[start.name] = Fraction(end), start.axis.to_target_counts(Fraction(end)) - start.ahead
         axes.append(make_fitted_axis(start, exact[start.name][1]))
 
-    def evaluate_motors(times_s: Array) -> PathStates:
-        rows = plan.evaluate(times_s)
-        return PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
-
+    evaluate_motors = _make_evaluator(plan, starts, shift)
     slow = next((start for start in starts if start.order < 3), None)
     stretches, course = _list_stretches(plan), None
     if slow is not None and len(step.pieces) == 1 and isinstance(step.pieces[0], LinePiece):
@@ -140,8 +146,47 @@ def plan_path_step(
         speeds={start.name: row for start, row in zip(starts, speeds, strict=True)},
         course=course,
         lines=time_lines(step, plan),
+        bounds=_bound_axes(starts, is_straight=course is None),
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
+
+
+def _make_evaluator(plan: PathPlan, starts: Sequence[PathStart], shift: Array) -> Evaluate:
+    """The path of the motors. shift: user minus motor positions of the axes."""
+    is_compensated = any(start.axis.is_compensated for start in starts)
+
+    def evaluate(times_s: Array) -> PathStates:
+        rows = plan.evaluate(times_s)
+        states = PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
+        return _turn_motors(starts, states) if is_compensated else states
+
+    return evaluate
+
+
+def _turn_motors(starts: Sequence[PathStart], axes: PathStates) -> PathStates:
+    """The states of the motors for those of their axes; how far these are ahead stays as at the start."""
+    motors = PathStates(*(states.copy() for states in axes))
+    for column, start in enumerate(starts):
+        if start.axis.correction is not None:
+            table = start.axis.correction.table
+            motors.positions[:, column], ratios = table.invert_all(axes.positions[:, column])
+            motors.velocities[:, column] *= ratios
+        motors.positions[:, column] -= start.axis.to_length(start.ahead)
+    return motors
+
+
+def _bound_axes(starts: Sequence[PathStart], *, is_straight: bool) -> dict[str, PositionBound]:
+    """How far compensated axes may be off a path. is_straight: of their motors, so that tables count at its ends
+    only."""
+    bounds: dict[str, PositionBound] = {}
+    for start in starts:
+        bound, correction = bound_path(start.axis), start.axis.correction
+        if bound is not None and correction is not None and is_straight:
+            span = correction.table.span
+            bound = bound.model_copy(update={"most": bound.most + span, "table": bound.table + span})
+        if bound is not None:
+            bounds[start.name] = bound
+    return bounds
 
 
 def make_moves(starts: Sequence[PathStart], exact: Mapping[str, tuple[Fraction, int]]) -> list[AxisMove]:
@@ -196,12 +241,14 @@ def _describe_axis(start: PathStart) -> PathAxis:
     if limits is not None:
         low, high = sorted(axis.to_unit(limit) + float(start.offset) for limit in limits)
         soft = low, high
+    # Limits are those of the motor, which turns faster than its axis where the error falls.
+    least_ratio = 1.0 if axis.correction is None else 1 - axis.correction.table.slope
     return PathAxis(
         axis=start.name,
         unit=axis.unit,
-        velocity=axis.limits.velocity,
-        acceleration=axis.limits.acceleration,
-        jerk=find_jerk(axis),
+        velocity=axis.limits.velocity * least_ratio,
+        acceleration=axis.limits.acceleration * least_ratio,
+        jerk=find_jerk(axis) * least_ratio,
         soft_limits=soft,
     )
 
@@ -266,7 +313,8 @@ def require_start(step: FollowPath, starts: Sequence[PathStart], frames: Mapping
     units = [start.axis.unit for start in starts]
     for position, start in zip(find_start(step, units, frames), starts, strict=True):
         axis = start.axis
-        if abs(axis.to_counts(position - start.offset) - start.start_counts) > MAX_START_COUNTS:
+        axis_counts = start.start_counts + start.ahead
+        if abs(axis.to_counts(position - start.offset) - axis_counts) > MAX_START_COUNTS:
             more = "" if step.frame is None else f" ({_describe_place(step, starts, frames)})"
             raise Refusal(
                 "other-start",

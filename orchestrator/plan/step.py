@@ -186,13 +186,11 @@ class ExactTargets:
     def __init__(self) -> None:
         self._exact: dict[str, tuple[Fraction, int]] = {}
 
-    def exact_position(self, axis: str, counts: int, counts_per_unit: Fraction) -> Fraction:
+    def exact_position(self, axis: str, counts: int, position: Fraction) -> Fraction:
         """The position of `axis` in its unit: its last exact target if `counts` is that target's count, else
-        `counts`."""
+        `position`."""
         exact = self._exact.get(axis)
-        if exact is not None and exact[1] == counts:
-            return exact[0]
-        return Fraction(counts) / counts_per_unit
+        return exact[0] if exact is not None and exact[1] == counts else position
 
     def record_target(self, axis: str, target: Fraction, counts: int) -> None:
         """Record that `axis` was moved to `target`, which is `counts`."""

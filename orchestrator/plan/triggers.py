@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.profile import Profile
 from orchestrator.model.steps.triggers import Trigger
 from orchestrator.model.units import UnitError, parse_quantity
@@ -148,6 +148,9 @@ def _resolve_trigger(fleet: Fleet, place: int, trigger: Trigger, find_offset: Fi
         text = f"`triggers.{place}`: {trigger.of} is a virtual axis, and triggers count positions of real ones"
         raise Refusal("virtual-axis", text, "give instants (`every: 20 ms`), or name a real axis", plain.owner)
     axis = fleet.axis(trigger.of)
+    if axis.is_compensated:
+        text = f"`triggers.{place}`: {trigger.of} has `backlash` or `correction`, which do not count on the way yet"
+        raise Refusal("not-compensated", text, "give instants (`every: 20 ms`)", plain.owner)
     try:
         if trigger.every is not None:
             step = abs(float(parse_quantity(trigger.every, axis.unit) * axis.counts_per_unit))

@@ -15,6 +15,7 @@ from orchestrator.model.messages import Proposal
 from orchestrator.model.names import split_name
 from orchestrator.model.report import SyncBudget, VirtualBound
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.plan.play import bound_way
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.virtual_moves import group_virtual
 
@@ -63,7 +64,7 @@ def _bound_real_axes(fleet: Fleet, virtual_map: LinearMap, agreement: AgreedStar
             most_ns = max(abs(end - middle_ns) for end in offsets[axis])
             counts += agreement.plan.profiles[axis].peak_velocity * most_ns / NS_PER_S
             counts += agreement.proposals[controller].path_error_counts.get(name, 0.0)
-        errors[axis] = abs(fleet.axis(axis).to_unit(counts))
+        errors[axis] = abs(fleet.axis(axis).to_length(counts)) + bound_way(fleet.axis(axis))
     return errors
 
 

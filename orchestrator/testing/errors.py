@@ -4,11 +4,11 @@ from collections.abc import Iterable
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.base import UnknownName
-from orchestrator.model.duration import parse_duration
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Axis, Controller, DigitalInput, Fleet
 from orchestrator.model.fleet_names import list_names, suggest_name
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.numbers import parse_duration
 
 
 class BadTest(TuttiError):

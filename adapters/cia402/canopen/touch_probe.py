@@ -12,9 +12,9 @@ from adapters.cia402.canopen.words import NOT_THERE
 from adapters.contract import HostInterval, LatchedPosition
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.link.base import LinkClosed
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import DigitalInput
+from orchestrator.model.numbers import format_ns
 
 LOOK_NS = 20 * NS_PER_MS
 _BYTE = 0xFF

@@ -1,6 +1,7 @@
 """Offsets of the positions that users see, set at rest and kept on disk."""
 
 from collections.abc import Callable
+from fractions import Fraction
 
 from adapters.controller.publishing.publisher import StatePublisher
 from adapters.controller.state.status import ControllerStatus
@@ -33,7 +34,9 @@ class AxisOffsets:
         axis, offsets = self._status.config.axes[name], dict(self._remembered.values.offsets)
         offsets.pop(name, None)
         if request.position is not None:
-            motor = self._status.require_online().axes[name].commanded_counts / axis.counts_per_unit
+            counts = Fraction(self._status.require_online().axes[name].commanded_counts)
+            play = self._status.play.find_play(name)
+            motor = axis.to_position(counts if play is None else counts + play.middle)
             try:
                 offsets[name] = parse_quantity(request.position, axis.unit) - motor
             except UnitError as error:

@@ -81,7 +81,7 @@ class Surveillance:
             if at_rest and abs(by) > JUMP_COUNTS and self._status.referenced[name]:
                 jumped_axes.append(name)
                 text = (
-                    f"axis {name}: its position has changed by {axis.to_unit(by):g} {axis.unit} at rest, without an "
+                    f"axis {name}: its position has changed by {axis.to_length(by):g} {axis.unit} at rest, without an "
                     "order: another client has set it, or moved it; it must be homed again"
                 )
                 self._drop_reference(name, text)
@@ -100,7 +100,7 @@ class Surveillance:
                 continue
             was_commanded = abs(axis_reading.commanded_counts - began.commanded_counts) > JUMP_COUNTS
             if was_commanded or abs(axis_reading.actual_counts - began.actual_counts) > _deadband_counts(axis):
-                by = axis.to_unit(axis_reading.actual_counts - began.actual_counts)
+                by = axis.to_length(axis_reading.actual_counts - began.actual_counts)
                 return f"axis {name} has moved by {by:g} {axis.unit}, although this step does not move it"
         return None
 
@@ -125,6 +125,21 @@ class Surveillance:
         misplaced_axes = find_misplaced_axes(self._status.config, present, self._steps.following.armed_step, reading)
         self.doubt_positions(misplaced_axes)
         return "; ".join(misplaced_axes.values()) or None
+
+    def follow_play(self, reading: ControllerReading) -> None:
+        """Follow the motors of drives with play to a reading. The step behind the present one may have begun when the
+        end of this one is not seen yet."""
+        present, following = self._steps.present, self._steps.following.armed_step
+        has_begun = (
+            following is not None and following.executes and not following.is_before_begin(find_last_instant(reading))
+        )
+        if present is not None and has_begun:
+            self.note_end(present)
+        self._status.play.handle_reading(reading, self._status.homing)
+
+    def note_end(self, step: ArmedStep) -> None:
+        """A step has ended as planned."""
+        self._status.play.end_step(step)
 
     def find_wrong_ends(self, step: ArmedStep) -> dict[str, str]:
         """Axes that the last reading shows elsewhere than where the step, which is done, ends, in words."""

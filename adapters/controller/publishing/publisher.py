@@ -21,7 +21,7 @@ from adapters.controller.state.store import PersistentMemory
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority
 from orchestrator.bus.decoding import read_request
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.fleet import DigitalInput, DigitalOutput
+from orchestrator.model.fleet import Axis, DigitalInput, DigitalOutput
 from orchestrator.model.messages import TraceRequest
 from orchestrator.model.state import (
     AxisEvidence,
@@ -173,26 +173,16 @@ class StatePublisher:
         axis = self._config.axes[name]
         offset = self._remembered.values.offsets.get(name, _NONE)
         if reading is None:
-            return AxisState(
-                position=0.0,
-                commanded=0.0,
-                velocity=0.0,
-                motor_position=0.0,
-                raw_counts=0.0,
-                commanded_counts=0,
-                offset=offset,
-                unit=axis.unit,
-                moving=self._status.may_move,
-                enabled=False,
-                referenced=False,
-            )
+            return _make_unseen(axis, offset, may_move=self._status.may_move)
         axis_reading = reading.axes[name]
-        motor = axis.to_unit(axis_reading.actual_counts)
+        play = self._status.play.find_play(name)
+        ahead_counts = 0.0 if play is None else float(play.middle)
+        motor = axis.to_unit(axis_reading.actual_counts + ahead_counts)
         shift = float(offset) if offset else 0.0
         return AxisState(
             position=axis.wrap_position(motor + shift),
-            commanded=axis.wrap_position(axis.to_unit(axis_reading.commanded_counts) + shift),
-            velocity=axis.to_unit(axis_reading.velocity_counts_s),
+            commanded=axis.wrap_position(axis.to_unit(axis_reading.commanded_counts + ahead_counts) + shift),
+            velocity=axis.to_length(axis_reading.velocity_counts_s),
             motor_position=motor,
             raw_counts=axis_reading.actual_counts,
             commanded_counts=axis_reading.commanded_counts,
@@ -204,6 +194,7 @@ class StatePublisher:
             referenced=self._status.referenced[name],
             limit=axis_reading.limit,
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
+            play=play,
         )
 
     def _clock_mapping(self) -> TickMapping | None:
@@ -283,6 +274,23 @@ class StatePublisher:
 
     async def _answer_info(self, _: BusSample) -> bytes:
         return make_info(self._context, self._status.identity).to_json()
+
+
+def _make_unseen(axis: Axis, offset: Fraction, *, may_move: bool) -> AxisState:
+    """Return the state of an axis of a controller that is not read."""
+    return AxisState(
+        position=0.0,
+        commanded=0.0,
+        velocity=0.0,
+        motor_position=0.0,
+        raw_counts=0.0,
+        commanded_counts=0,
+        offset=offset,
+        unit=axis.unit,
+        moving=may_move,
+        enabled=False,
+        referenced=False,
+    )
 
 
 def _named_points(

@@ -83,6 +83,8 @@ class StepFollower:
         if end is not None:
             self._steps.present = None
             self._surveillance.doubt_positions(end.doubts)
+            if end.kind == "done":
+                self._surveillance.note_end(end.moving)
             self._events.emit_step(
                 end.kind, end.reason or end.outcome.reason or end.kind, end.moving, end.make_evidence()
             )

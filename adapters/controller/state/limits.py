@@ -90,7 +90,7 @@ def check_limits(name: str, axis: Axis, profile: Profile) -> None:
             f"axis {name}: the move reaches {low:g} to {high:g} counts; positions are below ±{MAX_COUNTS} counts",
             "move the other way; for a rotary axis home it, which begins to count again",
         )
-    limits = axis.soft_limits_counts
+    limits = axis.motor_limits_counts
     if limits is None:
         return
     # A start outside the limits may only lead back inside; half a count allows for rounding along the path.

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from adapters.contract import ControllerIdentity, ControllerReading, SettingDifference
+from adapters.controller.state.play import PlayFollower
 from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import FaultReport
@@ -17,6 +18,7 @@ class ControllerStatus:
 
     reading: the last poll; None while the controller is unreachable.
     referenced: by axis.
+    play: how far axes are ahead of their motors, where their drives have play.
     homing: axes that are searching for their reference.
     jogging: axes that are jogging.
     probing: axes that move until an input changes.
@@ -34,6 +36,7 @@ class ControllerStatus:
 
     config: Controller
     referenced: dict[str, bool] = field(init=False)
+    play: PlayFollower = field(init=False)
     reading: ControllerReading | None = None
     identity: ControllerIdentity | None = None
     homing: set[str] = field(default_factory=set[str])
@@ -52,6 +55,7 @@ class ControllerStatus:
 
     def __post_init__(self) -> None:
         self.forget_references()
+        self.play = PlayFollower(self.config)
 
     @property
     def searching(self) -> set[str]:
@@ -75,8 +79,8 @@ class ControllerStatus:
         self.referenced = dict.fromkeys(self.config.axes, False)
 
     def limits_counts(self, axes: Iterable[str]) -> dict[str, tuple[int, int] | None]:
-        """Return the soft limits that apply to `axes` now: None for an axis with an unknown position."""
-        return {name: self.config.axes[name].soft_limits_counts if self.referenced[name] else None for name in axes}
+        """Return the soft limits that apply to the motors of `axes` now: None for an axis with an unknown position."""
+        return {name: self.config.axes[name].motor_limits_counts if self.referenced[name] else None for name in axes}
 
     def require_known(self, axes: Iterable[str]) -> None:
         """Raise `Refusal` for an axis that the controller does not have."""

@@ -10,9 +10,9 @@ from adapters.contract import HostInterval, LatchedPosition
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.clock.base import NS_PER_MS, Clock
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import DigitalInput
+from orchestrator.model.numbers import format_ns
 
 LATCH_INPUTS = (1, 2, 3, 4, 9, 10, 11, 12)
 """By axis, the input of its latch. The SMC-4000 has the first four (L442), an SMC-2000 all (L3041)."""

@@ -93,7 +93,7 @@ def export(
 
 
 def _parse_period(period: str | None) -> int | None:
-    from orchestrator.model.duration import parse_duration
+    from orchestrator.model.numbers import parse_duration
 
     if period is None:
         return None

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from rich.console import RenderableType
 from rich.text import Text
 
-from orchestrator.model.duration import format_ns
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.operation.statistics import ControllerFigures, PeriodFigures
 from orchestrator.monitor.tables import make_plain_table
 

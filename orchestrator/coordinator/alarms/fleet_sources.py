@@ -7,8 +7,8 @@ from typing import NamedTuple
 from orchestrator.clock.base import Clock
 from orchestrator.coordinator.alarms.conditions import AlarmConditions
 from orchestrator.coordinator.fleet.view import SLOW_REMEDY, FleetView
-from orchestrator.model.duration import format_ns
 from orchestrator.model.names import controller_of
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.operation.alarms import MAX_SUBJECT, AlarmCause, AlarmRecord
 from orchestrator.model.state import ControllerEvent, ControllerState, FaultReport
 

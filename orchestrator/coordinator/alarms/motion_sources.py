@@ -82,7 +82,7 @@ class MotionAlarms:
             if axis_now.moving and name in config.axes:
                 sums = self._sums.setdefault(f"{state.controller}.{name}", _MoveSums())
                 sums.readings += 1
-                sums.error += abs(config.axes[name].to_unit(axis_now.commanded_counts - axis_now.raw_counts))
+                sums.error += abs(config.axes[name].to_length(axis_now.commanded_counts - axis_now.raw_counts))
                 sums.speed += abs(axis_now.velocity)
 
     def take_motion(self, recording: StepRecording, report: StepReport | None) -> None:

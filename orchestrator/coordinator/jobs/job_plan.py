@@ -12,11 +12,11 @@ from orchestrator.coordinator.fleet.positions import format_position
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.needs import find_wires
 from orchestrator.coordinator.jobs.start_places import StartPlaces
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet, Permit
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.operation.approval import JobPlan
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.state import AxisState, ControllerState
@@ -192,7 +192,7 @@ def _describe_start(name: str, axis: Axis, state: AxisState) -> str:
     if not state.referenced:
         return "not referenced"
     # The commanded position: the measured one of a servo axis is never quite at rest.
-    return format_position(axis, float(Fraction(state.commanded_counts) / axis.counts_per_unit + state.offset))
+    return format_position(axis, float(axis.to_position(state.axis_counts) + state.offset))
 
 
 def _format_exact(value: Fraction) -> str:

@@ -15,8 +15,8 @@ from orchestrator.coordinator.motion.negotiation import StartAgreement, StartNeg
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import LATE, LEAD_GROWTH, StartSequence, StateCallback
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.report import ArmedReport, ArmedState
 
 HOLDS_NS = tuple(seconds * NS_PER_S // 4 for seconds in (80, 40, 20, 10, 5))

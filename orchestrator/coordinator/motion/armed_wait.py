@@ -9,9 +9,9 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.motion.planning import PlannedStep
 from orchestrator.coordinator.motion.services import MotionServices
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState
 from orchestrator.model.steps.armed_terms import ArmedTerms
 
@@ -187,7 +187,7 @@ class ArmedWait:
         window = 0.0 if config.in_position_window is None else config.in_position_window * abs(float(config.scale))
         allowed_counts = max(PUSHED_COUNTS, window)
         if off_counts > allowed_counts:
-            text = f"axis {name} was moved by {config.to_unit(off_counts):g} {config.unit}"
+            text = f"axis {name} was moved by {config.to_length(off_counts):g} {config.unit}"
         elif now.limit not in ("none", before.limit):
             text = f"axis {name} is at its {now.limit} limit switch"
         elif before.enabled and not now.enabled:

@@ -22,7 +22,6 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import ResolvedMove
 from orchestrator.coordinator.motion.trigger import TriggerStart
 from orchestrator.coordinator.switching.outputs import StepTriggers
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, TriggerWire
 from orchestrator.model.messages import (
@@ -35,6 +34,7 @@ from orchestrator.model.messages import (
     sum_terms,
 )
 from orchestrator.model.names import controller_of, split_name
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.profile import Profile
 from orchestrator.model.report import PathReport, PredictedSkew, SyncBudget
 from orchestrator.model.state import StepCosts

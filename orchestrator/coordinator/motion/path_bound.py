@@ -19,6 +19,7 @@ from orchestrator.plan.path_step import PlannedPath
 
 _REMEDIES: dict[PathTermName, str] = {
     "profile-fit": "allow a larger `tolerance`",
+    "compensation": "choose a path without reversals of an axis with play, a table with less uncertainty, or ",
     "execution": "move slower (`speed`), which the controller then interpolates more finely, or ",
     "start": "move slower (`speed`), give the clocks time to settle, or use a trigger line (`start_class: line`), or ",
     "clock": "move slower or shorter, give the clocks time to settle, or ",
@@ -34,6 +35,8 @@ def make_path_bound(
     """The bound of a path whose members have answered. windows: of their starts. within_s: by member, the longest time
     from a fit of its clock to the end of the chunk that relies on it; others rely on that of the start."""
     terms = [PathTerm(name="profile-fit", size=path.fit_error)]
+    if path.compensation_error:
+        terms.append(PathTerm(name="compensation", size=path.compensation_error))
     for member in windows:
         errors = [
             counts / abs(path.counts_per_unit[f"{member}.{axis}"])

@@ -30,7 +30,8 @@ def prove_path(agreement: StartAgreement, reports: Mapping[str, MemberReport], t
     path = agreement.path
     if path is None or path.bound is None:
         return path
-    own = float(np.sum([term.size for term in path.bound.terms if term.name in ("profile-fit", "execution")]))
+    own_names = ("profile-fit", "compensation", "execution")
+    own = float(np.sum([term.size for term in path.bound.terms if term.name in own_names]))
     movers = agreement.movers
     # Where the axes of one member alone fly, the times of members take none off its line.
     is_apart = any(term.size for term in path.bound.terms if term.name in ("start", "clock"))

@@ -10,6 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
+from orchestrator.model.compensation import Play
 from orchestrator.model.errors import SETTING_CHANGED, Refusal
 from orchestrator.model.fleet import TriggerWire
 from orchestrator.model.jobs.job import Job
@@ -24,7 +25,7 @@ from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
-from orchestrator.plan.step import StepPlan
+from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
@@ -84,7 +85,8 @@ class StepRequest:
 class PlannedStep:
     """A step with its profiles as first planned. instances: of the adapters that it was planned with, by controller.
 
-    ends: where axes will be after it, with those of the steps before that are not over yet. rehearsal: it starts where
+    ends: where axes will be after it, with those of the steps before that are not over yet. plays: how far axes are
+    ahead of their motors there. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
     motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. elapsed_ns: how long
     it was moved along before. triggers: of the step.
@@ -95,6 +97,7 @@ class PlannedStep:
     plan: StepPlan
     instances: Mapping[str, str]
     ends: Mapping[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])
+    plays: Mapping[str, Play] = field(default_factory=dict[str, Play])
     rehearsal: bool = False
     path: PlannedPath | None = None
     begun_s: float = 0.0
@@ -122,6 +125,13 @@ async def plan_request(
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     context = AxisContext(view.fleet, states, infos, services.targets)
     return await _plan_from(services, request, context, goal, instances)
+
+
+def plan_take_up(planned: PlannedStep) -> PlannedStep:
+    """The motion before a step by which motors take up the play of their drives: its axes do not move."""
+    moves = planned.resolved.take_ups
+    # Nothing of the step has happened behind it, and its axes stand where they stood.
+    return replace(planned, resolved=ResolvedMove(moves, {}), plan=plan_step(moves, "none", 1.0, "own"), triggers=())
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +177,8 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:
     """Plan a step from where `before`, which moves now, will leave its axes. Raises `Refusal`."""
+    if before.resolved.overruns:
+        raise Refusal("overrun", f"{', '.join(before.resolved.overruns)} comes back from its overrun before it")
     view = services.fleet.view
     states: dict[str, AxisState] = {}
     infos: dict[str, ControllerInfo] = {}
@@ -179,10 +191,15 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     for axis, (_, counts) in before.ends.items():
         if axis in states:
-            states[axis] = states[axis].model_copy(update={"commanded_counts": counts})
+            update = {"commanded_counts": counts, "play": before.plays.get(axis)}
+            states[axis] = states[axis].model_copy(update=update)
     context = AxisContext(view.fleet, states, infos, services.targets.expect_targets(before.ends))
     planned_step = await _plan_from(services, request, context, {}, instances)
-    return replace(planned_step, ends={**before.ends, **planned_step.ends})
+    if planned_step.resolved.take_ups:
+        axes = ", ".join(move.axis for move in planned_step.resolved.take_ups)
+        raise Refusal("take-up", f"{axes} takes up its play before it, at the speed of `backlash`")
+    plays = {**before.plays, **planned_step.plays}
+    return replace(planned_step, ends={**before.ends, **planned_step.ends}, plays=plays)
 
 
 async def _plan_from(
@@ -207,13 +224,14 @@ async def _plan_from(
                 path, triggers = plan_flight_step(move, starts), place_triggers(move.part, triggers)
             else:
                 path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.path_frames)
-            resolved_move = ResolvedMove(path.moves, dict(path.exact))
+            resolved_move = ResolvedMove(path.moves, dict(path.exact), bounds=dict(path.bounds))
             return PlannedStep(request, resolved_move, path.plan, instances, path.exact, path=path, triggers=triggers)
         resolved_move = resolve_targets(move, context, goal)
         plan = plan_motion(context.fleet, move, resolved_move.moves)
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
-    return PlannedStep(request, resolved_move, plan, instances, resolved_move.exact, triggers=triggers)
+    exact, plays = resolved_move.exact, resolved_move.plays
+    return PlannedStep(request, resolved_move, plan, instances, exact, plays, triggers=triggers)
 
 
 async def _query_controller(

@@ -194,3 +194,18 @@ def make_step_report(
         if failure is not None
         else worse_verdict(judge_skew(start_skew, agreement.budget), judge_skew(promised_skew, agreement.budget)),
     )
+
+
+def add_return(report: StepReport, returned: StepReport) -> StepReport:
+    """The report of a step whose axes were brought back from their overruns by a second motion."""
+    times_s = [took_s for took_s in (report.actual_s, returned.actual_s) if took_s is not None]
+    return report.model_copy(
+        update={
+            "state": returned.state,
+            "reason": returned.reason,
+            "refused": returned.refused,
+            "actual_s": sum(times_s) if times_s else None,
+            "positions": {**report.positions, **returned.positions},
+            "bounds": {**report.bounds, **returned.bounds},
+        }
+    )

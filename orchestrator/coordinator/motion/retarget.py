@@ -14,6 +14,7 @@ from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.step import PlannedMotion
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, resolve_targets
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RetargetReply, RetargetRequest, raise_first_refusal
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility, RetargetWay
@@ -69,9 +70,10 @@ def resolve_retarget(
     return resolved_move
 
 
-def find_continuation(infos: Mapping[str, ControllerInfo], axes: Sequence[str]) -> RetargetAbility | None:
-    """How the only axis of a move continues to another target on the way; None: the axes brake."""
-    if len(axes) != 1:
+def find_continuation(fleet: Fleet, infos: Mapping[str, ControllerInfo], axes: Sequence[str]) -> RetargetAbility | None:
+    """How the only axis of a move continues to another target on the way; None: the axes brake. How much play is taken
+    up by then is not known, so that an axis with play brakes."""
+    if len(axes) != 1 or fleet.axis(axes[0]).backlash is not None:
         return None
     ability = infos[controller_of(axes[0])].retarget
     return None if ability is None or ability.way == "brake" else ability

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Protocol
 
@@ -15,9 +15,16 @@ from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
 from orchestrator.coordinator.motion.negotiation import StartAgreement, agree_on_start
 from orchestrator.coordinator.motion.path_feed import PathFeed
-from orchestrator.coordinator.motion.planning import PathRest, PlannedStep, StepRequest, plan_request, plan_resumed
+from orchestrator.coordinator.motion.planning import (
+    PathRest,
+    PlannedStep,
+    StepRequest,
+    plan_request,
+    plan_resumed,
+    plan_take_up,
+)
 from orchestrator.coordinator.motion.recorder import StepRecorder
-from orchestrator.coordinator.motion.report import judge_completed_step, make_step_report
+from orchestrator.coordinator.motion.report import add_return, judge_completed_step, make_step_report
 from orchestrator.coordinator.motion.sampling import StepSampler
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StartSequence, StateCallback
@@ -199,7 +206,7 @@ class MotionStep:
         if self._motion is not motion:
             raise Refusal("late", "the motion has ended")
         self._motion = changed
-        self._goal = {axis: exact for axis, (exact, _) in changed.planned.resolved.exact.items()}
+        self._goal = changed.planned.resolved.goal
 
     @property
     def motion(self) -> PlannedMotion | None:
@@ -212,9 +219,9 @@ class MotionStep:
         seen_ns: since when nothing has been done with its axes; None: unknown. A path that was braked because a chunk
         came too late goes on from there.
         """
-        report = await self._run_once(observer, seen_ns)
+        report = await self._run_to_target(observer, seen_ns)
         while _is_resumed(self._request.move, report) and len(self._stops) <= MAX_STOPS:
-            report = await self._run_once(observer, None)
+            report = await self._run_to_target(observer, None)
         if report.path is not None and self._stops:
             report = report.model_copy(update={"path": report.path.model_copy(update={"stops": self._stops})})
         return report
@@ -226,21 +233,34 @@ class MotionStep:
             self._goal, self._next_goal = self._next_goal, {}
         return await plan_request(self._services, self._request, self._goal, seen_ns)
 
-    async def _run_once(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
-        services, request = self._services, self._request
+    async def _run_to_target(self, observer: StepObserver, seen_ns: int | None) -> StepReport:
+        """Run the motion of the step, with those that play needs before and behind it."""
+        planned_step = await self._plan_once(observer, seen_ns)
+        if planned_step.resolved.take_ups:
+            report = await self._run_once(observer, plan_take_up(planned_step))
+            if report.state != "done":
+                return report
+            planned_step = await self._plan_once(observer, None)
+        return await self._return(observer, await self._run_once(observer, planned_step), planned_step)
+
+    async def _return(self, observer: StepObserver, report: StepReport, planned: PlannedStep) -> StepReport:
+        """Bring axes that were moved beyond their targets back to these; the report of the step, whose motion was done
+        with `report`."""
+        if report.state != "done" or not planned.resolved.overruns or self.is_retargeted:
+            return report
+        planned_return = await self._plan_once(observer, None)
+        return_report = await self._run_once(observer, replace(planned_return, triggers=()))
+        return add_return(report, return_report)
+
+    async def _plan_once(self, observer: StepObserver, seen_ns: int | None) -> PlannedStep:
         planned_step = await run_while_recording(observer.on_state("planning", ""), self._plan(seen_ns))
-        self._goal = {axis: exact for axis, (exact, _) in planned_step.resolved.exact.items()}
+        self._goal = planned_step.resolved.goal
+        return planned_step
+
+    async def _run_once(self, observer: StepObserver, planned_step: PlannedStep) -> StepReport:
+        services, request = self._services, self._request
         if not planned_step.plan.profiles:
-            name = request.move.name or ""
-            positions = services.fleet.view.read_positions(self._goal)
-            return StepReport(
-                index=request.index,
-                do=request.move.do,
-                name=name,
-                state="done",
-                reason="already there",
-                positions=positions,
-            )
+            return _make_standing_report(services, planned_step)
         motion = self._motion = await PlannedMotion.agree(services, planned_step)
         whole_plan = (
             planned_step.plan if planned_step.path is not None and not planned_step.begun_s else motion.agreement.plan
@@ -268,9 +288,10 @@ class MotionStep:
     async def run_released(self, motion: PlannedMotion, observer: StepObserver) -> StepReport:
         """Watch a step that was released behind the one before it, to its end; otherwise like `run`."""
         self._motion = motion
-        self._goal = {axis: exact for axis, (exact, _) in motion.planned.resolved.exact.items()}
+        self._goal = motion.planned.resolved.goal
         recorder = StepRecorder(self._services.fleet.view, motion.agreement.plan.profiles)
-        return await self._watch_motion(motion, observer, recorder)
+        report = await self._watch_motion(motion, observer, recorder)
+        return await self._return(observer, report, motion.planned)
 
     async def feed_hold(self, actor: str) -> None:
         """Brake the step if it is being started or moving; `run` then reports it as stopped."""
@@ -340,7 +361,7 @@ class MotionStep:
                 motion = self._motion
                 recorder.profiles = motion.agreement.plan.profiles
             if motion.watch.failure is not None:
-                await self._handle_failure(motion, observer)
+                await _handle_failure(services, motion, observer)
             done_report = report = await self._finish(motion)
         except asyncio.CancelledError:
             # The job was interrupted, and its members were stopped. Nothing stops the driver of a trigger line, which
@@ -377,21 +398,6 @@ class MotionStep:
         report = make_step_report(self._request, motion.agreement, motion.start.state, motion.watch.reports, outcome)
         return report.model_copy(update={"refused": RefusalDetails(code=code, text=reason)})
 
-    async def _handle_failure(self, motion: PlannedMotion, observer: StepObserver) -> None:
-        """Stop all members, because one has failed or is missed. The step is done all the same if all have logged
-        their end, as when the bus was away at that moment."""
-        watch, services = motion.watch, self._services
-        reason = "" if watch.failure is None else watch.failure[1]
-        actors, actor, missed_members = motion.agreement.actors, self._request.job.actor, watch.missed_members
-        await services.fleet.stop_members(actors, "decelerate", actor, reason)
-        await motion.start.disarm_line_driver()
-        if missed_members:
-            names = ", ".join(missed_members)
-            await observer.on_state("running", f"waits for the log of {names}, stopped at the planned end: {reason}")
-            is_done = await watch.read_logs()
-            outcome = "is logged" if is_done else "is not logged"
-            services.fleet.log.warning(f"{reason}; the end of {names} {outcome}", job=self._request.job_id)
-
     async def _finish(self, motion: PlannedMotion) -> StepReport:
         """Make the report."""
         start, watch, agreement, feed = motion.start, motion.watch, motion.agreement, motion.feed
@@ -418,4 +424,35 @@ def _make_report(
 ) -> StepReport:
     """The report of a step, with how far virtual axes may have been off their line. failure: what ended it, and why."""
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
-    return report.model_copy(update={"virtual": bound_virtual_axes(fleet, request.move, motion.agreement)})
+    virtual_bounds = bound_virtual_axes(fleet, request.move, motion.agreement)
+    return report.model_copy(update={"virtual": virtual_bounds, "bounds": motion.planned.resolved.bounds})
+
+
+def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:
+    """The report of a step whose axes are at its targets already."""
+    request, resolved_move = planned.request, planned.resolved
+    return StepReport(
+        index=request.index,
+        do=request.move.do,
+        name=request.move.name or "",
+        state="done",
+        reason="already there",
+        positions=services.fleet.view.read_positions(resolved_move.goal),
+        bounds=resolved_move.bounds,
+    )
+
+
+async def _handle_failure(services: MotionServices, motion: PlannedMotion, observer: StepObserver) -> None:
+    """Stop all members, because one has failed or is missed. The step is done all the same if all have logged their
+    end, as when the bus was away at that moment."""
+    watch, request = motion.watch, motion.planned.request
+    reason = "" if watch.failure is None else watch.failure[1]
+    actors, missed_members = motion.agreement.actors, watch.missed_members
+    await services.fleet.stop_members(actors, "decelerate", request.job.actor, reason)
+    await motion.start.disarm_line_driver()
+    if missed_members:
+        names = ", ".join(missed_members)
+        await observer.on_state("running", f"waits for the log of {names}, stopped at the planned end: {reason}")
+        is_done = await watch.read_logs()
+        outcome = "is logged" if is_done else "is not logged"
+        services.fleet.log.warning(f"{reason}; the end of {names} {outcome}", job=request.job_id)

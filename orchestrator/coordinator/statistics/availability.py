@@ -63,6 +63,6 @@ class AvailabilityClock:
             if state.mode == "jogging":
                 jogged[name] = (counts, now_ns)
             if last_jog is not None and last_jog[0] != counts:
-                full, way = f"{state.controller}.{name}", abs(axes[name].to_unit(counts - last_jog[0]))
+                full, way = f"{state.controller}.{name}", abs(axes[name].to_length(counts - last_jog[0]))
                 self._count("axis", full, f"distance {axes[name].unit}", way)
                 self._count("axis", full, "moving_s", (now_ns - last_jog[1]) / NS_PER_S)

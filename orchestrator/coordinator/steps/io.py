@@ -2,10 +2,10 @@
 
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.coordinator.steps.context import ReportFields, StepContext
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import OutputRequest
 from orchestrator.model.names import split_name
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.wait_armed import WaitArmed
 

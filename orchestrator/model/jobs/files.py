@@ -13,6 +13,7 @@ from orchestrator.model.errors import TuttiError
 from orchestrator.model.explain import list_problems
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.jobs.table_files import read_tables
 from orchestrator.model.problems import Problem
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.tree import find_scans
@@ -111,11 +112,23 @@ def parse_document(text: str, model: type[M], name: str) -> M:
 
 
 def parse_file(file: LoadedFile, model: type[M]) -> M:
-    """Make a model of what was read. Raises `FileError` with every mistake."""
+    """Make a model of what was read. Tables that a fleet file names are read beside it. Raises `FileError` with every
+    mistake."""
     require_mapping(file, model)
-    checked_file, problems = validate_value(file.root.value, model)
-    if checked_file is None:
-        raise FileError(file.problem(problem.place, problem.text) for problem in problems)
+    fleet_tables = read_tables(file.root.value if model is Fleet else {}, Path(file.name).parent)
+    checked_file, problems = validate_value(fleet_tables.value or file.root.value, model)
+    if checked_file is None or fleet_tables.problems:
+        table_problems = [*fleet_tables.problems, *filter(None, map(fleet_tables.locate, problems))]
+        raise FileError(
+            [
+                *(FileProblem(problem.file, problem.line, "", problem.text) for problem in table_problems),
+                *(
+                    file.problem(problem.place, problem.text)
+                    for problem in problems
+                    if not fleet_tables.locate(problem)
+                ),
+            ]
+        )
     return checked_file
 
 

@@ -6,7 +6,8 @@ from typing import Any, Literal
 from pydantic import Field
 
 from orchestrator.model.base import Model, Rational
-from orchestrator.model.report import PathReport, VirtualBound
+from orchestrator.model.compensation import Play
+from orchestrator.model.report import PathReport, PositionBound, VirtualBound
 
 
 class AxisForecast(Model):
@@ -26,11 +27,13 @@ class AxisForecast(Model):
     offset_kind: Literal["motor", "start", "unknown"] = "motor"
     enabled: bool | None = None
     referenced: bool | None = None
+    play: Play | None = Field(default=None, exclude_if=lambda play: play is None)
 
 
 class StepForecast(Model):
     """One step. least_s, most_s: its duration; most_s None: no bound is known. conditions: what only the world decides.
-    virtual: how far virtual axes may be off their line; only in a dry run.
+    virtual: how far virtual axes may be off their line; only in a dry run. bounds: how far axes with `backlash` or
+    `correction` may be from their targets.
     lines: of a scan that flies, how fast, and how long a line takes; path: of its first line.
 
     commands: by controller, what it would be sent; only in a dry run. refused: why a controller would refuse it.
@@ -45,6 +48,7 @@ class StepForecast(Model):
     budget: dict[str, Any] | None = None
     path: PathReport | None = None
     virtual: dict[str, VirtualBound] = Field(default={})
+    bounds: dict[str, PositionBound] = Field(default={})
     lines: str = ""
     commands: dict[str, list[str]] = Field(default={})
 

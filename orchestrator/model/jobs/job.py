@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from orchestrator.model.duration import Duration
+from orchestrator.model.numbers import Duration
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.armed_terms import check_armed_waits
 from orchestrator.model.steps.base import Step, require_in_files

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from orchestrator.model.base import Model
-from orchestrator.model.duration import Duration
 from orchestrator.model.frame import MAX_COORDINATES
+from orchestrator.model.numbers import Duration
 from orchestrator.model.units import Quantity
 
 _SYSTEM = re.compile(r"G5[4-9]|G59\.[123]|G28|G30")

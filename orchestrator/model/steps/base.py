@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 from pydantic import ConfigDict, Field
 
 from orchestrator.model.base import Model
-from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
+from orchestrator.model.numbers import Duration
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.armed_terms import ArmedTerms

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Literal
 
-from orchestrator.model.duration import Duration
+from orchestrator.model.numbers import Duration
 from orchestrator.model.steps.base import Step
 
 

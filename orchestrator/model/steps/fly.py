@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from orchestrator.model.duration import Duration
+from orchestrator.model.numbers import Duration
 from orchestrator.model.paths.pieces import Rate
 from orchestrator.model.script import ScriptModel
 from orchestrator.model.steps.io import WaitInput

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
-from orchestrator.model.duration import Duration
+from orchestrator.model.numbers import Duration
 from orchestrator.model.steps.base import Step
 
 

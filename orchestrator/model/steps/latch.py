@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from orchestrator.model.duration import Duration
 from orchestrator.model.names import controller_of
+from orchestrator.model.numbers import Duration
 from orchestrator.model.steps.base import Step
 
 

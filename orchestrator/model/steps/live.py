@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from orchestrator.model.duration import Duration
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
+from orchestrator.model.numbers import Duration
 from orchestrator.model.steps.base import Axes, AxesStep, Step
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from orchestrator.model.compensation import Approach
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import ALL_AXES, MoveTarget, Target, is_position_name
@@ -35,6 +36,11 @@ class MoveTargets(Step):
     )
     measured: dict[str, MeasuredTarget] = MEASURED
     by: dict[str, AxisQuantity] = Field(default={}, description="Relative moves by axis.")
+    approach: Approach | None = Field(
+        default=None,
+        description="From which side its axes end at their targets, as `approach` of `backlash` in the fleet file, "
+        "which is the default.",
+    )
     record: StepSampling | None = Field(
         default=None, description="Have controllers record positions by themselves, for the recording of the job."
     )

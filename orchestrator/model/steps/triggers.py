@@ -7,9 +7,8 @@ from typing import Annotated, Any
 from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.base import Model
-from orchestrator.model.duration import MAX_DURATION_NS, Duration, parse_duration
 from orchestrator.model.names import ALL_AXES
-from orchestrator.model.numbers import split_number
+from orchestrator.model.numbers import MAX_DURATION_NS, Duration, parse_duration, split_number
 from orchestrator.model.units import Quantity
 
 MAX_TRIGGERS = 16  # of a step

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from orchestrator.model.duration import Duration
+from orchestrator.model.numbers import Duration
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.base import Step
 

@@ -4,8 +4,8 @@ import json
 import re
 from typing import Any, cast
 
-from orchestrator.model.duration import format_ns, parse_duration
 from orchestrator.model.names import ALL_AXES
+from orchestrator.model.numbers import format_ns, parse_duration
 from orchestrator.model.steps.speed import describe_speed
 from orchestrator.model.steps.triggers import Trigger
 

@@ -11,9 +11,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from orchestrator.model.base import Model
-from orchestrator.model.duration import parse_duration
 from orchestrator.model.explain import show_value
-from orchestrator.model.numbers import MAX_NUMBER, split_number, suggest_flag, suggest_number
+from orchestrator.model.numbers import MAX_NUMBER, parse_duration, split_number, suggest_flag, suggest_number
 from orchestrator.model.problems import Problem, raise_problems
 from orchestrator.model.units import Quantity, Unit, check_quantity, format_quantity, parse_quantity
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from orchestrator.model.duration import format_ns
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.io import SetOutput

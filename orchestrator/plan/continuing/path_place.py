@@ -74,8 +74,10 @@ def _require_same_zeros(ended: EndedJob, recording: StepRecording, start: Mappin
         axis_now, recorded_axis = ended.axes.get(name), recording.axes.get(name)
         if axis_now is None or recorded_axis is None:
             continue
-        shift = float(position - axis_now.offset) - recorded_axis.profile.start_counts / recorded_axis.counts_per_unit
-        if abs(shift) * abs(recorded_axis.counts_per_unit) > MOST_ROUNDING:
+        axis = ended.fleet.axis(name)
+        shift = float(position - axis_now.offset) - axis.to_unit(recorded_axis.profile.start_counts)
+        play = 0.0 if axis.backlash is None else axis.backlash.amount
+        if abs(shift) > play + MOST_ROUNDING / abs(recorded_axis.counts_per_unit):
             text = f"the zero of {name} has changed since the job ran, by {-shift:.6g} {recorded_axis.unit}"
             remedy = "the job is not continued; set the zero as it was, or submit a new job"
             raise Refusal("zero-changed", text, remedy)
@@ -91,7 +93,7 @@ def _list_samples(ended: EndedJob, step: FollowPath, recording: StepRecording) -
         if name in recording.axes:
             axis = recording.axes[name]
             at_ns, counts = np.array(axis.sampled, dtype=np.float64).reshape(-1, 2).T
-            columns.append(np.interp(instants, at_ns, counts) / axis.counts_per_unit + offset)
+            columns.append(ended.fleet.axis(name).to_units(np.interp(instants, at_ns, counts)) + offset)
         else:  # it stands
             columns.append(np.full(len(instants), _find_present(ended, name)))
     samples = np.column_stack(columns)

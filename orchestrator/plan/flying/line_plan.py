@@ -124,6 +124,9 @@ def _require_axes(axes: Mapping[str, Axis]) -> Unit:
         if axis.turn_length is not None:
             text = f"axis {name} wraps, and a line has a beginning and an end"
             raise Refusal("fly-axis", text, "scan it point by point: leave out `fly`", controller_of(name))
+        if axis.is_compensated:
+            text = f"axis {name} has `backlash` or `correction`, which are not applied in flight yet"
+            raise Refusal("not-compensated", text, "scan it point by point: leave out `fly`", controller_of(name))
     units = {Unit(axis.unit): name for name, axis in axes.items()}
     if len(units) > 1:
         words = ", ".join(f"{name} in {axis.unit}" for name, axis in axes.items())

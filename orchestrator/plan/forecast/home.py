@@ -1,7 +1,5 @@
 """The forecast of a homing."""
 
-from fractions import Fraction
-
 from orchestrator.model.errors import Refusal
 from orchestrator.model.steps.home import Home
 from orchestrator.plan.forecast.context import ForecastContext
@@ -32,7 +30,13 @@ def forecast_home(state: ForecastState, at: ForecastContext, step: Home) -> Span
         state.note_room(axis, state_before)
         kind = "unknown" if state_before.offset_kind == "start" else state_before.offset_kind
         state.axes[axis] = state_before.model_copy(
-            update={"motor": Fraction(0), "known": True, "referenced": True, "offset_kind": kind}
+            update={
+                "motor": state.fleet.axis(axis).to_position(0),
+                "known": True,
+                "referenced": True,
+                "offset_kind": kind,
+                "play": None,
+            }
         )
     entries = [*order.entries, *([axis] for axis in order.loners)]
     most = sum(max(state.fleet.axis(axis).homing.timeout_s for axis in entry) for entry in entries)

@@ -1,7 +1,7 @@
 """The forecasts of outputs that are switched, and inputs that are waited for."""
 
-from orchestrator.model.duration import format_ns
 from orchestrator.model.errors import Refusal
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.plan.forecast.context import ForecastContext

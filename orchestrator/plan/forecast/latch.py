@@ -1,6 +1,7 @@
 """The forecast of a position that an input captures."""
 
-from orchestrator.model.duration import format_ns
+from orchestrator.model.errors import Refusal
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.steps.latch import Latch
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
@@ -9,7 +10,10 @@ from orchestrator.plan.forecast.state import ForecastState
 
 def forecast_latch(state: ForecastState, at: ForecastContext, step: Latch) -> Span:
     """An input captures a position within its timeout."""
-    state.find_axis(at, step.axis, ("axis",))
+    axis = state.find_axis(at, step.axis, ("axis",))
+    if axis is not None and axis.backlash is not None:
+        text = f"axis {step.axis} has `backlash`, and which part of its play is taken up at the latch is not known"
+        state.add_problem(at, ("axis",), Refusal("not-compensated", text, "latch an axis without play"))
     state.check_name(at, step.input, "input")
     state.notes[f"input {step.input} latches {step.axis} within {format_ns(step.timeout)}"] = None
     return Span(0.0, step.timeout / 1e9)

@@ -1,5 +1,6 @@
 """The forecast of a move."""
 
+from orchestrator.model.errors import Refusal
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.steps.move import Move
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
@@ -10,6 +11,7 @@ from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
 from orchestrator.plan.forecast.virtual import take_virtual_targets
 from orchestrator.plan.forecast.ways import ForecastMotion, MoveWays
+from orchestrator.plan.play import require_play
 from orchestrator.plan.virtual_moves import find_virtual_names, straighten
 
 
@@ -18,15 +20,18 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
     check_record(state, at, step)
     if step.measured:
         take_measured(state, at, step, "to")
-        known_move = step.with_measured({})
-        return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
+        return _forecast_rest(state, at, step.with_measured({}))
     unknown = state.note_unknown_positions(step)
     if unknown:
         named_axes = state.find_named(at, [axis for axis in unknown if axis != ALL_AXES], "to")
         state.lose_positions(at, list(state.axes) if ALL_AXES in unknown else named_axes)
-        known_move = step.model_copy(update={"to": {axis: to for axis, to in step.to.items() if axis not in unknown}})
-        return Span(forecast_move(state, at, known_move).least if known_move.to or known_move.by else 0.0, None)
-    ways = MoveWays()
+        known_targets = {axis: to for axis, to in step.to.items() if axis not in unknown}
+        return _forecast_rest(state, at, step.model_copy(update={"to": known_targets}))
+    try:
+        require_play(state.fleet, step)
+    except Refusal as error:
+        state.add_problem(at, ("approach",), error)
+    ways = MoveWays(step.approach)
     if not take_virtual_targets(state, at, ways, step):
         return Span()
     _take_real_targets(state, at, ways, step)
@@ -35,6 +40,11 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
         state.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
     check_triggers(state, at, step)
     return span
+
+
+def _forecast_rest(state: ForecastState, at: ForecastContext, step: Move) -> Span:
+    """Run a move forward that is left without targets that are not known: it takes at least as long."""
+    return Span(forecast_move(state, at, step).least if step.to or step.by else 0.0, None)
 
 
 def _take_real_targets(state: ForecastState, at: ForecastContext, ways: MoveWays, step: Move) -> None:

@@ -1,7 +1,6 @@
 """The axes of a fleet as they are now, where a forecast begins."""
 
 from collections.abc import Mapping
-from fractions import Fraction
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.forecast import AxisForecast
@@ -19,10 +18,11 @@ def look_at_axes(fleet: Fleet, states: Mapping[str, ControllerState]) -> dict[st
         if axis_now is not None:
             axis = fleet.axis(name)
             axes[name] = AxisForecast(
-                motor=Fraction(axis_now.commanded_counts) / axis.counts_per_unit,
+                motor=axis.to_position(axis_now.axis_counts),
                 known=True,
                 offset=axis_now.offset,
                 enabled=axis_now.enabled or axis.enable != "manual",
                 referenced=axis_now.referenced,
+                play=axis_now.play,
             )
     return axes

@@ -9,6 +9,7 @@ from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
 from orchestrator.model.names import controller_of, is_position_name
+from orchestrator.model.report import PositionBound
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.units import UnitError, parse_quantity
@@ -47,6 +48,7 @@ class ForecastState:
         self.problems: list[StepProblem] = []
         self.conditions: dict[str, None] = {}
         self.notes: dict[str, None] = {}
+        self.bounds: dict[str, PositionBound] = {}
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
@@ -187,4 +189,11 @@ def _unknown_name(text: str) -> Refusal:
 def unknown_position(at: ForecastContext) -> dict[str, object]:
     """The fields of an axis whose position is not known from this step on."""
     nowhere = Fraction(0)
-    return {"motor": nowhere, "known": False, "since": at.index + 1, "lowest": nowhere, "highest": nowhere}
+    return {
+        "motor": nowhere,
+        "known": False,
+        "since": at.index + 1,
+        "lowest": nowhere,
+        "highest": nowhere,
+        "play": None,
+    }

@@ -2,6 +2,7 @@
 
 from fractions import Fraction
 
+from orchestrator.model.compensation import Approach
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.jobs.forecast import AxisForecast
@@ -10,6 +11,14 @@ from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.passes import TargetCheck
 from orchestrator.plan.forecast.state import ForecastState, Order, unknown_position
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.play import (
+    MotorWay,
+    bound_position,
+    choose_approach,
+    explain_overrun,
+    find_motor_way,
+    find_play_at_end,
+)
 from orchestrator.plan.step import AxisMove
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, explain_beyond_range, make_axis_move
 
@@ -24,12 +33,33 @@ def take_target(
     state.axes[name] = forecast_after
     order = state.order_of(name, axis)
     if distance_known:
-        start, target = (axis.to_target_counts(end.motor) for end in (state_before, forecast_after))
-        ways.add_known(make_axis_move(name, axis, start, target, order))
+        way = _find_way(state_before, forecast_after, axis, choose_approach(axis, ways.approach))
+        _take_way(state, at, ways, field, way)
+        ways.add_known(make_axis_move(name, axis, way.start, way.target, order))
         if state_before.known and forecast_after.known:
-            ways.exact[name] = (forecast_after.motor, target)
+            ways.exact[name] = (forecast_after.motor, way.target)
     else:
         ways.add_unknown(_longest_move(name, axis, forecast_after, order))
+
+
+def _find_way(before: AxisForecast, after: AxisForecast, axis: Axis, approach: Approach) -> MotorWay:
+    start, target = (axis.to_target_counts(end.motor) for end in (before, after))
+    play = before.play or axis.play
+    return find_motor_way(axis, start - (0 if play is None else play.least), play, target, approach)
+
+
+def _take_way(state: ForecastState, at: ForecastContext, ways: MoveWays, field: TargetField, way: MotorWay) -> None:
+    """Add what the play of a drive makes of a way: where it leaves the axis, its bound, and an overrun that leads too
+    far."""
+    name, axis, forecast_after = field.name, field.axis, state.axes[field.name]
+    bound = bound_position(axis, way)
+    if bound is not None:
+        state.bounds[name] = bound
+    if axis.play is not None:
+        state.axes[name] = forecast_after.model_copy(update={"play": find_play_at_end(axis, way)})
+    beyond_overrun = explain_overrun(name, axis, way, float(forecast_after.offset)) if forecast_after.known else None
+    if beyond_overrun is not None:
+        state.add_problem(at, field.place, beyond_overrun)
 
 
 def _find_target(
@@ -86,7 +116,10 @@ def check_target(
 def exceeds_room(axis: Axis, reached: tuple[Fraction, Fraction]) -> bool:
     """Whether the soft limits are too near to each other for all positions in a range."""
     limits = axis.soft_limits_counts
-    return limits is not None and abs(axis.to_counts(reached[1] - reached[0])) > limits[1] - limits[0]
+    if limits is None:
+        return False
+    width = abs(axis.to_position(limits[1]) - axis.to_position(limits[0]))
+    return round(abs(reached[1] - reached[0]) * axis.scale) > round(width * axis.scale)
 
 
 def check_room(state: ForecastState, at: ForecastContext, field: TargetField, after: AxisForecast) -> bool:
@@ -95,8 +128,8 @@ def check_room(state: ForecastState, at: ForecastContext, field: TargetField, af
     limits = axis.soft_limits_counts
     if limits is None or not exceeds_room(axis, (after.lowest, after.highest)):
         return True
-    span = abs(axis.to_unit(axis.to_counts(after.highest - after.lowest)))
-    width = abs(axis.to_unit(limits[1] - limits[0]))
+    span = abs(float(after.highest - after.lowest))
+    width = abs(axis.to_unit(limits[1]) - axis.to_unit(limits[0]))
     text = (
         f"axis {field.name}: the moves from {name_step(after.since)} (`steps[{after.since}]`) on cover "
         f"{span:g} {axis.unit}; its soft limits are {width:g} {axis.unit} apart"

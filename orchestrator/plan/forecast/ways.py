@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from orchestrator.model.compensation import Approach
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.path_step import PlannedPath
 from orchestrator.plan.step import AxisMove, StepPlan
@@ -27,8 +28,9 @@ class ForecastMotion:
 @dataclass(slots=True)
 class MoveWays:
     """The ways of the axes of a motion, in counts. farthest: bounds of them, where the beginning is not known; bounded:
-    whether there is a bound."""
+    whether there is a bound. approach: what the step states."""
 
+    approach: Approach | None = None
     nearest: list[AxisMove] = field(default_factory=list[AxisMove])
     farthest: list[AxisMove] = field(default_factory=list[AxisMove])
     exact: dict[str, tuple[Fraction, int]] = field(default_factory=dict[str, tuple[Fraction, int]])

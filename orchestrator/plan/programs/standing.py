@@ -74,7 +74,8 @@ def _place_samples(step: FollowPath, recording: StepRecording, axes: Mapping[str
         axis = recording.axes[name]
         at_ns, counts = np.array(axis.sampled, dtype=np.float64).reshape(-1, 2).T
         offset = float(axes[name].offset) if name in axes else 0.0
-        columns.append((np.interp(instants, at_ns, counts) / axis.counts_per_unit + offset) * _scale(step, name, fleet))
+        positions = fleet.axis(name).to_units(np.interp(instants, at_ns, counts)) + offset
+        columns.append(positions * _scale(step, name, fleet))
     samples = np.column_stack(columns)
     return samples[thin_out(len(samples))]
 

@@ -231,6 +231,9 @@ class Desk:
     def doubt_positions(self, _: object) -> None:
         return
 
+    def note_end(self, _: object) -> None:
+        return
+
     def find_wrong_ends(self, _: object) -> dict[str, str]:
         return {}
 

@@ -107,7 +107,7 @@ def test_no_waypoints_ever_reach_ruckig() -> None:
 def test_a_thousand_relative_moves_there_and_back_end_on_the_same_count() -> None:
     targets, per_unit, counts = ExactTargets(), Fraction(10_000, 3), 17
     for sign in [1, -1] * 500:
-        here = targets.exact_position("c.x", counts, per_unit)
+        here = targets.exact_position("c.x", counts, Fraction(counts) / per_unit)
         target = here + sign * Fraction(1, 7)
         counts = round(target * per_unit)
         targets.record_target("c.x", target, counts)

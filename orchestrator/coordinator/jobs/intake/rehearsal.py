@@ -138,11 +138,12 @@ class JobRehearsal:
             if state_now is None:
                 continue
             axes[name] = AxisForecast(
-                motor=targets.exact_position(name, state_now.commanded_counts, axis.counts_per_unit),
+                motor=targets.exact_position(name, state_now.commanded_counts, axis.to_position(state_now.axis_counts)),
                 known=True,
                 offset=state_now.offset,
                 enabled=state_now.enabled or axis.enable != "manual",
                 referenced=state_now.referenced,
+                play=state_now.play,
             )
         return axes
 

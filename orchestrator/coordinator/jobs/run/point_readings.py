@@ -59,7 +59,7 @@ def _stands_at(axis: Axis, now: AxisState, position: float) -> bool:
     """Whether a reading is of the axis at rest, commanded to this position."""
     if now.moving or now.homing:
         return False
-    off = now.commanded_counts - axis.to_target_counts(Fraction(str(position)) - now.offset)
+    off = now.axis_counts - axis.to_target_counts(Fraction(str(position)) - now.offset)
     if axis.turn_length is not None:
         turn = abs(axis.to_counts(axis.turn_length) - axis.to_counts(Fraction(0)))
         off = (off + turn // 2) % turn - turn // 2

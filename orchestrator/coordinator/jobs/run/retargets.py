@@ -71,7 +71,7 @@ class StepRetargets:
         present_goal = self._wanted or step.goal
         resolved_move = resolve_retarget(motion, step.request, AxisTargets(request.to, request.by), present_goal, infos)
         goal = {axis: exact for axis, (exact, _) in resolved_move.exact.items()}
-        continuation = find_continuation(infos, step.request.axes)
+        continuation = find_continuation(self._services.view.fleet, infos, step.request.axes)
         reply = JobRetargeted(
             step=step.request.index,
             way="brake" if continuation is None else continuation.way,

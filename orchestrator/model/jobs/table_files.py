@@ -1,0 +1,157 @@
+"""Tables of errors of axes in CSV files beside a fleet file: their rows are put in the place of the name of the file.
+
+The first line names the columns with their units, `position mm, error um` and perhaps `uncertainty um`; each other line
+is a row. Empty lines are skipped. What is wrong with a row is reported with its line there.
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from orchestrator.model.numbers import MAX_TEXT
+from orchestrator.model.problems import Problem
+from orchestrator.model.text.separators import find_separator, read_cell
+from orchestrator.model.units import Unit, UnitError, parse_quantity
+from orchestrator.model.yaml_reader import explain_mark
+
+COLUMNS = ("position", "error", "uncertainty")
+HEADER = "position mm, error um, uncertainty um"
+MAX_BYTES = 1_000_000
+PLACE_PARTS = 5  # of a table in a fleet file: controllers, name, axes, name, correction
+
+
+@dataclass(frozen=True, slots=True)
+class TableProblem:
+    """A mistake in a table. line: counts from 1; 0: the whole file."""
+
+    file: str
+    line: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class TableFile:
+    """A table that was read: rows in the unit of its axis, as exact numbers, with their lines."""
+
+    name: str
+    rows: list[list[str]] = field(default_factory=list[list[str]])
+    lines: list[int] = field(default_factory=list[int])
+    problems: list[TableProblem] = field(default_factory=list[TableProblem])
+
+    def note(self, line: int, text: str) -> None:
+        """Add a mistake."""
+        self.problems.append(TableProblem(self.name, line, text))
+
+
+@dataclass(frozen=True, slots=True)
+class FleetTables:
+    """The tables of a fleet file. value: the file with their rows in it. tables: by their place there."""
+
+    value: Mapping[str, Any]
+    tables: Mapping[tuple[str | int, ...], TableFile]
+
+    @property
+    def problems(self) -> list[TableProblem]:
+        """All mistakes that reading them has shown."""
+        return [problem for table in self.tables.values() for problem in table.problems]
+
+    def locate(self, problem: Problem) -> TableProblem | None:
+        """A mistake of the fleet that is in a row of a table, with its line there; None for another one."""
+        table, path = self.tables.get(problem.place[:PLACE_PARTS]), problem.place[PLACE_PARTS:]
+        if table is None or path[:1] != ("points",):
+            return None
+        number = path[1] if len(path) > 1 else None
+        return TableProblem(table.name, table.lines[number] if isinstance(number, int) else 1, problem.text)
+
+
+def read_tables(value: Mapping[str, Any], folder: Path) -> FleetTables:
+    """Read all tables below `folder` that a fleet file names. A table with mistakes is left out of the value."""
+    tables: dict[tuple[str | int, ...], TableFile] = {}
+    controllers: dict[str, Any] = dict(_read_mapping(value, "controllers"))
+    for name in controllers:
+        axes = dict(_read_mapping(controllers[name], "axes"))
+        for axis, fields in axes.items():
+            correction = _read_mapping(fields, "correction")
+            file = correction.get("file")
+            if not isinstance(file, str) or "points" in correction:
+                continue
+            table = _read_table(folder / file, fields.get("unit"))
+            tables["controllers", name, "axes", axis, "correction"] = table
+            other_fields = {key: entry for key, entry in fields.items() if key != "correction"}
+            options = {key: entry for key, entry in correction.items() if key != "file"}
+            axes[axis] = (
+                other_fields if table.problems else {**other_fields, "correction": {**options, "points": table.rows}}
+            )
+        controllers[name] = {**controllers[name], "axes": axes} if axes else controllers[name]
+    return FleetTables({**value, "controllers": controllers} if tables else value, tables)
+
+
+def _read_mapping(value: Any, key: str) -> Mapping[str, Any]:
+    """A mapping in a mapping; empty where either is something else, which the model reports."""
+    inner = cast(Mapping[str, Any], value).get(key) if isinstance(value, Mapping) else None
+    return cast(Mapping[str, Any], inner) if isinstance(inner, Mapping) else {}
+
+
+def _read_table(path: Path, unit_name: Any) -> TableFile:
+    table = TableFile(str(path))
+    try:
+        unit = Unit(unit_name)
+    except ValueError:
+        unit = Unit.MM  # the wrong unit is reported by its own field
+    try:
+        data = path.read_bytes() if path.stat().st_size <= MAX_BYTES else b""
+    except (OSError, ValueError) as error:
+        text = error.strerror if isinstance(error, OSError) else str(error)
+        table.note(0, f"cannot be read: {text}; correct `file`, which is looked for beside the fleet file")
+        return table
+    mark = explain_mark(data[:4])
+    if mark or not data.strip():
+        table.note(1, mark or f"is empty, or larger than {MAX_BYTES} bytes; its first line is e.g. `{HEADER}`")
+        return table
+    try:
+        lines = data.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        table.note(0, "is no text in UTF-8; save it as CSV in UTF-8")
+        return table
+    separator = find_separator(lines[0])
+    units = _read_header(table, next(csv.reader(lines[:1], delimiter=separator)), unit)
+    for number, line in enumerate(lines[1:], 2):
+        if line.strip() and units:
+            cells = [read_cell(cell, separator) for cell in next(csv.reader([line], delimiter=separator))]
+            _read_row(table, number, cells, units, unit)
+    return table
+
+
+def _read_header(table: TableFile, cells: Sequence[str], unit: Unit) -> list[str]:
+    """The units of the columns; none with a mistake."""
+    parts = [cell.split() for cell in cells]
+    names = tuple(words[0] if words else "" for words in parts)
+    if names not in (COLUMNS, COLUMNS[:2]) or any(len(words) != 2 for words in parts):
+        header = ", ".join(cells)[:MAX_TEXT]
+        table.note(1, f"the first line is `{header}`; name two or three columns with their units: `{HEADER}`")
+        return []
+    units = [words[1] for words in parts]
+    for cell, cell_unit in zip(cells, units, strict=True):
+        try:
+            parse_quantity(f"0 {cell_unit}", unit)
+        except UnitError as error:
+            table.note(1, f"column `{cell.strip()}`: {error}")
+            return []
+    return units
+
+
+def _read_row(table: TableFile, line: int, cells: Sequence[str], units: Sequence[str], unit: Unit) -> None:
+    if len(cells) != len(units):
+        table.note(line, f"has {len(cells)} values for {len(units)} columns; write one for each")
+        return
+    row: list[str] = []
+    for name, cell, cell_unit in zip(COLUMNS, cells, units, strict=False):
+        try:
+            row.append(str(parse_quantity(f"{cell.strip()} {cell_unit}", unit)))
+        except UnitError as error:
+            table.note(line, f"{name} {cell.strip()[:MAX_TEXT]!r}: {error}")
+            return
+    table.rows.append(row)
+    table.lines.append(line)
