@@ -302,6 +302,7 @@ class StatePublisher:
             chunk_load_s=capabilities.chunk_load_s,
             chunk_triggers=capabilities.chunk_triggers,
             retarget=capabilities.retarget,
+            jog_ramps=capabilities.jog_ramps,
             digest=self._config.digest,
             options_schema=_options_schema(self._context.make.options_model),
             tutti=find_own_version(),
