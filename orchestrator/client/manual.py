@@ -124,11 +124,9 @@ class ManualControl:
         Virtual axes are jogged by their real ones, which this object must have; it returns when they have the velocity,
         at the end of their common ramp. They are not jogged together with real axes (code `mixed`).
         """
-        if await self._feed.follow(velocities):
-            self._require_one_kind(self._velocities, is_virtual=True)
+        if await self._are_virtual(velocities):
             await self._drive_ramp(velocities, valid_ms)
             return
-        self._require_one_kind(velocities, is_virtual=False)
         self._velocities.update(velocities)
         await self._send_velocities(_JogOrder(velocities, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S))
 
@@ -137,7 +135,8 @@ class ManualControl:
 
         Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
         """
-        if self._ramp.wanted:
+        if self._ramp.wanted or (velocities and await self._are_virtual(velocities)):
+            self._require_jogging()
             await self._drive_ramp(velocities or {}, valid_ms)
             return
         has_changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
@@ -155,13 +154,13 @@ class ManualControl:
         For a caller that passes on the requests of a user, and must not continue a motion that the user has ended.
         Raises `Refusal` as they do. A virtual axis has its velocity after some of them: each is one step of its ramp.
         """
-        if await self._feed.follow(velocities):
-            self._require_one_kind(self._velocities, is_virtual=True)
-            if not renew or self._ramp.wanted:
-                self._ramp.request(velocities)
+        if await self._are_virtual(velocities):
+            if renew:
+                self._require_jogging()
+            self._ramp.request(velocities)
+            self._ramp_number += not renew
             await self._send_step(VALID_MS)
             return
-        self._require_one_kind(velocities, is_virtual=False)
         self._velocities.update(velocities)
         await self._request_jogs(_JogOrder(velocities, renew=renew, timeout_s=JOG_TIMEOUT_S))
 
@@ -170,12 +169,13 @@ class ManualControl:
         `Refusal` if a controller does not answer."""
         if self._ramp.is_moving:
             self._ramp.request_rest()
-            await self._follow_ramp(VALID_MS)
-        self._ramp.clear()
-        await self._stop_axes()
+            if not await self._follow_ramp(VALID_MS):
+                return
+        await self._halt()
 
-    async def _stop_axes(self) -> None:
+    async def _halt(self) -> None:
         """Stop all axes at once, each by its own ramp."""
+        self._ramp.clear()
         zeros = dict.fromkeys(self._velocities, 0.0)
         self._velocities.clear()
         for error in await asyncio.gather(*self._start_requests(_JogOrder(zeros)), return_exceptions=True):
@@ -185,52 +185,62 @@ class ManualControl:
 
     # Virtual axes
 
-    def _require_one_kind(self, axes: Mapping[str, float], *, is_virtual: bool) -> None:
-        """Refuse a jog of virtual axes while `axes`, real ones, are jogged, and the other way round."""
-        moving = self._ramp.find_real(self._ramp.present)
-        if is_virtual:
-            moving = {axis: velocity for axis, velocity in axes.items() if velocity and axis not in moving}
-        elif not axes:
-            return
-        if any(moving.values()):
-            text = f"virtual and real axes cannot be jogged together; {', '.join(moving)} moves"
+    async def _are_virtual(self, velocities: Mapping[str, float]) -> bool:
+        """Whether `velocities` are of virtual axes, whose states are followed from now on. Raises `Refusal`, also while
+        axes of the other kind are jogged."""
+        # The lease names the real axes: their jogs need nothing from the coordinator.
+        are_virtual = not all(axis in self.axes for axis in velocities) and await self._feed.follow(velocities)
+        if velocities and any(self._velocities.values()) and are_virtual != self._ramp.is_moving:
+            text = f"virtual and real axes cannot be jogged together; {', '.join(self._velocities)} moves"
             raise Refusal("mixed", text, "stop it first")
+        return are_virtual
+
+    def _require_jogging(self) -> None:
+        """Refuse to renew what has been stopped."""
+        if not any(self._ramp.wanted.values()):
+            raise Refusal("not-jogging", "the virtual axes were stopped", "press the jog key again")
 
     async def _drive_ramp(self, velocities: Mapping[str, float], valid_ms: int) -> None:
         """Bring virtual axes to their velocities."""
         self._ramp.request(velocities)
         await self._follow_ramp(valid_ms)
 
-    async def _follow_ramp(self, valid_ms: int) -> None:
-        """Send steps of the ramp until it is at its end, or a later call goes on with it."""
+    async def _follow_ramp(self, valid_ms: int) -> bool:
+        """Send steps of the ramp until it is at its end; return False when a later call goes on with it."""
         self._ramp_number += 1
         number = self._ramp_number
         while True:
             await self._send_step(valid_ms)
-            if self._ramp.is_settled or number != self._ramp_number:
-                return
+            if number == self._ramp_number and self._ramp.is_settled:
+                return True
             await asyncio.sleep(STEP_S)
             if number != self._ramp_number:
-                return
+                return False
 
     async def _send_step(self, valid_ms: int) -> None:
-        """Send the next step of the ramp. What is refused, or not answered within its validity, stops all axes at once:
-        no real axis goes on alone."""
+        """Send the next step of the ramp. What the ramp refuses ends it by its own way to rest; what a controller
+        refuses, or does not answer within its validity, stops all axes at once: no real axis goes on alone."""
         now_s, was_moving = asyncio.get_running_loop().time(), self._ramp.is_moving
         try:
             self._feed.require_fresh(self._ramp.wanted)
             velocities = self._ramp.step(now_s - self._stepped_s)
             self._stepped_s = now_s
-            if not self._ramp.is_moving:
-                velocities = dict.fromkeys({**self._velocities, **velocities}, 0.0)
-            self._velocities = dict(velocities)
-            if velocities:
-                order = _JogOrder(velocities, renew=was_moving, valid_ms=valid_ms, timeout_s=valid_ms / 1000)
-                await self._request_jogs(order)
         except Refusal:
-            self._ramp.clear()
+            is_braking = not any(self._ramp.wanted.values())
             with contextlib.suppress(Refusal):
-                await self._stop_axes()
+                await (self._halt() if is_braking else self.stop())
+            raise
+        if not self._ramp.is_moving:
+            velocities = dict.fromkeys({**self._velocities, **velocities}, 0.0)
+        self._velocities = dict(velocities)
+        if not velocities:
+            return
+        order = _JogOrder(velocities, renew=was_moving, valid_ms=valid_ms, timeout_s=valid_ms / 1000)
+        try:
+            await self._request_jogs(order)
+        except Refusal:
+            with contextlib.suppress(Refusal):
+                await self._halt()
             raise
 
     async def _send_velocities(self, order: _JogOrder) -> None:
@@ -259,9 +269,8 @@ class ManualControl:
         if not errors:
             return
         if len(requests) > 1:
-            self._ramp.clear()
             with contextlib.suppress(Refusal):
-                await self._stop_axes()
+                await self._halt()
         for error in errors:
             if isinstance(error, Refusal) and error.code == "not-leased":
                 self._renewals.cancel_all()

@@ -17,21 +17,21 @@ from orchestrator.model.operation.virtual_state import VirtualState
 
 FIRST_SHARE = 0.1
 """Of a step, the first one from rest: controllers take longer to begin a jog than to change it."""
-AGE_S = 0.25
+AGE_S = 0.4
 """From a state, which is as old as a poll, until the step that follows from it is taken."""
 SLOWEST_SHARE = 0.02
 """Of the wanted speed: at less than that a virtual axis is at its end."""
 OLDEST_S = 1.0
 """Of a state that a jog goes on with; adapters publish ten or more a second while they move."""
-SPEED_TOLERANCE = 1e-9
+TOLERANCE = 1e-9
 
 
 @dataclass(slots=True)
 class VirtualRamp:
     """The velocities of virtual axes on the way to those that are wanted, unit/s, by name.
 
-    states: of their groups, as they come. is_settled: the last step has reached the wanted velocities, or what is left of
-    them shortly before a soft limit. Each step changes all velocities by the same share of their way, so that no
+    states: of their groups, as they come. is_settled: the last step has reached the wanted velocities, or what is left
+    of them shortly before a soft limit. Each step changes all velocities by the same share of their way, so that no
     real axis is asked for more than its acceleration. Velocities whose real axes move in other directions are reached
     through rest, all axes together.
     """
@@ -57,7 +57,7 @@ class VirtualRamp:
                 jog = self._require_jog(axis)
                 load += abs(velocity) / jog.speed
                 told = self._describe_speed(axis, jog, velocity)
-        if load > 1 + SPEED_TOLERANCE:
+        if load > 1 + TOLERANCE:
             jogged = [axis for axis, velocity in wanted.items() if velocity]
             together = "" if len(jogged) == 1 else f", together with {', '.join(jogged[:-1])}"
             raise Refusal("too-fast", f"axis {told}{together}", "jog more slowly")
@@ -75,11 +75,11 @@ class VirtualRamp:
 
     def step(self, elapsed_s: float) -> dict[str, float]:
         """The velocities of the real axes for the next `elapsed_s` at most, unit/s, by `controller.axis`; 0 for all of
-        them: they stop. Raises `Refusal`: code `soft-limit` when a virtual axis has come to its end, and `deviation` when
-        another one of its group may be off its position by more than it should."""
+        them: they stop. Raises `Refusal`: code `soft-limit` when a virtual axis has come to its end, and `deviation`
+        when another one of its group might be off its position by more than it should."""
         goal, is_last = self._limit_to_ends(self.wanted), True
         if self.is_moving and _find_signs(self.find_real(goal)) != _find_signs(self.find_real(self.present)):
-            goal, is_last = dict.fromkeys(goal, 0.0), False
+            goal, is_last = dict.fromkeys(goal, 0.0), not any(goal.values())
         needed_s = sum(
             abs(velocity - self.present.get(axis, 0.0)) / self._require_jog(axis).acceleration
             for axis, velocity in goal.items()
@@ -87,23 +87,26 @@ class VirtualRamp:
         )
         begun = self.present
         self._moving_s = self._moving_s + elapsed_s if self.is_moving else 0.0
-        step_s = min(elapsed_s, STEP_S) if self.is_moving else FIRST_SHARE * STEP_S
-        if needed_s <= step_s or not self._is_ramped(goal):
-            self.present, self.is_settled = goal, is_last
-        else:
-            share, self.is_settled = step_s / needed_s, False
-            self.present = {
-                axis: begin + share * (velocity - begin)
-                for axis, velocity in goal.items()
-                for begin in (begun.get(axis, 0.0),)
-            }
+        share = self._find_share(needed_s, elapsed_s) if self._is_ramped(goal) else 1.0
+        self.is_settled = is_last and share == 1.0
+        self.present = {axis: _move_towards(begun.get(axis, 0.0), velocity, share) for axis, velocity in goal.items()}
         for axis, velocity in self.present.items():
             self._varied[axis] = self._varied.get(axis, 0.0) + abs(velocity - begun.get(axis, 0.0))
-        if self.is_moving:
-            self._require_deviations()
-        else:
+        if not self.is_moving:
             self._varied = {}
+        elif any(self.wanted.values()):
+            self._require_deviations()
         return self.find_real(self.present)
+
+    def _find_share(self, needed_s: float, elapsed_s: float) -> float:
+        """The share of its way that a step makes, where all of it needs `needed_s`."""
+        if not self.is_moving:
+            return min(1.0, FIRST_SHARE * STEP_S / needed_s) if needed_s else 1.0
+        step_s = min(elapsed_s, STEP_S)
+        if needed_s <= step_s * (1 + TOLERANCE):
+            return 1.0
+        # Steps of one size: what is left for the last one must not be below the lowest speed of a controller.
+        return 1.0 / math.ceil(needed_s / step_s * (1 - TOLERANCE)) if step_s > 0 else 0.0
 
     def find_real(self, velocities: Mapping[str, float]) -> dict[str, float]:
         """The velocities of the real axes at those of virtual ones; real axes that these do not move are left out."""
@@ -120,11 +123,16 @@ class VirtualRamp:
 
     def _require_jog(self, axis: str) -> VirtualJog:
         state = self._state_of(axis)
-        jog = state.jogs.get(split_name(axis)[1])
+        name = split_name(axis)[1]
+        jog = state.jogs.get(name)
         if jog is not None:
             return jog
+        if state.axes and name not in state.axes:
+            raise Refusal("unknown-axis", f"{state.group} has the axes {', '.join(state.axes)}", "see `tutti status`")
         if state.axes:
-            text = f"axis {axis} cannot be jogged: its group is curved, and a jog of {', '.join(state.of)} would leave it"
+            text = (
+                f"axis {axis} cannot be jogged: its group is curved, and a jog of {', '.join(state.of)} would leave it"
+            )
             raise Refusal("no-jog", text, "jog the real axes")
         raise Refusal("no-jog", f"axis {axis} cannot be jogged: {state.obstacle}", "see `tutti status`")
 
@@ -136,7 +144,8 @@ class VirtualRamp:
             f"{split_name(axis)[0]}.{other_name} is off by at most {off:.3g} {state.axes[other_name].unit}"
             for other_name, off in jog.off.items()
         )
-        return f"{axis} may jog at {jog.speed:.4g} {unit}/s at most{f', where {offs}' if offs else ''}, not at {abs(velocity):g}"
+        where = f", where {offs}" if offs else ""
+        return f"{axis} may jog at {jog.speed:.4g} {unit}/s at most{where}, not at {abs(velocity):g}"
 
     def _require_way(self, axis: str, velocity: float) -> None:
         """Refuse a velocity towards a soft limit that is reached."""
@@ -154,13 +163,16 @@ class VirtualRamp:
         for axis, velocity in self.present.items():
             group, jog = split_name(axis)[0], self._require_jog(axis)
             rises = (self._varied[axis] + abs(velocity)) / 2
+            until_rest_s = self._moving_s + abs(velocity) / jog.acceleration + STEP_S
             for name, limit in jog.deviations.items():
-                off = jog.off[name] * rises / jog.speed + (jog.drift[name] * self._moving_s if rises else 0.0)
+                off = jog.off[name] * rises / jog.speed + (jog.drift[name] * until_rest_s if rises else 0.0)
                 offs[f"{group}.{name}"] = offs.get(f"{group}.{name}", 0.0) + off
-                if offs[f"{group}.{name}"] > limit * (1 + SPEED_TOLERANCE):
+                if offs[f"{group}.{name}"] > limit * (1 + TOLERANCE):
                     unit = self._state_of(axis).axes[name].unit
                     text = f"axis {group}.{name} might be off its position by {limit:g} {unit} if this jog went on"
-                    raise Refusal("deviation", text, "jog again; hold a jog for less long, and change its speed less often")
+                    raise Refusal(
+                        "deviation", text, "jog again; hold a jog for less long, and change its speed less often"
+                    )
 
     def _limit_to_ends(self, velocities: Mapping[str, float]) -> dict[str, float]:
         """Velocities from which all axes can be at rest at the first soft limit. Raises `Refusal` at it."""
@@ -197,14 +209,16 @@ class VirtualFeed:
         """Follow the states of the groups of `axes`; whether these are virtual. Raises `Refusal`, also for virtual axes
         together with real ones, and for a make that cannot change the speed of a jog."""
         groups = dict.fromkeys(split_name(axis)[0] for axis in axes)
-        if not groups or all(group in self.states for group in groups):
-            return bool(groups)
+        if all(group in self.states for group in groups):
+            return True
         states = await self._connection.virtual_states()
         virtual_groups = [group for group in groups if group in states]
         if not virtual_groups:
             return False
         if len(virtual_groups) < len(groups):
-            raise Refusal("mixed", f"{', '.join(axes)}: virtual and real axes cannot be jogged together", "jog one kind")
+            raise Refusal(
+                "mixed", f"{', '.join(axes)}: virtual and real axes cannot be jogged together", "jog one kind"
+            )
         for group in groups:
             if len(states[group].of) > 1:
                 await self._require_ramps(states[group])
@@ -236,8 +250,8 @@ class VirtualFeed:
             if not info.jog_ramps:
                 raise Refusal(
                     "no-jog",
-                    f"{controller} ({info.make}) changes the speed of a jog only at rest, so that the axes of {state.group} "
-                    "would leave their positions",
+                    f"{controller} ({info.make}) changes the speed of a jog only at rest, so that the axes of "
+                    f"{state.group} would leave their positions",
                     f"move them, or jog {', '.join(state.of)}",
                     controller,
                 )
@@ -249,6 +263,11 @@ class VirtualFeed:
     def _store(self, state: VirtualState) -> None:
         self.states[state.group] = state
         self._arrived_s[state.group] = asyncio.get_running_loop().time()
+
+
+def _move_towards(begin: float, end: float, share: float) -> float:
+    """A share of the way from one velocity to another; exactly the other one at its end."""
+    return end if share == 1.0 else begin + share * (end - begin)
 
 
 def _find_signs(velocities: Mapping[str, float]) -> dict[str, bool]:

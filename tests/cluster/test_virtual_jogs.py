@@ -6,18 +6,20 @@ from collections.abc import Awaitable, Callable
 from typing import NamedTuple
 
 import pytest
+from cluster.test_curved_axes import PREPARE as PREPARE_MONO
+from cluster.test_curved_axes import mono_fleet
 from cluster.test_virtual_axes import PREPARE, SAMPLE_NS, read_truth, table_fleet
-from cluster.worlds import EXAMPLES, job, outcome, run_fleet
+from cluster.worlds import job, outcome, run_fleet
 
 from orchestrator.client.api import Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
-from orchestrator.model.jobs.files import load_fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 COUNT_MM = 1 / 2000
 VALID_S, POLL_S = 0.2, 0.06
+NOTICED_S = 0.5  # by the adapter of a CiA 402 drive
 AXES = ("height", "pitch", "roll")
 
 
@@ -58,8 +60,9 @@ async def prepare(fleet: VirtualFleet) -> Tutti:
     return fleet.make_client("anna")
 
 
-async def hold(manual: ManualControl, seconds: float) -> None:
-    for _ in range(round(seconds / 0.05)):
+async def hold(fleet: VirtualFleet, manual: ManualControl, seconds: float) -> None:
+    end_ns = fleet.clock.now_ns() + round(seconds * NS_PER_S)
+    while fleet.clock.now_ns() < end_ns:
         await asyncio.sleep(0.05)
         await manual.renew_jog()
 
@@ -72,12 +75,13 @@ def test_the_others_of_the_group_keep_their_positions(seed: int) -> None:
         watch = TableWatch(fleet)
         async with client.manual_control(["table.height"]) as manual:
             await manual.jog({"table.height": 1.5})
-            await hold(manual, 1.0)
-            assert fleet.controllers["front"].is_moving("X")
+            await hold(fleet, manual, 1.0)
+            height = read_truth(fleet, "table")[0]
+            await sleep_ns(fleet.clock, NS_PER_S // 20)
+            assert float(read_truth(fleet, "table")[0] - height) == pytest.approx(1.5 / 20, rel=1e-3)
             await manual.stop()
             await asyncio.sleep(0.5)
         seconds = (watch.rest_ns - watch.seen[0].at_ns) / NS_PER_S
-        assert watch.seen[-1].table[0] - watch.begun[0] == pytest.approx(1.5, rel=0.05)
         for name in ("pitch", "roll"):
             bound = stated.off[name] + stated.drift[name] * seconds
             assert COUNT_MM < watch.off(name) <= bound < stated.deviations[name] == 1, name
@@ -92,15 +96,15 @@ def test_another_speed_and_the_other_direction_are_reached_by_the_common_ramp() 
         async with client.manual_control(["table"]) as manual:
             for velocity in (1.5, 0.5, -1.5):
                 await manual.jog({"table.height": velocity})
-                await hold(manual, 0.4)
+                await hold(fleet, manual, 0.4)
             # One real axis of them cannot be jogged meanwhile.
             with pytest.raises(Refusal, match=r"together; front\.jack, left\.jack, right\.jack moves") as refusal:
                 await manual.jog({"front.jack": 0.5})
             assert refusal.value.code == "mixed"
             await manual.stop()
         heights = [sample.table[0] for sample in watch.seen]
-        assert max(heights) - watch.begun[0] == pytest.approx(0.8, rel=0.15)
-        assert max(heights) - heights[-1] == pytest.approx(0.6, rel=0.15)
+        assert max(heights) - watch.begun[0] == pytest.approx(0.8 + 0.1, abs=0.15)
+        assert max(heights) - heights[-1] == pytest.approx(0.6 + 0.1, abs=0.15)
         assert watch.off("pitch") < 1 and watch.off("roll") < 1
 
     run_fleet(main, table_fleet())
@@ -122,14 +126,14 @@ async def estop(fleet: VirtualFleet, manual: ManualControl) -> None:
 
 
 async def lose_power(fleet: VirtualFleet, manual: ManualControl) -> None:
-    """One controller goes; the next renewal is refused, and stops the others."""
+    """One controller goes: when its adapter has noticed that, a renewal is refused, which stops the others."""
     fleet.act_on_controller("right", lambda right: right.set_power(on=False))
     with pytest.raises(Refusal):
-        await hold(manual, 5)
+        await hold(fleet, manual, 5)
 
 
 @pytest.mark.parametrize(
-    ("act", "rests_s"), [(leave, VALID_S), (stop_all, 0.05), (estop, 0.05), (lose_power, 2 * VALID_S)]
+    ("act", "rests_s"), [(leave, VALID_S), (stop_all, 0.05), (estop, 0.05), (lose_power, NOTICED_S)]
 )
 def test_all_real_axes_stop_whatever_ends_a_jog(
     act: Callable[[VirtualFleet, ManualControl], Awaitable[None]], rests_s: float
@@ -140,7 +144,7 @@ def test_all_real_axes_stop_whatever_ends_a_jog(
         manual = client.manual_control(["table.height"])
         await manual.acquire()
         await manual.jog({"table.height": 1.5})
-        await hold(manual, 0.5)
+        await hold(fleet, manual, 0.5)
         begun_ns = fleet.clock.now_ns()
         await act(fleet, manual)
         await asyncio.sleep(1.5)
@@ -156,16 +160,20 @@ def test_what_cannot_be_jogged_is_refused_by_name() -> None:
         client = await prepare(fleet)
         async with client.manual_control(["table", "slit"]) as manual:
             for velocities, code, words in (
-                ({"table.height": 1.6}, "too-fast", r"table\.height may jog at 1\.5 mm/s at most, where table\.pitch is off"),
+                (
+                    {"table.height": 1.6},
+                    "too-fast",
+                    r"table\.height may jog at 1\.5 mm/s at most, where table\.pitch is off",
+                ),
                 ({"table.height": 1.0, "table.pitch": 5.0}, "too-fast", "together with table.height"),
                 ({"slit.gap": 1.0, "front.upper": 1.0}, "mixed", "cannot be jogged together"),
-                ({"table.hight": 1.0}, "no-jog", "table has no axis hight"),
+                ({"table.hight": 1.0}, "unknown-axis", "table has the axes height, pitch, roll"),
                 ({"tabel.height": 1.0}, "absent", "tabel"),
             ):
                 with pytest.raises(Refusal, match=words) as refusal:
                     await manual.jog(velocities)
                 assert refusal.value.code == code
-            assert not any(controller.is_moving("X") for controller in (fleet.controllers["front"],))
+            assert not any(fleet.controllers["front"].is_moving(motor) for motor in "XYZ")
         async with client.manual_control(["slit"]) as manual:
             with pytest.raises(Refusal) as refusal:
                 await manual.jog({"table.height": 1.0})
@@ -181,15 +189,18 @@ def test_a_jog_ends_at_the_first_soft_limit() -> None:
         client = await prepare(fleet)
         await outcome(fleet, job("[{do: move, to: {slit.gap: 9, slit.centre: 0, table.height: 14}}]"))
         watch = TableWatch(fleet)
-        for axis, velocity, end in (("table.height", 1.5, 15), ("slit.gap", 2.0, 10)):
+        ends = {"table.height": 15, "slit.gap": 10}
+        for axis, velocity in (("table.height", 1.5), ("slit.gap", 2.0)):
+            group = axis.partition(".")[0]
             async with client.manual_control([axis]) as manual:
                 await manual.jog({axis: velocity})
                 with pytest.raises(Refusal, match=f"axis {axis} is at the soft limit of {axis}"):
-                    await hold(manual, 10)
+                    await hold(fleet, manual, 10)
                 with pytest.raises(Refusal, match="jog in the other direction"):
                     await manual.jog({axis: velocity})
+                reached = float(read_truth(fleet, group)[0])
                 await manual.jog({axis: -velocity})
-            assert end - 0.05 <= max(float(read_truth(fleet, axis.partition(".")[0])[0]), end - 0.05) <= end
+            assert ends[axis] - 0.02 <= reached <= ends[axis]
         assert 15 - 0.02 <= max(sample.table[0] for sample in watch.seen) <= 15
         assert watch.off("pitch") < 1 and watch.off("roll") < 1
 
@@ -198,14 +209,14 @@ def test_a_jog_ends_at_the_first_soft_limit() -> None:
 
 def test_a_curved_axis_is_jogged_by_its_derivative() -> None:
     async def main(fleet: VirtualFleet) -> None:
-        await outcome(fleet, job("[{do: enable, axes: [mono]}, {do: home, axes: [mono]}, {do: move, to: {mono.energy: 8}}]"))
+        await outcome(fleet, job(f"[{PREPARE_MONO}, {{do: move, to: {{mono.energy: 8}}}}]"))
         client = fleet.make_client()
         async with client.manual_control(["mono.energy"]) as manual:
             begun = await client.position("mono.energy")
             await manual.jog({"mono.energy": 0.1})
-            await hold(manual, 2.0)
+            await hold(fleet, manual, 2.0)
             await manual.stop()
         await asyncio.sleep(0.5)
         assert await client.position("mono.energy") - begun == pytest.approx(0.2, rel=0.05)
 
-    run_fleet(main, load_fleet(EXAMPLES / "mono.fleet.yaml"))
+    run_fleet(main, mono_fleet())

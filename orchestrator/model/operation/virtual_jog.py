@@ -27,7 +27,7 @@ STEP_S = 0.05
 TAKE_S = 0.02
 """By how much instants may differ at which controllers take one request, besides a poll that it waits for."""
 ROUNDED_COUNTS_S = 2.0
-"""Of a speed: the even numbers of counts/s that the coarsest of the makes knows (SMC-4000, manual L12942)."""
+"""Of a speed: the even numbers of counts/s of a make whose registers take no others (SMC-4000, L10032)."""
 CRYSTAL_PPM = 100.0
 
 
@@ -36,9 +36,9 @@ class VirtualJog(Model):
 
     rates: the velocity of each real axis of the group, in the order of `of`, per unit/s. speed: the highest.
     acceleration: of the common ramp, so that no real axis is asked for more than its own. off: how far each other
-    virtual axis of the group may be off its position, in its unit, by a jog from rest to that speed and to rest; drift: by
-    how much more per second. deviations: the `jog.deviation` of those that have one. low, high: how far it can go, in both
-    directions, until `low_by`, `high_by` is at its soft limit; None: without one.
+    virtual axis of the group may be off its position, in its unit, by a jog from rest to that speed and to rest; drift:
+    by how much more per second. deviations: the `jog.deviation` of those that have one. low, high: how far it can go,
+    in both directions, until `low_by`, `high_by` is at its soft limit; None: without one.
     """
 
     rates: list[float]
@@ -116,16 +116,20 @@ def find_jogs(
         settings = axes[name].jog
         speeds += [] if settings.speed is None else [settings.speed]
         deviations = {
-            other_name: axes[other_name].jog.deviation for other_name in off_s if axes[other_name].jog.deviation is not None
+            other_name: deviation for other_name in off_s if (deviation := axes[other_name].jog.deviation) is not None
         }
         # The other half of a deviation is left to changes of speed and to the drift.
-        speeds += [deviation / off_s[other_name] / 2 for other_name, deviation in deviations.items() if off_s[other_name]]
+        speeds += [
+            deviation / off_s[other_name] / 2 for other_name, deviation in deviations.items() if off_s[other_name]
+        ]
         speed = min(speeds)
         slips = [
             ROUNDED_COUNTS_S / float(real.config.scale) + CRYSTAL_PPM * 1e-6 * speed * abs(rate) if rate else 0.0
             for rate, real in zip(rates[name], reals, strict=True)
         ]
-        reach = _find_reach(axes[name].soft_limits, axes[name], f"{split_name(virtual_map.virtual[0])[0]}.{name}", target)
+        reach = _find_reach(
+            axes[name].soft_limits, axes[name], f"{split_name(virtual_map.virtual[0])[0]}.{name}", target
+        )
         if len(reals) > 1:  # one alone ends at its soft limit by itself
             reach = _narrow_by_reals(reach, rates[name], reals)
         jogs[name] = VirtualJog(

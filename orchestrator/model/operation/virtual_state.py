@@ -36,8 +36,9 @@ class VirtualAxisState(Model):
 class VirtualState(Model):
     """The state of a group of virtual axes: published by the coordinator with each state of its real axes.
 
-    jogs: how its axes are jogged now; without those that cannot be. referenced, enabled: of all its real axes. obstacle: why it cannot be moved, with the real axis that is the cause;
-    empty: it can. Without a state of every controller, and outside the domain of its map, it has no axes.
+    jogs: how its axes are jogged now; without those that cannot be. referenced, enabled: of all its real axes.
+    obstacle: why it cannot be moved, with the real axis that is the cause; empty: it can. Without a state of every
+    controller, and outside the domain of its map, it has no axes.
     """
 
     schema_: Literal["tutti.virtual/1"] = Field(default="tutti.virtual/1", alias="schema")
