@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from typing import Self
 
 from orchestrator.client.fleet import FleetRequests
-from orchestrator.client.virtual_jog import VirtualFeed, VirtualRamp
+from orchestrator.client.states import VirtualFeed
 from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, Reply
 from orchestrator.model.operation.virtual_jog import STEP_S
+from orchestrator.model.operation.virtual_ramp import VirtualRamp
 
 VALID_MS = 200  # maximum validity of a jog
 ANSWER_S = 0.5  # a later answer is useless: the axis has stopped by itself long before
@@ -125,7 +126,8 @@ class ManualControl:
         at the end of their common ramp. They are not jogged together with real axes (code `mixed`).
         """
         if await self._are_virtual(velocities):
-            await self._drive_ramp(velocities, valid_ms)
+            self._ramp.request(velocities)
+            await self._follow_ramp(valid_ms)
             return
         self._velocities.update(velocities)
         await self._send_velocities(_JogOrder(velocities, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S))
@@ -136,8 +138,9 @@ class ManualControl:
         Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
         """
         if self._ramp.wanted or (velocities and await self._are_virtual(velocities)):
-            self._require_jogging()
-            await self._drive_ramp(velocities or {}, valid_ms)
+            self._ramp.require_jogging()
+            self._ramp.request(velocities or {})
+            await self._follow_ramp(valid_ms)
             return
         has_changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
@@ -156,7 +159,7 @@ class ManualControl:
         """
         if await self._are_virtual(velocities):
             if renew:
-                self._require_jogging()
+                self._ramp.require_jogging()
             self._ramp.request(velocities)
             self._ramp_number += not renew
             await self._send_step(VALID_MS)
@@ -195,16 +198,6 @@ class ManualControl:
             raise Refusal("mixed", text, "stop it first")
         return are_virtual
 
-    def _require_jogging(self) -> None:
-        """Refuse to renew what has been stopped."""
-        if not any(self._ramp.wanted.values()):
-            raise Refusal("not-jogging", "the virtual axes were stopped", "press the jog key again")
-
-    async def _drive_ramp(self, velocities: Mapping[str, float], valid_ms: int) -> None:
-        """Bring virtual axes to their velocities."""
-        self._ramp.request(velocities)
-        await self._follow_ramp(valid_ms)
-
     async def _follow_ramp(self, valid_ms: int) -> bool:
         """Send steps of the ramp until it is at its end; return False when a later call goes on with it."""
         self._ramp_number += 1
@@ -233,11 +226,8 @@ class ManualControl:
         if not self._ramp.is_moving:
             velocities = dict.fromkeys({**self._velocities, **velocities}, 0.0)
         self._velocities = dict(velocities)
-        if not velocities:
-            return
-        order = _JogOrder(velocities, renew=was_moving, valid_ms=valid_ms, timeout_s=valid_ms / 1000)
         try:
-            await self._request_jogs(order)
+            await self._request_jogs(_JogOrder(velocities, was_moving, valid_ms, valid_ms / 1000))
         except Refusal:
             with contextlib.suppress(Refusal):
                 await self._halt()

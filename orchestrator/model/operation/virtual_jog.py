@@ -8,15 +8,15 @@ virtual axis is off by at most the sum of |m| times that, with m its factor; twi
 again. Beside that controllers round speeds to ROUNDED_COUNTS_S and have crystals of their own, which adds up with time.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from pydantic import Field
 
-from orchestrator.model.axis_units import SoftLimits
 from orchestrator.model.base import Id, Model
 from orchestrator.model.fleet import Axis
-from orchestrator.model.linear_map import LinearMap, MapError, Rows
+from orchestrator.model.linear_map import LinearMap, MapError
 from orchestrator.model.names import split_name
 from orchestrator.model.state import AxisState
 from orchestrator.model.virtual_axes import VirtualAxis
@@ -72,12 +72,12 @@ class _Reach(NamedTuple):
     def narrow(self, low: float, high: float, name: str) -> "_Reach":
         """The range within both."""
         low, high = min(low, 0.0), max(high, 0.0)
-        narrowed = self
+        reach = self
         if self.low is None or low > self.low:
-            narrowed = narrowed._replace(low=low, low_by=name)
+            reach = reach._replace(low=low, low_by=name)
         if self.high is None or high < self.high:
-            narrowed = narrowed._replace(high=high, high_by=name)
-        return narrowed
+            reach = reach._replace(high=high, high_by=name)
+        return reach
 
 
 def find_rates(virtual_map: VirtualMap, positions: Sequence[float]) -> dict[str, list[float]]:
@@ -108,59 +108,63 @@ def find_jogs(
         return {}
     rows = virtual_map.find_rows(positions)
     targets = virtual_map.observe([real.state.commanded for real in reals])
+    group = split_name(virtual_map.virtual[0])[0]
     jogs: dict[str, VirtualJog] = {}
     for name, target in zip(rates, targets, strict=True):
-        shares = [(abs(rate), real.config, real.state) for rate, real in zip(rates[name], reals, strict=True) if rate]
-        off_s = _find_off(list(rates), name, rows, rates[name], apart_s)
-        speeds = [config.jog_speed(referenced=state.referenced) / rate for rate, config, state in shares]
-        settings = axes[name].jog
-        speeds += [] if settings.speed is None else [settings.speed]
-        deviations = {
-            other_name: deviation for other_name in off_s if (deviation := axes[other_name].jog.deviation) is not None
-        }
-        # The other half of a deviation is left to changes of speed and to the drift.
-        speeds += [
-            deviation / off_s[other_name] / 2 for other_name, deviation in deviations.items() if off_s[other_name]
-        ]
-        speed = min(speeds)
-        slips = [
-            ROUNDED_COUNTS_S / float(real.config.scale) + CRYSTAL_PPM * 1e-6 * speed * abs(rate) if rate else 0.0
-            for rate, real in zip(rates[name], reals, strict=True)
-        ]
-        reach = _find_reach(
-            axes[name].soft_limits, axes[name], f"{split_name(virtual_map.virtual[0])[0]}.{name}", target
-        )
+        reach = _find_reach(axes[name], f"{group}.{name}", target)
         if len(reals) > 1:  # one alone ends at its soft limit by itself
             reach = _narrow_by_reals(reach, rates[name], reals)
-        jogs[name] = VirtualJog(
-            rates=rates[name],
-            speed=speed,
-            acceleration=min(config.limits.acceleration / rate for rate, config, _ in shares),
-            off={other_name: off * speed for other_name, off in off_s.items()},
-            drift={
-                other_name: sum(abs(factor) * slip for factor, slip in zip(row, slips, strict=True))
-                for other_name, row in zip(rates, rows, strict=True)
-                if other_name != name
-            },
-            deviations=deviations,
-            **reach._asdict(),
-        )
+        off_rows = {key: row for key, row in zip(rates, rows, strict=True) if key != name}
+        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_rows, apart_s), reach)
     return jogs
 
 
-def _find_off(
-    names: Sequence[str], jogged: str, rows: Rows, rates: Sequence[float], apart_s: float
-) -> dict[str, float]:
-    """How far each other virtual axis may be off its position per unit/s of the jogged one."""
-    late_s = STEP_S / 2 + apart_s
-    return {
-        name: late_s * sum(abs(factor * rate) for factor, rate in zip(row, rates, strict=True))
-        for name, row in zip(names, rows, strict=True)
-        if name != jogged
-    }
+def _make_jog(axes: Mapping[str, VirtualAxis], name: str, motion: "_Motion", reach: _Reach) -> VirtualJog:
+    deviations = {key: deviation for key in motion.rows if (deviation := axes[key].jog.deviation) is not None}
+    speeds = [real.config.jog_speed(referenced=real.state.referenced) / rate for rate, real in motion.moving_axes]
+    # The other half of a deviation is left to changes of speed and to the drift.
+    speeds += [deviation / motion.find_off(key) / 2 for key, deviation in deviations.items() if motion.find_off(key)]
+    speed = min([*speeds, axes[name].jog.speed or math.inf])
+    return VirtualJog(
+        rates=motion.rates,
+        speed=speed,
+        acceleration=min(real.config.limits.acceleration / rate for rate, real in motion.moving_axes),
+        off={key: motion.find_off(key) * speed for key in motion.rows},
+        drift={key: motion.find_drift(key, speed) for key in motion.rows},
+        deviations=deviations,
+        **reach._asdict(),
+    )
 
 
-def _find_reach(limits: SoftLimits | None, axis: VirtualAxis, name: str, target: float) -> _Reach:
+class _Motion(NamedTuple):
+    """A jog by `rates` of real axes. rows: by the other virtual axes of the group, their factors."""
+
+    rates: list[float]
+    reals: Sequence[RealJog]
+    rows: Mapping[str, Sequence[float]]
+    apart_s: float
+
+    @property
+    def moving_axes(self) -> list[tuple[float, RealJog]]:
+        """Those of the real axes that move, with the size of their rates."""
+        return [(abs(rate), real) for rate, real in zip(self.rates, self.reals, strict=True) if rate]
+
+    def find_off(self, name: str) -> float:
+        """How far another virtual axis may be off its position per unit/s."""
+        factors = zip(self.rows[name], self.rates, strict=True)
+        return (STEP_S / 2 + self.apart_s) * sum(abs(factor * rate) for factor, rate in factors)
+
+    def find_drift(self, name: str, speed: float) -> float:
+        """By how much more each second at a speed."""
+        return sum(
+            abs(factor) * (ROUNDED_COUNTS_S / float(real.config.scale) + CRYSTAL_PPM * 1e-6 * speed * abs(rate))
+            for factor, rate, real in zip(self.rows[name], self.rates, self.reals, strict=True)
+            if rate
+        )
+
+
+def _find_reach(axis: VirtualAxis, name: str, target: float) -> _Reach:
+    limits = axis.soft_limits
     if limits is None:
         return _Reach()
     low, high = limits.in_unit(axis.unit)

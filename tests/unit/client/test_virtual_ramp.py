@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from orchestrator.client.virtual_jog import FIRST_SHARE, VirtualRamp
 from orchestrator.model.errors import Refusal
 from orchestrator.model.operation.virtual_jog import STEP_S, VirtualJog
+from orchestrator.model.operation.virtual_ramp import FIRST_SHARE, VirtualRamp
 from orchestrator.model.operation.virtual_state import VirtualAxisState, VirtualState
 
 REALS = ("front.a", "left.b")

@@ -1,15 +1,9 @@
 """Jogs of virtual axes: the velocities of their real axes, changed by one common ramp."""
 
-import asyncio
 import math
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 
-from pydantic import ValidationError
-
-from orchestrator.bus.base import BusDeclaration, BusSample
-from orchestrator.client.fleet import FleetRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.virtual_jog import STEP_S, VirtualJog
@@ -21,8 +15,6 @@ AGE_S = 0.4
 """From a state, which is as old as a poll, until the step that follows from it is taken."""
 SLOWEST_SHARE = 0.02
 """Of the wanted speed: at less than that a virtual axis is at its end."""
-OLDEST_S = 1.0
-"""Of a state that a jog goes on with; adapters publish ten or more a second while they move."""
 TOLERANCE = 1e-9
 
 
@@ -50,20 +42,25 @@ class VirtualRamp:
 
     def request(self, velocities: Mapping[str, float]) -> None:
         """Want velocities from now on. Raises `Refusal`: codes `no-jog`, `too-fast`, `soft-limit`."""
-        wanted = {**self.wanted, **velocities}
-        load, told = 0.0, ""
-        for axis, velocity in wanted.items():
+        goal = {**self.wanted, **velocities}
+        load, text = 0.0, ""
+        for axis, velocity in goal.items():
             if velocity:
                 jog = self._require_jog(axis)
                 load += abs(velocity) / jog.speed
-                told = self._describe_speed(axis, jog, velocity)
+                text = self._describe_speed(axis, jog, velocity)
         if load > 1 + TOLERANCE:
-            jogged = [axis for axis, velocity in wanted.items() if velocity]
-            together = "" if len(jogged) == 1 else f", together with {', '.join(jogged[:-1])}"
-            raise Refusal("too-fast", f"axis {told}{together}", "jog more slowly")
+            *company, _ = (axis for axis, velocity in goal.items() if velocity)
+            company_text = f", together with {', '.join(company)}" if company else ""
+            raise Refusal("too-fast", f"axis {text}{company_text}", "jog more slowly")
         for axis, velocity in velocities.items():
             self._require_way(axis, velocity)
-        self.wanted = wanted
+        self.wanted = goal
+
+    def require_jogging(self) -> None:
+        """Refuse to renew what has been stopped."""
+        if not any(self.wanted.values()):
+            raise Refusal("not-jogging", "the virtual axes were stopped", "press the jog key again")
 
     def request_rest(self) -> None:
         """Want all axes to come to rest."""
@@ -85,13 +82,15 @@ class VirtualRamp:
             for axis, velocity in goal.items()
             if velocity != self.present.get(axis, 0.0)
         )
-        begun = self.present
+        begin_velocities = self.present
         self._moving_s = self._moving_s + elapsed_s if self.is_moving else 0.0
         share = self._find_share(needed_s, elapsed_s) if self._is_ramped(goal) else 1.0
         self.is_settled = is_last and share == 1.0
-        self.present = {axis: _move_towards(begun.get(axis, 0.0), velocity, share) for axis, velocity in goal.items()}
+        self.present = {
+            axis: _move_towards(begin_velocities.get(axis, 0.0), velocity, share) for axis, velocity in goal.items()
+        }
         for axis, velocity in self.present.items():
-            self._varied[axis] = self._varied.get(axis, 0.0) + abs(velocity - begun.get(axis, 0.0))
+            self._varied[axis] = self._varied.get(axis, 0.0) + abs(velocity - begin_velocities.get(axis, 0.0))
         if not self.is_moving:
             self._varied = {}
         elif any(self.wanted.values()):
@@ -144,17 +143,19 @@ class VirtualRamp:
             f"{split_name(axis)[0]}.{other_name} is off by at most {off:.3g} {state.axes[other_name].unit}"
             for other_name, off in jog.off.items()
         )
-        where = f", where {offs}" if offs else ""
-        return f"{axis} may jog at {jog.speed:.4g} {unit}/s at most{where}, not at {abs(velocity):g}"
+        off_text = f", where {offs}" if offs else ""
+        return f"{axis} may jog at {jog.speed:.4g} {unit}/s at most{off_text}, not at {abs(velocity):g}"
 
     def _require_way(self, axis: str, velocity: float) -> None:
         """Refuse a velocity towards a soft limit that is reached."""
         if not velocity:
             return
         jog = self._require_jog(axis)
-        way, by = (jog.high, jog.high_by) if velocity > 0 else (jog.low, jog.low_by)
+        way, limit_name = (jog.high, jog.high_by) if velocity > 0 else (jog.low, jog.low_by)
         if way is not None and self._find_limited_speed(jog, abs(way)) < SLOWEST_SHARE * abs(velocity):
-            raise Refusal("soft-limit", f"axis {axis} is at the soft limit of {by}", "jog in the other direction")
+            raise Refusal(
+                "soft-limit", f"axis {axis} is at the soft limit of {limit_name}", "jog in the other direction"
+            )
 
     def _require_deviations(self) -> None:
         """Refuse to go on where another axis might be off its position by more than its `jog.deviation`, also once all
@@ -194,75 +195,6 @@ class VirtualRamp:
     def _is_ramped(self, axes: Collection[str]) -> bool:
         """Whether several real axes move, which need a common ramp."""
         return any(len(self._state_of(axis).of) > 1 for axis in axes)
-
-
-class VirtualFeed:
-    """The states of the groups of virtual axes that a connection jogs. states: by group."""
-
-    def __init__(self, connection: FleetRequests) -> None:
-        self.states: dict[str, VirtualState] = {}
-        self._connection = connection
-        self._subscriptions: dict[str, BusDeclaration] = {}
-        self._arrived_s: dict[str, float] = {}
-
-    async def follow(self, axes: Collection[str]) -> bool:
-        """Follow the states of the groups of `axes`; whether these are virtual. Raises `Refusal`, also for virtual axes
-        together with real ones, and for a make that cannot change the speed of a jog."""
-        groups = dict.fromkeys(split_name(axis)[0] for axis in axes)
-        if all(group in self.states for group in groups):
-            return True
-        states = await self._connection.virtual_states()
-        virtual_groups = [group for group in groups if group in states]
-        if not virtual_groups:
-            return False
-        if len(virtual_groups) < len(groups):
-            raise Refusal(
-                "mixed", f"{', '.join(axes)}: virtual and real axes cannot be jogged together", "jog one kind"
-            )
-        for group in groups:
-            if len(states[group].of) > 1:
-                await self._require_ramps(states[group])
-        for group in groups:
-            if group not in self._subscriptions:
-                self._store(states[group])
-                key = self._connection.keys.virtual(group)
-                self._subscriptions[group] = await self._connection.bus.subscribe(key, self._receive)
-        return True
-
-    async def close(self) -> None:
-        """End the subscriptions."""
-        subscriptions, self._subscriptions = self._subscriptions, {}
-        self.states.clear()
-        for subscription in subscriptions.values():
-            await subscription.undeclare()
-
-    def require_fresh(self, axes: Collection[str]) -> None:
-        """Raise `Refusal` if a state of the groups of `axes` is too old to jog by it."""
-        oldest_s = asyncio.get_running_loop().time() - OLDEST_S
-        for group in dict.fromkeys(split_name(axis)[0] for axis in axes):
-            if self._arrived_s[group] < oldest_s:
-                text = f"{group}: the coordinator publishes no state of it, so that its limits are not known"
-                raise Refusal("no-state", text, "see `tutti status`")
-
-    async def _require_ramps(self, state: VirtualState) -> None:
-        for controller in dict.fromkeys(split_name(axis)[0] for axis in state.of):
-            info = await self._connection.controller_info(controller)
-            if not info.jog_ramps:
-                raise Refusal(
-                    "no-jog",
-                    f"{controller} ({info.make}) changes the speed of a jog only at rest, so that the axes of "
-                    f"{state.group} would leave their positions",
-                    f"move them, or jog {', '.join(state.of)}",
-                    controller,
-                )
-
-    def _receive(self, sample: BusSample) -> None:
-        with suppress(ValidationError):  # not of a coordinator
-            self._store(VirtualState.read_message(sample.payload))
-
-    def _store(self, state: VirtualState) -> None:
-        self.states[state.group] = state
-        self._arrived_s[state.group] = asyncio.get_running_loop().time()
 
 
 def _move_towards(begin: float, end: float, share: float) -> float:
