@@ -3,18 +3,22 @@ them."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from cluster.gateway_client import run_with_gateway
 from cluster.test_curved_axes import PREPARE as PREPARE_MONO
 from cluster.test_curved_axes import mono_fleet
+from cluster.test_gateway import open_gateway
 from cluster.test_virtual_axes import PREPARE, SAMPLE_NS, read_truth, table_fleet
-from cluster.worlds import job, outcome, run_fleet
+from cluster.worlds import demo_fleet, job, outcome, run_fleet
 
 from orchestrator.client.api import Tutti
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 COUNT_MM = 1 / 2000
@@ -220,3 +224,40 @@ def test_a_curved_axis_is_jogged_by_its_derivative() -> None:
         assert await client.position("mono.energy") - begun == pytest.approx(0.2, rel=0.05)
 
     run_fleet(main, mono_fleet())
+
+
+def test_a_page_jogs_a_virtual_axis_by_its_frames(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await prepare(fleet)
+        watch = TableWatch(fleet)
+        _, socket = await open_gateway(fleet, tmp_path)
+        assert "front.jack" in str(await socket.ask("acquire", axes=["table.height"]))
+        assert (await socket.ask("jog", axis="table.pitch", velocity=1))["refused"]["code"] == "not-leased"
+        for verb, fields in (("jog", {"axis": "table.height", "velocity": 1.5}), *[("renew", {})] * 10):
+            assert "ok" in await socket.ask(verb, **fields)
+            await asyncio.sleep(0.1)
+        assert fleet.controllers["left"].is_moving("X")
+        let_go_ns = fleet.clock.now_ns()
+        socket.send("end-jog")
+        await asyncio.sleep(0.5)
+        assert (watch.rest_ns - let_go_ns) / NS_PER_S < VALID_S
+        assert watch.seen[-1].table[0] - watch.begun[0] > 1.0
+        assert watch.off("pitch") < 1 and watch.off("roll") < 1
+
+    run_with_gateway(main, table_fleet())
+
+
+def test_a_make_that_rests_for_each_speed_is_refused_by_name() -> None:
+    plain = demo_fleet().to_plain()
+    of = ["gantry.x", "stage.u"]
+    plain["virtual"] = {
+        "pair": {"kind": "rotation", "of": of, "angle": 30, "axes": {"u": {"unit": "mm"}, "v": {"unit": "mm"}}}
+    }
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        async with client.manual_control(["pair"]) as manual:
+            with pytest.raises(Refusal, match=r"stage \(shrc203\) changes the speed of a jog only at rest"):
+                await manual.jog({"pair.u": 0.1})
+
+    run_fleet(main, Fleet.model_validate(plain))
