@@ -135,6 +135,7 @@ class DriverCapabilities:
     path with triggers is loaded as a whole.
     retarget_s: the most time from a request for another target on the way until the set-points change; 0: its axes
     brake, and start again. retarget_way: how they continue.
+    jog_ramps: an axis that is jogged gets another speed without coming to rest.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
     last axis is at rest (transport, and the ramp from full speed).
     """
@@ -150,6 +151,7 @@ class DriverCapabilities:
     chunk_triggers: ChunkTriggers | None = None
     retarget_s: float = 0.0
     retarget_way: RetargetWay = "stream"
+    jog_ramps: bool = False
 
     @property
     def retarget(self) -> RetargetAbility | None:

@@ -65,7 +65,9 @@ def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float,
 def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabilities:
     """What a drive supports. period_ms: of the positions that it follows; None: it follows none."""
     if period_ms is None:
-        return DriverCapabilities(start_classes=("sync",), orders=(2,), independent_axes=False, costs=costs)
+        return DriverCapabilities(
+            start_classes=("sync",), orders=(2,), independent_axes=False, costs=costs, jog_ramps=True
+        )
     return DriverCapabilities(
         start_classes=("sync",),
         orders=(2, 3),
@@ -75,4 +77,5 @@ def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabili
         chunk_load_s=LOAD_S,
         chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS, shows=True),
         retarget_s=RETARGET_PERIODS * period_ms / 1000,
+        jog_ramps=True,
     )

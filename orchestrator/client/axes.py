@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 
-from orchestrator.client.connection import ANSWER_S, FleetConnection
+from orchestrator.client.connection import ANSWER_S
+from orchestrator.client.fleet import FleetRequests
 from orchestrator.client.manual import ManualControl
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import RawReply, RawRequest, Reply
 from orchestrator.model.report import LeaseState
 
 
-class AxisRequests(FleetConnection):
+class AxisRequests(FleetRequests):
     """Acquire axes for manual control, and release them."""
 
     def manual_control(self, axes: Sequence[str], what: str = "manual control", ttl_s: float = 3.0) -> ManualControl:

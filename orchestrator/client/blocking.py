@@ -180,6 +180,9 @@ class BlockingManualControl(BlockingObject[ManualControl]):
         At most 200 ms, unless it is renewed. Returns when all controllers have accepted it, and renews it until then;
         one that refuses stops the others. Raises `Refusal`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`,
         `not-enabled`, and others of the adapter.
+
+        Virtual axes are jogged by their real ones, which this object must have; it returns when they have the velocity,
+        at the end of their common ramp. They are not jogged together with real axes (code `mixed`).
         """
         self._run(self._wrapped.jog(velocities, valid_ms))
 
@@ -194,13 +197,13 @@ class BlockingManualControl(BlockingObject[ManualControl]):
         """`jog`, or `renew_jog`, by one request to each controller, which is not renewed while it is on its way.
 
         For a caller that passes on the requests of a user, and must not continue a motion that the user has ended.
-        Raises `Refusal` as they do.
+        Raises `Refusal` as they do. A virtual axis has its velocity after some of them: each is one step of its ramp.
         """
         self._run(self._wrapped.request_jog(velocities, renew=renew))
 
     def stop(self) -> None:
-        """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
-        answer."""
+        """Stop all axes that this object has set in motion by their ramps, virtual ones by their common ramp. Raises
+        `Refusal` if a controller does not answer."""
         self._run(self._wrapped.stop())
 
 

@@ -14,12 +14,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from orchestrator.client.connection import FleetConnection
+from orchestrator.client.fleet import FleetRequests
+from orchestrator.client.states import VirtualFeed
 from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, Reply
+from orchestrator.model.operation.virtual_jog import STEP_S
+from orchestrator.model.operation.virtual_ramp import VirtualRamp
 
 VALID_MS = 200  # maximum validity of a jog
 ANSWER_S = 0.5  # a later answer is useless: the axis has stopped by itself long before
@@ -48,7 +51,7 @@ class ManualControl:
     more, and only another `manual_control` acquires the axes again.
     """
 
-    def __init__(self, connection: FleetConnection, axes: Sequence[str], what: str, ttl_s: float) -> None:
+    def __init__(self, connection: FleetRequests, axes: Sequence[str], what: str, ttl_s: float) -> None:
         self.axes: list[str] = []
         self.lost: Refusal | None = None
         self.holder = f"manual-{connection.new_id()}"
@@ -59,6 +62,10 @@ class ManualControl:
         self._seq = 0
         self._velocities: dict[str, float] = {}
         self._renewals = TaskOwner()
+        self._feed = VirtualFeed(connection)
+        self._ramp = VirtualRamp(self._feed.states)
+        self._ramp_number = 0
+        self._stepped_s = 0.0
 
     async def __aenter__(self) -> Self:
         await self.acquire()
@@ -80,6 +87,7 @@ class ManualControl:
         self._renewals.cancel_all()
         with contextlib.suppress(Refusal):
             await self.stop()
+        await self._feed.close()
         with contextlib.suppress(Refusal):
             request = ReleaseAxes(**self._connection.request_fields(), holder=self.holder)
             await self._connection.request_service("release-axes", request, Reply, self._ttl_s)
@@ -113,7 +121,14 @@ class ManualControl:
         At most 200 ms, unless it is renewed. Returns when all controllers have accepted it, and renews it until then;
         one that refuses stops the others. Raises `Refusal`: codes `not-leased`, `leased`, `too-fast`, `soft-limit`,
         `not-enabled`, and others of the adapter.
+
+        Virtual axes are jogged by their real ones, which this object must have; it returns when they have the velocity,
+        at the end of their common ramp. They are not jogged together with real axes (code `mixed`).
         """
+        if await self._are_virtual(velocities):
+            self._ramp.request(velocities)
+            await self._follow_ramp(valid_ms)
+            return
         self._velocities.update(velocities)
         await self._send_velocities(_JogOrder(velocities, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S))
 
@@ -122,6 +137,11 @@ class ManualControl:
 
         Raises `Refusal`: code `not-jogging` for an axis that has been stopped meanwhile, or was not renewed in time.
         """
+        if self._ramp.wanted or (velocities and await self._are_virtual(velocities)):
+            self._ramp.require_jogging()
+            self._ramp.request(velocities or {})
+            await self._follow_ramp(valid_ms)
+            return
         has_changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving_velocities = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
@@ -135,20 +155,83 @@ class ManualControl:
         """`jog`, or `renew_jog`, by one request to each controller, which is not renewed while it is on its way.
 
         For a caller that passes on the requests of a user, and must not continue a motion that the user has ended.
-        Raises `Refusal` as they do.
+        Raises `Refusal` as they do. A virtual axis has its velocity after some of them: each is one step of its ramp.
         """
+        if await self._are_virtual(velocities):
+            if renew:
+                self._ramp.require_jogging()
+            self._ramp.request(velocities)
+            self._ramp_number += not renew
+            await self._send_step(VALID_MS)
+            return
         self._velocities.update(velocities)
         await self._request_jogs(_JogOrder(velocities, renew=renew, timeout_s=JOG_TIMEOUT_S))
 
     async def stop(self) -> None:
-        """Stop all axes that this object has set in motion by their ramps. Raises `Refusal` if a controller does not
-        answer."""
+        """Stop all axes that this object has set in motion by their ramps, virtual ones by their common ramp. Raises
+        `Refusal` if a controller does not answer."""
+        if self._ramp.is_moving:
+            self._ramp.request_rest()
+            if not await self._follow_ramp(VALID_MS):
+                return
+        await self._halt()
+
+    async def _halt(self) -> None:
+        """Stop all axes at once, each by its own ramp."""
+        self._ramp.clear()
         zeros = dict.fromkeys(self._velocities, 0.0)
         self._velocities.clear()
         for error in await asyncio.gather(*self._start_requests(_JogOrder(zeros)), return_exceptions=True):
             # The end of a lease stops its motion, so there is nothing left to stop.
             if error is not None and not (isinstance(error, Refusal) and error.code in _LEASE_OVER):
                 raise error
+
+    # Virtual axes
+
+    async def _are_virtual(self, velocities: Mapping[str, float]) -> bool:
+        """Whether `velocities` are of virtual axes, whose states are followed from now on. Raises `Refusal`, also while
+        axes of the other kind are jogged."""
+        # The lease names the real axes: their jogs need nothing from the coordinator.
+        are_virtual = not all(axis in self.axes for axis in velocities) and await self._feed.follow(velocities)
+        if velocities and any(self._velocities.values()) and are_virtual != self._ramp.is_moving:
+            text = f"virtual and real axes cannot be jogged together; {', '.join(self._velocities)} moves"
+            raise Refusal("mixed", text, "stop it first")
+        return are_virtual
+
+    async def _follow_ramp(self, valid_ms: int) -> bool:
+        """Send steps of the ramp until it is at its end; return False when a later call goes on with it."""
+        self._ramp_number += 1
+        number = self._ramp_number
+        while True:
+            await self._send_step(valid_ms)
+            if number == self._ramp_number and self._ramp.is_settled:
+                return True
+            await asyncio.sleep(STEP_S)
+            if number != self._ramp_number:
+                return False
+
+    async def _send_step(self, valid_ms: int) -> None:
+        """Send the next step of the ramp. What the ramp refuses ends it by its own way to rest; what a controller
+        refuses, or does not answer within its validity, stops all axes at once: no real axis goes on alone."""
+        now_s, was_moving = asyncio.get_running_loop().time(), self._ramp.is_moving
+        try:
+            self._feed.require_fresh(self._ramp.wanted)
+            velocities = self._ramp.step(now_s - self._stepped_s)
+            self._stepped_s = now_s
+        except Refusal:
+            is_braking = not any(self._ramp.wanted.values())
+            with contextlib.suppress(Refusal):
+                await (self._halt() if is_braking else self.stop())
+            raise
+        if not self._ramp.is_moving:
+            velocities = dict.fromkeys({**self._velocities, **velocities}, 0.0)
+        self._velocities = dict(velocities)
+        try:
+            await self._request_jogs(_JogOrder(velocities, was_moving, valid_ms, valid_ms / 1000))
+        except Refusal:
+            with contextlib.suppress(Refusal):
+                await self._halt()
+            raise
 
     async def _send_velocities(self, order: _JogOrder) -> None:
         """Send velocities, and renew them until all controllers have answered: that may take longer than their
@@ -177,7 +260,7 @@ class ManualControl:
             return
         if len(requests) > 1:
             with contextlib.suppress(Refusal):
-                await self.stop()
+                await self._halt()
         for error in errors:
             if isinstance(error, Refusal) and error.code == "not-leased":
                 self._renewals.cancel_all()

@@ -2,18 +2,24 @@
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import BusSample
+from orchestrator.bus.base import BusDeclaration, BusSample
+from orchestrator.client.fleet import FleetRequests
 from orchestrator.clock.utc import format_utc_ns, parse_utc_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.names import split_name
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.state import AxisState, ControllerState, Mode, TimeInterval
 
 MAX_WAITING_STATES = 100  # of a controller; a consumer that is further behind goes on with the newest
+OLDEST_S = 1.0
+"""Of a state that a jog goes on with; adapters publish ten or more a second while they move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,3 +114,72 @@ class StateStream:
             utc = format_utc_ns(parse_utc_ns(utc) + middle_ns - state.fleet_ns)
         axes = {f"{name}.{axis}": state.axes[axis] for axis in self._names[name] if axis in state.axes}
         return StateReading(name, state.mode, axes, interval, utc, missed_count)
+
+
+class VirtualFeed:
+    """The states of the groups of virtual axes that a connection jogs. states: by group."""
+
+    def __init__(self, connection: FleetRequests) -> None:
+        self.states: dict[str, VirtualState] = {}
+        self._connection = connection
+        self._subscriptions: dict[str, BusDeclaration] = {}
+        self._arrived_s: dict[str, float] = {}
+
+    async def follow(self, axes: Collection[str]) -> bool:
+        """Follow the states of the groups of `axes`; whether these are virtual. Raises `Refusal`, also for virtual axes
+        together with real ones, and for a make that cannot change the speed of a jog."""
+        groups = dict.fromkeys(split_name(axis)[0] for axis in axes)
+        if all(group in self.states for group in groups):
+            return True
+        states = await self._connection.virtual_states()
+        virtual_groups = [group for group in groups if group in states]
+        if not virtual_groups:
+            return False
+        if len(virtual_groups) < len(groups):
+            raise Refusal(
+                "mixed", f"{', '.join(axes)}: virtual and real axes cannot be jogged together", "jog one kind"
+            )
+        for group in groups:
+            if len(states[group].of) > 1:
+                await self._require_ramps(states[group])
+        for group in groups:
+            if group not in self._subscriptions:
+                self._store(states[group])
+                key = self._connection.keys.virtual(group)
+                self._subscriptions[group] = await self._connection.bus.subscribe(key, self._receive)
+        return True
+
+    async def close(self) -> None:
+        """End the subscriptions."""
+        subscriptions, self._subscriptions = self._subscriptions, {}
+        self.states.clear()
+        for subscription in subscriptions.values():
+            await subscription.undeclare()
+
+    def require_fresh(self, axes: Collection[str]) -> None:
+        """Raise `Refusal` if a state of the groups of `axes` is too old to jog by it."""
+        oldest_s = asyncio.get_running_loop().time() - OLDEST_S
+        for group in dict.fromkeys(split_name(axis)[0] for axis in axes):
+            if self._arrived_s[group] < oldest_s:
+                text = f"{group}: the coordinator publishes no state of it, so that its limits are not known"
+                raise Refusal("no-state", text, "see `tutti status`")
+
+    async def _require_ramps(self, state: VirtualState) -> None:
+        for controller in dict.fromkeys(split_name(axis)[0] for axis in state.of):
+            info = await self._connection.controller_info(controller)
+            if not info.jog_ramps:
+                raise Refusal(
+                    "no-jog",
+                    f"{controller} ({info.make}) changes the speed of a jog only at rest, so that the axes of "
+                    f"{state.group} would leave their positions",
+                    f"move them, or jog {', '.join(state.of)}",
+                    controller,
+                )
+
+    def _receive(self, sample: BusSample) -> None:
+        with suppress(ValidationError):  # not of a coordinator
+            self._store(VirtualState.read_message(sample.payload))
+
+    def _store(self, state: VirtualState) -> None:
+        self.states[state.group] = state
+        self._arrived_s[state.group] = asyncio.get_running_loop().time()

@@ -29,6 +29,7 @@ _RATES: dict[tuple[str, ...], int] = {
     ("homing", "search_speed"): 1,
     ("jog", "speed"): 1,
     ("jog", "slow_speed"): 1,
+    ("jog", "deviation"): 0,
     ("start_rate", "min"): 1,
     ("start_rate", "max"): 1,
     ("backlash", "amount"): 0,

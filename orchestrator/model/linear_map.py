@@ -49,6 +49,11 @@ class LinearMap:
         return tuple(tuple(map(float, row)) for row in self.matrix)
 
     @cached_property
+    def inverse_rows(self) -> "Rows":
+        """The inverse, rounded: a row for each real axis."""
+        return tuple(tuple(map(float, row)) for row in self.inverse)
+
+    @cached_property
     def _offsets(self) -> tuple[float, ...]:
         return tuple(map(float, self.offset))
 

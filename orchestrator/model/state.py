@@ -315,6 +315,11 @@ class ControllerInfo(Model):
         exclude_if=lambda ability: ability is None,
         description="How its host stops an axis by an input; left out: its axes cannot be jogged.",
     )
+    jog_ramps: bool = Field(
+        default=False,
+        exclude_if=lambda is_able: not is_able,
+        description="Whether an axis that is jogged gets another speed without coming to rest; left out: it rests.",
+    )
     digest: str
     options_schema: dict[str, Any]
     tutti: Label = Field(default="", description="Version of Tutti of its adapter host.")

@@ -1,11 +1,13 @@
 """Virtual axes in a fleet file: coordinates that people think in, each group of which stands for as many real axes."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
-from orchestrator.model.axis_units import SoftLimits
+from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational
+from orchestrator.model.numbers import UnitNumber
+from orchestrator.model.problems import validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
@@ -32,12 +34,32 @@ _FIELDS: dict[str, tuple[Kind, ...]] = {
 _OPTIONAL = ("angle", "parameters")
 
 
+class VirtualJogSettings(Model):
+    """How a virtual axis is jogged, and how far it may be off its position while another one of its group is."""
+
+    speed: UnitNumber | None = Field(
+        default=None, description="Maximum jog speed, unit/s; default: as its real axes allow."
+    )
+    deviation: UnitNumber | None = Field(
+        default=None,
+        description="In the axis's unit: how far it may be off its position while another axis of the group is jogged, "
+        "which is limited to a speed at which it stays below.",
+    )
+
+
 class VirtualAxis(Model):
     """One virtual axis of a group."""
 
     unit: Unit
     description: Annotated[str, PLAIN_TEXT] = Field(default="", max_length=200, description="What the axis is.")
     soft_limits: SoftLimits | None = Field(default=None, description="Of its own, besides those of its real axes.")
+    jog: VirtualJogSettings = VirtualJogSettings()
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _convert_units(cls, data: Any, handler: ModelWrapValidatorHandler["VirtualAxis"]) -> "VirtualAxis":
+        plain, problems = convert_rates(data)
+        return validate_with(problems, cls.__name__, lambda: handler(plain))
 
     @field_validator("unit")
     @classmethod

@@ -265,8 +265,7 @@ class StatePublisher:
         return self.current_state().to_json()
 
     async def _answer_events(self, sample: BusSample) -> bytes:
-        request = read_request(EventsRequest, sample, "")
-        return self._events.events_after(request.after).to_json()
+        return self._events.events_after(read_request(EventsRequest, sample, "").after).to_json()
 
     async def _answer_trace(self, sample: BusSample) -> bytes:
         request = read_request(TraceRequest, sample, "")

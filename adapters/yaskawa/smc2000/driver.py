@@ -185,6 +185,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], ProbeDriver, SharedLineDriver):
             costs=costs,
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S,
             retarget_way="extend",
+            jog_ramps=True,
         )
 
     def _settings_ns(self) -> int:

@@ -155,6 +155,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
             chunk_triggers=None if context is None else find_chunk_triggers(context),
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS else 0.0,
             retarget_way="extend",
+            jog_ramps=True,
         )
 
     def _settings_ns(self) -> int:

@@ -33,12 +33,11 @@ class VirtualObserver:
 
     def _observe(self, group: str) -> VirtualState:
         fleet = self._view.fleet
-        virtual_map = fleet.virtual_axes.maps[group]
-        names = dict.fromkeys(map(controller_of, virtual_map.real))
+        names = dict.fromkeys(map(controller_of, fleet.virtual[group].of))
         # What has not come for too long says nothing of now.
         states = {
             name: state
             for name in names
             if (state := self._view.last_state(name)) is not None and not self._view.is_silent(name)
         }
-        return observe_group(group, virtual_map, [fleet.unit_of(axis) for axis in virtual_map.virtual], states)
+        return observe_group(group, fleet, states)

@@ -51,6 +51,7 @@ class FleetActs:
         self._live = live
         self._socket, self._tutti, self._clock, self._stop_fleet = socket, tutti, clock, stop
         self._manual: ManualControl | None = None
+        self._named: list[str] = []
         self._jogged: dict[str, float] = {}
         self._running: asyncio.Task[None] | None = None
         self._tasks, self._watches = TaskOwner(), TaskOwner()
@@ -85,7 +86,7 @@ class FleetActs:
         if not self._socket.is_alive:
             await manual.release()
             raise Refusal("not-there", "the user has gone meanwhile", "acquire the axes again")
-        self._manual = manual
+        self._manual, self._named = manual, axes
         self._watch()
         self._socket.send({"manual": {"axes": manual.axes, "lost": None}})
         return {"axes": manual.axes}
@@ -152,7 +153,8 @@ class FleetActs:
             await manual.release()
 
     def _require_manual(self, axis: str) -> None:
-        if self._manual is None or axis not in self._manual.axes:
+        # Of virtual axes the lease has the real ones.
+        if self._manual is None or axis not in {*self._manual.axes, *self._named}:
             raise Refusal("not-leased", f"{axis[:100]} is not under manual control of this page", "acquire it first")
 
     # One-step jobs

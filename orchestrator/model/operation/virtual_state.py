@@ -6,9 +6,11 @@ from typing import Literal
 from pydantic import Field
 
 from orchestrator.model.base import Id, Int53, Model
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.linear_map import MapError, Rows
 from orchestrator.model.messages import Reply
 from orchestrator.model.names import split_name
+from orchestrator.model.operation.virtual_jog import TAKE_S, RealJog, VirtualJog, find_jogs
 from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.virtual_maps import VirtualMap
 
@@ -34,14 +36,16 @@ class VirtualAxisState(Model):
 class VirtualState(Model):
     """The state of a group of virtual axes: published by the coordinator with each state of its real axes.
 
-    referenced, enabled: of all its real axes. obstacle: why it cannot be moved, with the real axis that is the cause;
-    empty: it can. Without a state of every controller, and outside the domain of its map, it has no axes.
+    jogs: how its axes are jogged now; without those that cannot be. referenced, enabled: of all its real axes.
+    obstacle: why it cannot be moved, with the real axis that is the cause; empty: it can. Without a state of every
+    controller, and outside the domain of its map, it has no axes.
     """
 
     schema_: Literal["tutti.virtual/1"] = Field(default="tutti.virtual/1", alias="schema")
     group: Id
     of: list[str]
     axes: dict[str, VirtualAxisState]
+    jogs: dict[str, VirtualJog] = Field(default={})
     moving: bool
     enabled: bool
     referenced: bool
@@ -55,10 +59,10 @@ class VirtualStates(Reply):
     groups: list[VirtualState] = Field(default=[])
 
 
-def observe_group(
-    group: str, virtual_map: VirtualMap, units: Sequence[str], states: Mapping[str, ControllerState]
-) -> VirtualState:
-    """The state of a group. units: of its virtual axes, in the order of the map. states: by controller."""
+def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState]) -> VirtualState:
+    """The state of a group of virtual axes. states: by controller."""
+    virtual_map = fleet.virtual_axes.maps[group]
+    units = [fleet.unit_of(name) for name in virtual_map.virtual]
     axes: dict[str, tuple[ControllerState, AxisState]] = {}
     absent_controllers: list[str] = []
     for name in virtual_map.real:
@@ -68,15 +72,18 @@ def observe_group(
             absent_controllers.append(controller)
         else:
             axes[name] = state, state.axes[axis]
+    jogs = dict[str, VirtualJog]()
     observed_axes, obstacle = dict[str, VirtualAxisState](), f"{', '.join(absent_controllers[:1])} is offline"
     if not absent_controllers:
-        observed_axes, reason = _observe_inside(virtual_map, units, [axes[name] for name in virtual_map.real])
+        observed_axes, reason = _observe_inside(virtual_map, units, list(axes.values()))
         obstacle = _find_obstacle(axes) or reason
+        jogs = _observe_jogs(group, fleet, axes)
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
     return VirtualState(
         group=group,
         of=list(virtual_map.real),
         axes=observed_axes,
+        jogs=jogs,
         moving=any(axis.moving for _, axis in axes.values()),
         enabled=not absent_controllers and all(axis.enabled for _, axis in axes.values()),
         referenced=not absent_controllers and all(axis.referenced for _, axis in axes.values()),
@@ -100,6 +107,23 @@ def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str
         if not axis.enabled:
             return f"{name} is not enabled"
     return ""
+
+
+def _observe_jogs(
+    group: str, fleet: Fleet, axes: Mapping[str, tuple[ControllerState, AxisState]]
+) -> dict[str, VirtualJog]:
+    """How the virtual axes are jogged; none where the map has no answer."""
+    polls_ns = [
+        state.read_within.latest_ns - state.read_within.earliest_ns
+        for state, _ in axes.values()
+        if state.read_within is not None
+    ]
+    reals = [RealJog(name, fleet.axis(name), axis) for name, (_, axis) in axes.items()]
+    apart_s = TAKE_S + max(polls_ns, default=0) / NS_PER_S
+    try:
+        return find_jogs(fleet.virtual_axes.maps[group], fleet.virtual[group].axes, reals, apart_s)
+    except MapError:
+        return {}
 
 
 def _observe_inside(

@@ -16,6 +16,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, RefusalDetails, Reply
+from orchestrator.model.operation.virtual_state import VirtualStates
 
 
 class Stage:
@@ -38,12 +39,16 @@ class Stage:
         await self.coordinator.serve(self.keys.leader_answer("c"), self._lead)
         await self.coordinator.serve(self.keys.service("acquire-axes"), self._take)
         await self.coordinator.serve(self.keys.service("release-axes"), self._release)
+        await self.coordinator.serve(self.keys.service("virtual"), self._list_virtual)
         for name in ("gantry", "stage"):
             await self.net.join_process(name).serve(self.keys.command(name, "jog"), self._jog(name))
         return Tutti(self.net.join_process("client"), "lab", "somebody", self._new_id)
 
     async def _lead(self, _: BusSample) -> bytes:
         return b"{}"
+
+    async def _list_virtual(self, _: BusSample) -> bytes:
+        return VirtualStates().to_json()
 
     def of(self, controller: str) -> list[JogRequest]:
         return [request for name, request in self.jogs if name == controller]
