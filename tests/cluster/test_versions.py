@@ -6,7 +6,7 @@ import json
 import pytest
 from cluster.worlds import PREPARE, job, outcome, run_fleet
 
-from adapters.controller.publishing import publisher
+from adapters.controller.publishing import info
 from adapters.controller.state.store import AdapterMemory
 from orchestrator.coordinator.leadership import leadership
 from orchestrator.model.base import Model
@@ -55,7 +55,7 @@ def test_messages_of_a_newer_part_are_understood(monkeypatch: pytest.MonkeyPatch
         return json.dumps(value).encode()
 
     monkeypatch.setattr(Model, "to_json", encode_with_more)
-    monkeypatch.setattr(publisher, "PROTOCOL", NEXT)
+    monkeypatch.setattr(info, "PROTOCOL", NEXT)
 
     async def main(fleet: VirtualFleet) -> None:
         assert (await outcome(fleet, PREPARE)).state == "done"
@@ -75,7 +75,7 @@ def test_a_part_that_is_too_far_is_refused_by_name(monkeypatch: pytest.MonkeyPat
 
     async def main(fleet: VirtualFleet) -> None:
         if far == "adapters":
-            monkeypatch.setattr(publisher, "PROTOCOL", FAR)
+            monkeypatch.setattr(info, "PROTOCOL", FAR)
             fleet.kill("host/local")  # which its guardian starts again
         else:
             monkeypatch.setattr(leadership, "PROTOCOL", FAR)
@@ -95,7 +95,7 @@ def test_a_part_that_is_too_far_is_refused_by_name(monkeypatch: pytest.MonkeyPat
         shown = await waiting.show()
         assert shown.entry is not None and "more than one minor version apart" in shown.entry.reason
         if far == "adapters":
-            monkeypatch.setattr(publisher, "PROTOCOL", PROTOCOL)
+            monkeypatch.setattr(info, "PROTOCOL", PROTOCOL)
             fleet.kill("host/local")  # which its guardian starts again
             await asyncio.sleep(5.0)
             await client.start_queue()
