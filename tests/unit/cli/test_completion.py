@@ -45,7 +45,7 @@ def offered(line: str) -> list[str]:
         ("axis move gantry.x=1 stage.", ["stage.u=", "stage.v=", "stage.focus="]),
         ("io set ", ["gantry.lamp"]),
         ("io set gantry.lamp o", ["on", "off"]),
-        ("sim input ", ["gantry.door"]),
+        ("sim input ", ["gantry.door", "gantry.touch"]),
         ("sim stall s", ["stage.u", "stage.v", "stage.focus"]),
         ("trace ", ["gantry", "stage"]),
         ("clock show s", ["stage"]),
