@@ -5,6 +5,7 @@ its target by an overrun first, unless its way leads there from that side anyway
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 from orchestrator.model.compensation import Approach, Play
 from orchestrator.model.errors import Refusal
@@ -50,6 +51,14 @@ def require_play(fleet: Fleet, step: Move) -> None:
     if rigid_axes:
         text = f"`approach: {step.approach}`: axis {rigid_axes[0]} has no `backlash`, which states how far to overrun"
         raise Refusal("no-backlash", text, "add `backlash` to the axis in the fleet file, or name it in another step")
+
+
+def require_no_play(name: str, axis: Axis, event: Literal["latch", "contact"]) -> None:
+    """Raise `Refusal` for an axis whose drive has play, where a position is captured at an event on its way."""
+    if axis.backlash is not None:
+        text = f"axis {name} has `backlash`, and which part of its play is taken up at the {event} is not known"
+        verb = "latch" if event == "latch" else "probe with"
+        raise Refusal("not-compensated", text, f"{verb} an axis without play")
 
 
 def find_motor_way(axis: Axis, start: int, play: Play | None, target: int, approach: Approach) -> MotorWay:
@@ -134,10 +143,12 @@ def bound_path(axis: Axis) -> PositionBound | None:
     return bound_position(axis, MotorWay(0, 0, 0, axis.play))
 
 
-def bound_way(axis: Axis) -> float:
+def bound_way(axis: Axis, asked: Approach | None) -> float:
     """How far an axis may be from where its motor would have it on the way of a move, in its unit: its play before it
-    follows, and what tables have between the ends of the way. 0 for an axis that is not compensated."""
+    follows, its overrun, and what tables have between the ends of the way. 0 for an axis that is not compensated.
+    asked: the approach of the step."""
     bound = bound_path(axis)
     if bound is None:
         return 0.0
-    return bound.most + (0.0 if axis.correction is None else axis.correction.table.span)
+    overrun = 0.0 if axis.backlash is None or choose_approach(axis, asked) == "none" else axis.backlash.overrun_length
+    return bound.most + overrun + (0.0 if axis.correction is None else axis.correction.table.span)

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.model.compensation import Approach
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.linear_map import LinearMap
 from orchestrator.model.messages import Proposal
@@ -44,15 +45,18 @@ def bound_virtual_axes(fleet: Fleet, step: Motion, agreement: AgreedStart) -> di
         virtual_map = fleet.virtual_axes.maps[group]
         if not isinstance(virtual_map, LinearMap):
             continue  # of one real axis, which is on its curve wherever it is
-        errors = _bound_real_axes(fleet, virtual_map, agreement)
+        errors = _bound_real_axes(fleet, virtual_map, agreement, step.asked_approach)
         for name, row in zip(virtual_map.virtual, virtual_map.rows, strict=True):
             most = sum(abs(factor) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
             bounds[name] = VirtualBound(most=most, unit=fleet.unit_of(name))
     return bounds
 
 
-def _bound_real_axes(fleet: Fleet, virtual_map: LinearMap, agreement: AgreedStart) -> dict[str, float]:
-    """How far each real axis may be from where a common offset in time would have it, in its unit."""
+def _bound_real_axes(
+    fleet: Fleet, virtual_map: LinearMap, agreement: AgreedStart, approach: Approach | None
+) -> dict[str, float]:
+    """How far each real axis may be from where a common offset in time would have it, in its unit. approach: of the
+    step."""
     offsets = {axis: _find_offsets(axis, agreement) for axis in virtual_map.real if axis in agreement.plan.profiles}
     ends = [end for span in offsets.values() for end in span]
     middle_ns = (min(ends) + max(ends)) / 2 if ends else 0.0
@@ -64,7 +68,7 @@ def _bound_real_axes(fleet: Fleet, virtual_map: LinearMap, agreement: AgreedStar
             most_ns = max(abs(end - middle_ns) for end in offsets[axis])
             counts += agreement.plan.profiles[axis].peak_velocity * most_ns / NS_PER_S
             counts += agreement.proposals[controller].path_error_counts.get(name, 0.0)
-        errors[axis] = abs(fleet.axis(axis).to_length(counts)) + bound_way(fleet.axis(axis))
+        errors[axis] = abs(fleet.axis(axis).to_length(counts)) + bound_way(fleet.axis(axis), approach)
     return errors
 
 

@@ -9,6 +9,7 @@ from cluster.worlds import changed, demo_fleet, job, origin_host_ns, run_fleet
 from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import JobReport, ProbeReport
@@ -464,3 +465,48 @@ def test_what_an_smc30_cannot_find_is_refused(active: str, bounces_ms: list[int]
         assert refused is not None and refused.code == code and words in refused.text, refused
 
     run_bench(main, with_screw(active), "screw.x", SCREW_READY)
+
+
+def test_a_contact_of_a_corrected_axis_is_a_position_of_the_axis() -> None:
+    """The table has 0.2 mm of error at the contact, whose motor position is known by truth."""
+    points = [[-20, -0.4], [0, 0], [20, 0.4], [420, 0.4]]
+    fleet = changed(with_touch(), gantry={"axes": {"x": {"correction": {"points": points, "max_slope": "5%"}}}})
+
+    async def main(bench: Bench) -> None:
+        axis = bench.virtual.fleet.axis("gantry.x")
+        begun_counts = bench.virtual.controllers["gantry"].position("X")
+        bench.put_contact(2_500)
+        probed = await bench.probe()
+        truth = axis.to_unit(begun_counts + 2_500)
+        assert probed.least is not None and probed.most is not None and probed.motor is not None
+        assert probed.least <= truth <= probed.most
+        assert abs(float(probed.motor) - truth) <= probed.most - probed.least
+        assert abs(truth - (begun_counts + 2_500) / 1000) > 0.2
+
+    run_bench(main, fleet)
+
+
+def test_an_axis_with_play_is_refused_by_name() -> None:
+    fleet = changed(with_touch(), gantry={"axes": {"x": {"backlash": {"amount": 0.02}}}})
+
+    async def main(bench: Bench) -> None:
+        with pytest.raises(Refusal, match="has `backlash`, and which part of its play is taken up at the contact"):
+            await bench.run(PROBE)
+
+    run_bench(main, fleet)
+
+
+def test_a_probe_of_a_rotary_axis_takes_the_shorter_way() -> None:
+    rotary = {"kind": "rotary", "unit": "deg", "wrap": 360, "shortest_way": True, "soft_limits": None}
+    fleet = changed(with_touch(), gantry={"axes": {"x": rotary}})
+
+    async def main(bench: Bench) -> None:
+        begun_counts = bench.find_rest()
+        # Behind the first one no exact target of the axis is known.
+        for target in (12, 350):
+            step = f"{{do: probe, to: {{gantry.x: {target}}}, until: gantry.touch, speed: 10 deg/s, else: continue}}"
+            report = await bench.run(step)
+            assert report.state == "done", report.reason
+        assert bench.find_rest() - begun_counts == pytest.approx(-20_000, abs=2)
+
+    run_bench(main, fleet)

@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from cluster.worlds import EXAMPLES, job, outcome, run_fleet
+from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.clock.base import sleep_ns
@@ -36,13 +36,15 @@ def read_truth(fleet: VirtualFleet, group: str) -> tuple[Fraction, ...]:
     return virtual_map.to_virtual(positions)
 
 
-async def run_watched(fleet: VirtualFleet, steps: str) -> tuple[JobReport, list[tuple[float, ...]]]:
-    """Run steps, with the true positions of the table meanwhile."""
+async def run_watched(
+    fleet: VirtualFleet, steps: str, group: str = "table"
+) -> tuple[JobReport, list[tuple[float, ...]]]:
+    """Run steps, with the true positions of a group meanwhile."""
     seen: list[tuple[float, ...]] = []
 
     async def watch() -> None:
         while True:
-            seen.append(tuple(map(float, read_truth(fleet, "table"))))
+            seen.append(tuple(map(float, read_truth(fleet, group))))
             await sleep_ns(fleet.clock, SAMPLE_NS)
 
     watching = asyncio.get_running_loop().create_task(watch())
@@ -162,19 +164,10 @@ def test_a_path_is_given_in_virtual_axes() -> None:
     async def main(fleet: VirtualFleet) -> None:
         report, _ = await run_watched(fleet, f"{PREPARE}, {{do: move, to: {{slit.gap: 6, slit.centre: 1}}}}")
         assert report.state == "done", report.reason
-        seen: list[tuple[float, ...]] = []
-
-        async def watch() -> None:
-            while True:
-                seen.append(tuple(map(float, read_truth(fleet, "slit"))))
-                await sleep_ns(fleet.clock, SAMPLE_NS)
-
-        watching = asyncio.get_running_loop().create_task(watch())
         circle = "{piece: arc, to: [6, 1], centre: [4, 1]}"
         axes = "axes: [front.upper, front.lower]"
         path = f"{{do: path, {axes}, frame: slit, start: [6, 1], pieces: [{circle}], tolerance: 50 um}}"
-        report = await outcome(fleet, job(f"[{path}]"))
-        watching.cancel()
+        report, seen = await run_watched(fleet, path, "slit")
         assert report.state == "done", report.reason
         bound = report.steps[0].path.bound if report.steps[0].path else None
         assert bound is not None and bound.predicted <= 0.05
@@ -183,3 +176,20 @@ def test_a_path_is_given_in_virtual_axes() -> None:
         assert off <= 1.5 * bound.predicted and max(gap for gap, _ in seen) - min(gap for gap, _ in seen) > 3.9
 
     run_fleet(main, table_fleet())
+
+
+def test_overruns_of_real_axes_are_in_the_bound() -> None:
+    """One jack is approached from below, so that it goes beyond its target when the table sinks."""
+    play = {"backlash": {"amount": 0.1, "approach": "positive", "overrun": 0.5}}
+    fleet_file = changed(table_fleet(), front={"axes": {"jack": play}})
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, _ = await run_watched(fleet, f"{PREPARE}, {{do: move, to: {{table.height: 8}}}}")
+        assert report.state == "done", report.reason
+        begun = tuple(map(float, read_truth(fleet, "table")))
+        report, seen = await run_watched(fleet, "{do: move, to: {table.height: 5}}")
+        assert report.state == "done", report.reason
+        off = max(abs(sample[1] - begun[1]) for sample in seen)
+        assert 0.5 < off <= report.steps[0].virtual["table.pitch"].most
+
+    run_fleet(main, fleet_file)

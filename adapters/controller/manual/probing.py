@@ -127,7 +127,7 @@ class AxisProbing:
             return
         most = ability.find_overtravel(move.speed_counts_s, move.ramp_counts_s2)
         if most > request.overtravel_counts * (1 + OVERTRAVEL_TOLERANCE):
-            text = f"axis {name} goes on by at most {abs(axis.to_unit(most)):g} {axis.unit} behind a contact"
+            text = f"axis {name} goes on by at most {abs(axis.to_length(most)):g} {axis.unit} behind a contact"
             raise Refusal("overtravel", f"{text}, which is more than was stated", "run the job again")
 
 

@@ -16,6 +16,7 @@ from orchestrator.model.report import ProbeReport
 from orchestrator.model.state import AxisState, ControllerState, TimeInterval
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits
 
@@ -45,19 +46,19 @@ class _PlannedProbe:
             touched=reply.touched,
             start=axis.to_unit(reply.start_counts) + shift,
             rest=axis.to_unit(reply.rest_counts) + shift,
-            stated=abs(axis.to_unit(self.stated_counts)),
+            stated=abs(axis.to_length(self.stated_counts)),
             by=self.step.by,
         )
         if not reply.touched:
             return report
-        middle = Fraction(reply.least_counts + reply.most_counts) / 2 / axis.counts_per_unit
+        middle = axis.to_position(Fraction(reply.least_counts + reply.most_counts) / 2)
         return report.model_copy(
             update={
                 "least": ends[0] + shift,
                 "most": ends[1] + shift,
                 "motor": middle,
                 "seen": TimeInterval(earliest_ns=reply.earliest_ns, latest_ns=reply.latest_ns),
-                "overtravel": abs(axis.to_unit(max(self._find_overtravels(reply)))),
+                "overtravel": abs(axis.to_length(max(self._find_overtravels(reply)))),
                 "released": reply.released,
             }
         )
@@ -97,11 +98,12 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
         await require_axis(view, step.axis),
         await view.require_info(controller),
     )
+    require_no_play(step.axis, axis, "contact")
     ability = ProbeAbilities(info.make, info.probe, info.host_probe).require_ability(view.fleet, step)
     speed = find_probe_speed(step, axis)
     target = _find_target(context, step, axis, state)
     end_counts = axis.to_target_counts(target)
-    distance = axis.to_unit(end_counts - state.commanded_counts)
+    distance = axis.to_length(end_counts - state.commanded_counts)
     longest_s = find_longest_s(axis, distance, speed) + SPARE_S
     stated_counts = find_overtravel(ability, axis, speed)
     return _PlannedProbe(step, axis, state.offset, end_counts, speed, stated_counts, longest_s)
@@ -114,7 +116,7 @@ def _find_target(context: StepContext, step: Probe, axis: Axis, state: AxisState
         amount = parse_quantity(value, axis.unit)
     except UnitError as error:
         raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None
-    position_here = context.targets.exact_position(name, state.commanded_counts, axis.counts_per_unit)
+    position_here = context.targets.exact_position(name, state.commanded_counts, axis.to_position(state.axis_counts))
     target = choose_turn(axis, position_here, amount - state.offset, state.offset)
     beyond_limits = explain_beyond_limits(name, axis, target, state.offset)
     if beyond_limits is not None:

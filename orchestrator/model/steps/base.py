@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 from pydantic import ConfigDict, Field
 
 from orchestrator.model.base import Model
+from orchestrator.model.compensation import Approach
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
 from orchestrator.model.numbers import Duration
@@ -174,6 +175,11 @@ class Step(ScriptModel):
         """The step at `rate` times its speed, above 0 to 1; itself where it has none."""
         del rate, fleet
         return self
+
+    @property
+    def asked_approach(self) -> Approach | None:
+        """From which side it asks its axes to end at their targets; None: as the fleet file says."""
+        return None
 
     @property
     def frames(self) -> list[str]:

@@ -79,6 +79,10 @@ class Move(MotionOptions, MoveTargets):
         return self
 
     @property
+    def asked_approach(self) -> Approach | None:
+        return self.approach
+
+    @property
     def named_axes(self) -> list[str]:
         return [axis for axis in (*self.to, *self.measured, *self.by) if axis != ALL_AXES]
 

@@ -12,6 +12,7 @@ from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed
 
 
@@ -25,6 +26,7 @@ def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Sp
     if step.otherwise == "fail":
         state.notes[f"{step.until} becomes {step.level} on the way"] = None
     try:
+        require_no_play(step.axis, axis, "contact")
         speed = find_probe_speed(step, axis)
         overtravel = _find_overtravel(state, step, axis, speed)
     except Refusal as error:
@@ -44,7 +46,7 @@ def _find_overtravel(state: ForecastState, step: Probe, axis: Axis, speed: float
         state.notes[f"the controller of {step.axis} stops it by {step.until}"] = None
         return Fraction(0)
     ability = abilities.require_ability(state.fleet, step)
-    overtravel = abs(Fraction(find_overtravel(ability, axis, speed)) / axis.counts_per_unit)
+    overtravel = abs(Fraction(find_overtravel(ability, axis, speed)) / axis.scale)
     state.notes[f"{step.axis} goes on by at most {float(overtravel):.3g} {axis.unit} behind the contact"] = None
     return overtravel
 
