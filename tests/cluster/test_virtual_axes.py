@@ -193,3 +193,19 @@ def test_overruns_of_real_axes_are_in_the_bound() -> None:
         assert 0.5 < off <= report.steps[0].virtual["table.pitch"].most
 
     run_fleet(main, fleet_file)
+
+
+def test_the_state_of_axes_of_virtual_axes_comes_from_the_real_ones() -> None:
+    outer = {"kind": "rotation", "angle": 30, "of": ["slit.centre", "slit.gap"]}
+    plain = table_fleet().to_plain()
+    plain["virtual"]["outer"] = outer | {"axes": {"u": {"unit": "mm"}, "v": {"unit": "mm"}}}
+
+    async def main(fleet: VirtualFleet) -> None:
+        report, _ = await run_watched(fleet, f"{PREPARE}, {{do: move, to: {{outer.u: 3, outer.v: 1}}}}")
+        assert report.state == "done", report.reason
+        state = (await fleet.make_client().virtual_states())["outer"]
+        assert state.obstacle == "" and state.of == ["front.upper", "front.lower"]
+        assert state.axes["u"].position == pytest.approx(3, abs=COUNT_MM)
+        assert state.axes["v"].position == pytest.approx(1, abs=COUNT_MM)
+
+    run_fleet(main, Fleet.model_validate(plain))

@@ -33,7 +33,7 @@ class VirtualObserver:
 
     def _observe(self, group: str) -> VirtualState:
         fleet = self._view.fleet
-        names = dict.fromkeys(map(controller_of, fleet.virtual[group].of))
+        names = dict.fromkeys(map(controller_of, fleet.virtual_axes.maps[group].real))
         # What has not come for too long says nothing of now.
         states = {
             name: state
