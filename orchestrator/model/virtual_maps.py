@@ -11,7 +11,7 @@ from orchestrator.model.axis_units import SoftLimits
 from orchestrator.model.curved_map import CrystalEnergy, CurvedMap, Kinematics, SineBar
 from orchestrator.model.frame import WORST_CONDITION, FrameSpec
 from orchestrator.model.linear_map import LinearMap, MapError, Matrix, SingularMap, chain_maps, find_condition, invert
-from orchestrator.model.names import split_name
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.plugins import PluginError, UnknownPlugin, load_plugin
 from orchestrator.model.problems import Problem
 from orchestrator.model.units import Quantity, Unit, UnitError, convert_units, parse_quantity
@@ -197,6 +197,15 @@ class VirtualAxes:
                 )
         return frames
 
+    @cached_property
+    def groups_of(self) -> dict[str, list[str]]:
+        """By controller, the groups that stand for axes of it."""
+        groups: dict[str, list[str]] = {}
+        for name, virtual_map in self.maps.items():
+            for controller in dict.fromkeys(map(controller_of, virtual_map.real)):
+                groups.setdefault(controller, []).append(name)
+        return groups
+
     def find(self, name: str) -> VirtualAxis:
         """The virtual axis `group.axis`, which exists."""
         group, axis = split_name(name)
@@ -236,12 +245,12 @@ class VirtualAxes:
 
 def list_real_axes(groups: Mapping[str, VirtualGroup], name: str) -> list[str]:
     """The real axes of a group, in the order of its map; those of virtual axes, for which it stands, come last."""
-    inner = _list_inner(groups, name)
+    inner = list_inner_groups(groups, name)
     real = [axis for axis in groups[name].of if split_name(axis)[0] not in inner]
     return [*real, *(axis for group in inner for axis in groups[group].of)]
 
 
-def _list_inner(groups: Mapping[str, VirtualGroup], name: str) -> list[str]:
+def list_inner_groups(groups: Mapping[str, VirtualGroup], name: str) -> list[str]:
     """The groups for whose virtual axes a group stands."""
     owners = dict.fromkeys(split_name(axis)[0] for axis in groups[name].of)
     return [owner for owner in owners if owner in groups]
@@ -250,7 +259,7 @@ def _list_inner(groups: Mapping[str, VirtualGroup], name: str) -> list[str]:
 def make_whole_map(name: str, groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> VirtualMap:
     """The map of a group to real axes, through that of the groups for whose axes it stands. Raises `MapError`,
     `UnitError`."""
-    group, inner = groups[name], _list_inner(groups, name)
+    group, inner = groups[name], list_inner_groups(groups, name)
     units: dict[str, Unit] = {}
     for axis in group.of:
         owner, axis_name = split_name(axis)
@@ -291,10 +300,12 @@ def find_virtual_problems(groups: Mapping[str, VirtualGroup], find_axis: Callabl
 def _find_problems(
     name: str, groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]
 ) -> Iterator[Problem]:
-    path, inner = ("virtual", name, "of"), _list_inner(groups, name)
-    deep_group = next((owner for owner in inner if _list_inner(groups, owner)), None)
+    path, inner = ("virtual", name, "of"), list_inner_groups(groups, name)
+    deep_group = next((owner for owner in inner if list_inner_groups(groups, owner)), None)
     if deep_group is not None:
-        chain = f"{name} stands for axes of {deep_group}, and that for axes of {_list_inner(groups, deep_group)[0]}"
+        chain = (
+            f"{name} stands for axes of {deep_group}, and that for axes of {list_inner_groups(groups, deep_group)[0]}"
+        )
         yield Problem(path, f"{chain}; name axes of the latter, or real ones, in `of`")
         return
     real_axes = list_real_axes(groups, name)
@@ -390,7 +401,7 @@ def _check_inverse(virtual_map: CurvedMap, real: list[float]) -> None:
 
 
 def _check_condition(virtual_map: CurvedMap, real: list[float]) -> None:
-    condition = find_condition(tuple(tuple(map(Fraction, row)) for row in virtual_map.find_rows(real)))
+    condition = find_condition(virtual_map.find_rows(real))
     if not condition < WORST_CONDITION:
         raise SingularMap(f"at {_show(real)} {_explain_singular(condition, 'parameters, or the range of its axes')}")
 

@@ -13,6 +13,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.operation.virtual_state import VirtualState
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -207,5 +208,10 @@ def test_the_state_of_axes_of_virtual_axes_comes_from_the_real_ones() -> None:
         assert state.obstacle == "" and state.of == ["front.upper", "front.lower"]
         assert state.axes["u"].position == pytest.approx(3, abs=COUNT_MM)
         assert state.axes["v"].position == pytest.approx(1, abs=COUNT_MM)
+        # Both maps are part of what is approved.
+        client = fleet.make_client()
+        job_id = await client.submit(job("[{do: move, to: {outer.u: 2}}]"), terms=QueueTerms(proposed=True))
+        plan = (await client.plan_job(job_id)).plan
+        assert plan is not None and {"virtual axes outer", "virtual axes slit"} <= set(plan.parts)
 
     run_fleet(main, Fleet.model_validate(plain))

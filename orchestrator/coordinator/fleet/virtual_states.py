@@ -27,9 +27,8 @@ class VirtualObserver:
         return VirtualStates(groups=[self._observe(group) for group in self._view.fleet.virtual])
 
     def _publish_groups(self, state: ControllerState) -> None:
-        for group, virtual_map in self._view.fleet.virtual_axes.maps.items():
-            if state.controller in map(controller_of, virtual_map.real):
-                self._bus.put(self._keys.virtual(group), self._observe(group).to_json())
+        for group in self._view.fleet.virtual_axes.groups_of.get(state.controller, ()):
+            self._bus.put(self._keys.virtual(group), self._observe(group).to_json())
 
     def _observe(self, group: str) -> VirtualState:
         fleet = self._view.fleet

@@ -25,6 +25,7 @@ from orchestrator.model.steps.numbers import number_step
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import find_digests, iterate_steps
 from orchestrator.model.units import format_quantity
+from orchestrator.model.virtual_maps import list_inner_groups
 from orchestrator.plan.virtual_moves import group_virtual
 
 STEPS_AT_ONCE = 200  # that are looked at before other work gets its turn
@@ -102,7 +103,8 @@ class _JobUses:
         if step.moves:
             self.moved |= axes
         self.absolute |= dict.fromkeys(fleet.find_real_axes(step.absolute_axes))
-        self.virtual |= dict.fromkeys(group_virtual(fleet, step))
+        for group in group_virtual(fleet, step):
+            self.virtual |= dict.fromkeys([group, *list_inner_groups(fleet.virtual, group)])
         self.frames |= dict.fromkeys(step.frames)
         self.groups |= dict.fromkeys(name for name in step.named_axes if name in fleet.groups)
         self.homes_all |= step.uses_whole_fleet
