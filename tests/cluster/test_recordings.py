@@ -181,7 +181,7 @@ def test_a_full_disk_ends_nothing_and_what_is_left_out_is_counted(tmp_path: Path
 def test_the_oldest_recordings_go_when_the_quota_is_used_up_and_never_one_that_is_written(tmp_path: Path) -> None:
     tmp_path.joinpath("job-20200101T000000Z-old-0.mcap").write_bytes(bytes(100_000))
     os.utime(tmp_path / "job-20200101T000000Z-old-0.mcap", (0, 0))
-    quota = 170_000  # the file of the second job has 144 kB
+    quota = 260_000  # the file of the second job has 181 kB, those of the fleet 40 kB
 
     async def body(virtual: VirtualFleet, recorded: RecordedFleet, tutti: Tutti) -> None:
         await run_jobs(tutti, PREPARE)
