@@ -333,6 +333,11 @@ class ProbeMove:
     speed_counts_s: float
     ramp_counts_s2: float
 
+    @property
+    def level(self) -> bool:
+        """The level of the input at the contact: whether it is high."""
+        return self.active == (self.point.active == "high")
+
 
 @dataclass(frozen=True, slots=True)
 class ProbedContact:

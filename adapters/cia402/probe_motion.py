@@ -49,8 +49,7 @@ class ProbeMotion:
 
     async def run(self, move: ProbeMove) -> ProbedContact | None:
         """As `ProbeDriver.probe_axis`. Raises `Refusal`, `ControllerFault`."""
-        is_high = move.active == (move.point.active == "high")
-        point = move.point.model_copy(update={"active": "high" if is_high else "low"})
+        point = move.point.model_copy(update={"active": "high" if move.level else "low"})
         touch = TouchProbe(self._node, self._axis, find_edge(point, self._inputs))
         stops = self._node.stops
         await touch.require_passive(point)
@@ -67,7 +66,7 @@ class ProbeMotion:
         sign = 1 if move.end_counts >= node.demand else -1
         begun_ns = node.clock.now_ns()
         await self._manual.start_jog(JogMove(sign * move.speed_counts_s, move.ramp_counts_s2, move.end_counts))
-        bit, level = point_bit(move.point.number), move.active == (move.point.active == "high")
+        bit, level = point_bit(move.point.number), move.level
         while True:
             self._require_no_stop(stops)
             is_jogging, asked_ns = self._manual.is_jogging, node.clock.now_ns()

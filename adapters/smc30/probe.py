@@ -47,7 +47,7 @@ class InputProbe:
     async def run(self, axis: str, move: ProbeMove) -> ProbedContact | None:
         """As `ProbeDriver.probe_axis`. Raises `Refusal`, `ControllerFault`."""
         unit, number, stops = self._unit, move.point.number, self._unit.session.stops
-        if move.active != (move.point.active == "high"):
+        if not move.level:
             text = f"axis {axis}: an input stops it surely when it becomes logic 1 only"
             raise Refusal("probe-input", text, "invert the signal, or let the computer stop it: `by: host`")
         sign = 1 if move.end_counts >= await unit.require_ready() else -1

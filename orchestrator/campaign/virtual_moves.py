@@ -45,5 +45,5 @@ def draw_virtual_targets(fleet: Fleet, positions: Mapping[str, float], draw: Ran
 
 def find_virtual_move(job: Job) -> Move | None:
     """The move of virtual axes of a job, None: it has none."""
-    names = (step for step in job.steps if isinstance(step, Move))
-    return next((step for step in names if any(name.startswith(f"{VIRTUAL_GROUP}.") for name in step.to)), None)
+    moves = (step for step in job.steps if isinstance(step, Move))
+    return next((step for step in moves if any(name.startswith(f"{VIRTUAL_GROUP}.") for name in step.to)), None)

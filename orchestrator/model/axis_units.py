@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any, cast
 
 from orchestrator.model.base import Model
@@ -17,7 +18,13 @@ class SoftLimits(Model):
 
     def in_unit(self, unit: Unit) -> tuple[Fraction, Fraction]:
         """Both ends as exact numbers of a unit. Raises `UnitError`."""
-        return parse_quantity(self.min, unit), parse_quantity(self.max, unit)
+        return _parse_ends(self.min, self.max, unit)
+
+
+@lru_cache(maxsize=10_000)
+def _parse_ends(low: Quantity, high: Quantity, unit: Unit) -> tuple[Fraction, Fraction]:
+    """They are needed with every state of virtual axes."""
+    return parse_quantity(low, unit), parse_quantity(high, unit)
 
 
 # field: power of seconds in its unit (1: per second)

@@ -95,7 +95,7 @@ class SingularMap(MapError):
     """A matrix that has no useful inverse."""
 
 
-def find_condition(matrix: Matrix) -> float:
+def find_condition(matrix: "Matrix | Rows") -> float:
     """The condition number with rows and columns of one size, so that units do not count; infinite if singular."""
     import numpy as np
 

@@ -254,6 +254,10 @@ class ChunkTriggers(Model):
     shows: bool = False
 
 
+PROBE_BY_HOST = "let its computer stop it (`by: host`), which has a longer overtravel"
+"""What to do where a controller does not stop an axis by an input."""
+
+
 class ProbeAbility(Model):
     """How far an axis goes on at most when an input of its controller stops it, and how well the position at that is
     known. Speeds in counts/s, ramps in counts/s²; the axis is stopped by its whole acceleration.

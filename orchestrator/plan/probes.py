@@ -7,13 +7,11 @@ from typing import NamedTuple
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import split_name
-from orchestrator.model.state import ProbeAbility
+from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import UnitError, parse_rate
 from orchestrator.plan.speeds import TOLERANCE
-
-BY_HOST = "let its computer stop it (`by: host`), which has a longer overtravel"
 
 
 class ContactRange(NamedTuple):
@@ -42,15 +40,15 @@ class ProbeAbilities:
         ability = self.controller
         if ability is None or not any(ability.inputs.values()):
             text = f"{step.axis}: the make {self.make} cannot stop an axis by an input"
-            raise Refusal("no-probe", text, BY_HOST, member)
+            raise Refusal("no-probe", text, PROBE_BY_HOST, member)
         point, numbers = fleet.controllers[member].inputs[split_name(step.until)[1]], ability.inputs.get(axis, [])
         if point.number not in numbers:
             fitting = " or ".join(f"input {number}" for number in numbers) or "no input"
             text = f"{step.until} is input {point.number}, which does not stop {step.axis}; {fitting} does"
-            raise Refusal("probe-input", text, f"connect the signal there, or {BY_HOST}", member)
+            raise Refusal("probe-input", text, f"connect the signal there, or {PROBE_BY_HOST}", member)
         if step.level not in ability.levels:
             text = f"the make {self.make} stops an axis when an input becomes {' or '.join(ability.levels)} only"
-            raise Refusal("probe-input", text, BY_HOST, member)
+            raise Refusal("probe-input", text, PROBE_BY_HOST, member)
         return ability
 
 

@@ -4,7 +4,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
 import pytest
-from cluster.worlds import changed, demo_fleet, job, origin_host_ns, run_fleet
+from cluster.worlds import changed, demo_fleet, drive_fleet, job, origin_host_ns, run_fleet
 
 from orchestrator.client.api import Tutti
 from orchestrator.client.steps import JobFailed
@@ -238,26 +238,6 @@ LIFT_READY = "{do: enable, axes: [lift]}, {do: home, axes: [lift.z]}, {do: move,
 LIFT_PROBE = "{do: probe, to: {lift.z: 15}, until: lift.touch, speed: 1 mm/s}"
 
 
-def with_lift(active: str = "high", number: int = 2, **simulate: object) -> Fleet:
-    plain = demo_fleet().to_plain()
-    plain["controllers"]["lift"] = {
-        "adapter": "cia402",
-        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 3},
-        "axes": {
-            "z": {
-                "motors": ["1"],
-                "unit": "mm",
-                "scale": 1000,
-                "limits": {"velocity": 50, "acceleration": 500},
-                "homing": {"speed": 5},
-            }
-        },
-        "inputs": {"touch": {"number": number, "active": active}},
-        "simulate": {"options": simulate},
-    }
-    return Fleet.model_validate(plain)
-
-
 @pytest.mark.parametrize("active", ["high", "low"])
 @pytest.mark.parametrize("speed", ["1 mm/s", "20 mm/s"])
 def test_a_drive_captures_the_contact_and_is_halted(active: str, speed: str) -> None:
@@ -272,15 +252,15 @@ def test_a_drive_captures_the_contact_and_is_halted(active: str, speed: str) -> 
         moved = await bench.run("{do: move, to: {lift.z: 5}}")
         assert moved.state == "done", moved.reason
 
-    run_bench(main, with_lift(active), "lift.z", LIFT_READY)
+    run_bench(main, drive_fleet("touch", active), "lift.z", LIFT_READY)
 
 
 @pytest.mark.parametrize(
     ("fleet", "code", "words"),
     [
-        (with_lift(), "not-touched", "up to 15 mm"),
-        (with_lift(number=3), "probe-input", "input 1 or input 2"),
-        (with_lift(without=("60B8", "60B9")), "no-latch", "no touch probe"),
+        (drive_fleet("touch"), "not-touched", "up to 15 mm"),
+        (drive_fleet("touch", number=3), "probe-input", "input 1 or input 2"),
+        (drive_fleet("touch", without=("60B8", "60B9")), "no-latch", "no touch probe"),
     ],
 )
 def test_what_a_drive_cannot_probe_is_refused(fleet: Fleet, code: str, words: str) -> None:
@@ -299,7 +279,7 @@ def test_a_drive_that_touches_already_is_refused() -> None:
         refused = report.steps[-1].refused
         assert refused is not None and refused.code == "line-level" and bench.find_rest() == bench.start
 
-    run_bench(main, with_lift(), "lift.z", LIFT_READY)
+    run_bench(main, drive_fleet("touch"), "lift.z", LIFT_READY)
 
 
 def test_a_probe_until_the_input_is_passive() -> None:
@@ -309,7 +289,7 @@ def test_a_probe_until_the_input_is_passive() -> None:
         probed = await bench.probe(LIFT_PROBE.replace("speed", "level: passive, speed"))
         assert probed.touched and probed.least <= 7.5 <= probed.most
 
-    run_bench(main, with_lift(), "lift.z", LIFT_READY)
+    run_bench(main, drive_fleet("touch"), "lift.z", LIFT_READY)
 
 
 # What later steps use

@@ -6,7 +6,7 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
-from cluster.worlds import PREPARE, changed, demo_fleet, job, origin_host_ns, run_fleet
+from cluster.worlds import PREPARE, changed, demo_fleet, drive_fleet, job, origin_host_ns, run_fleet
 from rich.console import Console
 
 from orchestrator.bus.base import BusSample
@@ -434,26 +434,6 @@ def test_a_stop_ends_an_armed_latch() -> None:
 # Latches of CiA 402 drives
 
 
-def with_drive(active: str = "high", number: int = 2, **simulate: object) -> Fleet:
-    plain = demo_fleet().to_plain()
-    plain["controllers"]["lift"] = {
-        "adapter": "cia402",
-        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 3},
-        "axes": {
-            "z": {
-                "motors": ["1"],
-                "unit": "mm",
-                "scale": 1000,
-                "limits": {"velocity": 50, "acceleration": 500},
-                "homing": {"speed": 5},
-            }
-        },
-        "inputs": {"probe": {"number": number, "active": active}},
-        "simulate": {"options": simulate},
-    }
-    return Fleet.model_validate(plain)
-
-
 PROBE = "{do: latch, axis: lift.z, input: lift.probe, timeout: 5 s}"
 
 
@@ -480,17 +460,17 @@ def test_a_touch_probe_reports_where_the_drive_was_at_the_edge(active: str) -> N
         assert latched.seen.latest_ns - latched.seen.earliest_ns < 30 * NS_PER_MS
         assert drive.station.dictionary.get_value(0x60B8) == 0  # it is off again
 
-    run_fleet(main, with_drive(active))
+    run_fleet(main, drive_fleet("probe", active))
 
 
 @pytest.mark.parametrize(
     ("fleet", "code", "words"),
     [
-        (with_drive(), "latch-timeout", "captured nothing within 5 s"),
-        (with_drive("low"), "line-level", "active already"),
-        (with_drive(number=3), "latch-input", "input 1 and input 2"),
-        (with_drive(probe_inputs=(1,)), "latch-input", "touch probe 2"),
-        (with_drive(without=("60B8", "60B9")), "no-latch", "no touch probe"),
+        (drive_fleet("probe"), "latch-timeout", "captured nothing within 5 s"),
+        (drive_fleet("probe", "low"), "line-level", "active already"),
+        (drive_fleet("probe", number=3), "latch-input", "input 1 and input 2"),
+        (drive_fleet("probe", probe_inputs=(1,)), "latch-input", "touch probe 2"),
+        (drive_fleet("probe", without=("60B8", "60B9")), "no-latch", "no touch probe"),
     ],
 )
 def test_what_a_drive_cannot_latch_is_refused(fleet: Fleet, code: str, words: str) -> None:
@@ -524,7 +504,7 @@ def test_a_touch_probe_that_is_broken_off_reports_nothing(way: str) -> None:
         assert report.state in ("aborted", "failed") and virtual.clock.now_ns() - began_ns < 1500 * NS_PER_MS
         assert not any(step.latch for step in report.steps)
 
-    run_fleet(main, with_drive())
+    run_fleet(main, drive_fleet("probe"))
 
 
 # The SMC-2000, on a serial line

@@ -37,6 +37,27 @@ def virtual_demo_fleet() -> Fleet:
     return Fleet.model_validate(demo_fleet().to_plain() | {"virtual": {"turned": turned}})
 
 
+def drive_fleet(name: str, active: str = "high", number: int = 2, **simulate: object) -> Fleet:
+    """The example fleet with a CiA 402 drive `lift`. name, active, number: of its input. simulate: options."""
+    plain = demo_fleet().to_plain()
+    plain["controllers"]["lift"] = {
+        "adapter": "cia402",
+        "link": {"kind": "can", "interface": "socketcan", "channel": "can0", "address": 3},
+        "axes": {
+            "z": {
+                "motors": ["1"],
+                "unit": "mm",
+                "scale": 1000,
+                "limits": {"velocity": 50, "acceleration": 500},
+                "homing": {"speed": 5},
+            }
+        },
+        "inputs": {name: {"number": number, "active": active}},
+        "simulate": {"options": simulate},
+    }
+    return Fleet.model_validate(plain)
+
+
 def line_fleet(controller: str) -> Fleet:
     """The controllers of one link of the example fleet with all makes."""
     plain = load_fleet(EXAMPLES / "all.fleet.yaml").to_plain()

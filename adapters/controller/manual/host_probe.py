@@ -50,7 +50,7 @@ class HostProbe:
             reading = await self._read(axis)
             if self._status.stopped_ns != stopped_ns:
                 raise Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")
-            if reading.inputs.get(move.point.number, False) == (move.active == (move.point.active == "high")):
+            if reading.inputs.get(move.point.number, False) == move.level:
                 await self._bring_to_rest(axis)
                 return _find_contact(axis, move, sign, (passive, reading))
             passive, axis_reading = reading, reading.axes[axis]

@@ -9,6 +9,7 @@ from adapters.controller.state.status import ControllerStatus
 from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis, DigitalInput
 from orchestrator.model.messages import ProbeReply, ProbeRequest
+from orchestrator.model.state import PROBE_BY_HOST
 
 SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
 OVERTRAVEL_TOLERANCE = 1e-6
@@ -61,7 +62,7 @@ class AxisProbing:
             latest_ns=latest_ns,
             start_counts=start_counts,
             rest_counts=rest_counts,
-            released=reading.inputs.get(point.number) == _passive_level(move),
+            released=reading.inputs.get(point.number) == (not move.level),
         )
 
     async def _probe_axis(self, name: str, move: ProbeMove, request: ProbeRequest) -> ProbedContact | None:
@@ -69,7 +70,7 @@ class AxisProbing:
             return await self._host.probe_axis(name, move)
         if self._driver is None or move.point.number not in self._driver.probe_ability.inputs.get(name, ()):
             text = f"axis {name}: this make cannot stop it by input {move.point.number}"
-            raise Refusal("no-probe", text, "let its computer stop it (`by: host`), which has a longer overtravel")
+            raise Refusal("no-probe", text, PROBE_BY_HOST)
         return await self._driver.probe_axis(name, move)
 
     def _find_point(self, name: str) -> DigitalInput:
@@ -104,7 +105,7 @@ class AxisProbing:
             ramp_counts_s2=limits.acceleration * float(axis.scale),
         )
         self._require_bound(name, axis, move, request)
-        if reading.inputs.get(point.number) != _passive_level(move):
+        if reading.inputs.get(point.number) != (not move.level):
             word = "active" if request.active else "passive"
             text = f"input {request.input} is {word} already"
             raise Refusal("line-level", text, "move the axis away from the contact first, or check the input's wire")
@@ -129,8 +130,3 @@ class AxisProbing:
         if most > request.overtravel_counts * (1 + OVERTRAVEL_TOLERANCE):
             text = f"axis {name} goes on by at most {abs(axis.to_length(most)):g} {axis.unit} behind a contact"
             raise Refusal("overtravel", f"{text}, which is more than was stated", "run the job again")
-
-
-def _passive_level(move: ProbeMove) -> bool:
-    """The level of the input before the contact."""
-    return move.active != (move.point.active == "high")

@@ -21,7 +21,7 @@ from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal
-from orchestrator.model.state import ProbeAbility
+from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
 
 LATCH_S = 25e-6  # from the edge to the captured position, at most (SMC-4000: L413; SMC-2000: L3037)
 LATCH_COUNTS = 1.0  # by which a captured position is rounded
@@ -49,7 +49,7 @@ def require_encoder(axis: str, steppers: Collection[str]) -> None:
     """Raise `Refusal` for the axis of a step motor: the latch captures an encoder, and LT counts from there."""
     if axis in steppers:
         text = f"axis {axis} has a step motor, and the latch captures the position of an encoder"
-        raise Refusal("no-probe", text, "let its computer stop it (`by: host`), which has a longer overtravel")
+        raise Refusal("no-probe", text, PROBE_BY_HOST)
 
 
 @dataclass(frozen=True, slots=True)

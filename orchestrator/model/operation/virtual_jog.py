@@ -115,22 +115,27 @@ def find_jogs(
         if len(reals) > 1:  # one alone ends at its soft limit by itself
             reach = _narrow_by_reals(reach, rates[name], reals)
         off_rows = {key: row for key, row in zip(rates, rows, strict=True) if key != name}
-        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_rows, apart_s), reach)
+        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_rows), reach, apart_s)
     return jogs
 
 
-def _make_jog(axes: Mapping[str, VirtualAxis], name: str, motion: "_Motion", reach: _Reach) -> VirtualJog:
+def _make_jog(
+    axes: Mapping[str, VirtualAxis], name: str, motion: "_Motion", reach: _Reach, apart_s: float
+) -> VirtualJog:
     deviations = {key: deviation for key in motion.rows if (deviation := axes[key].jog.deviation) is not None}
-    speeds = [real.config.jog_speed(referenced=real.state.referenced) / rate for rate, real in motion.moving_axes]
+    moving_axes, sweeps = motion.moving_axes, motion.find_sweeps()
+    offs = {key: (STEP_S / 2 + apart_s) * sweep for key, sweep in sweeps.items()}
+    speeds = [real.config.jog_speed(referenced=real.state.referenced) / rate for rate, real in moving_axes]
     # The other half of a deviation is left to changes of speed and to the drift.
-    speeds += [deviation / motion.find_off(key) / 2 for key, deviation in deviations.items() if motion.find_off(key)]
+    speeds += [deviation / offs[key] / 2 for key, deviation in deviations.items() if offs[key]]
     speed = min([*speeds, axes[name].jog.speed or math.inf])
+    rounding = motion.find_rounding()
     return VirtualJog(
         rates=motion.rates,
         speed=speed,
-        acceleration=min(real.config.limits.acceleration / rate for rate, real in motion.moving_axes),
-        off={key: motion.find_off(key) * speed for key in motion.rows},
-        drift={key: motion.find_drift(key, speed) for key in motion.rows},
+        acceleration=min(real.config.limits.acceleration / rate for rate, real in moving_axes),
+        off={key: off * speed for key, off in offs.items()},
+        drift={key: rounding[key] + CRYSTAL_PPM * 1e-6 * speed * sweep for key, sweep in sweeps.items()},
         deviations=deviations,
         **reach._asdict(),
     )
@@ -142,25 +147,29 @@ class _Motion(NamedTuple):
     rates: list[float]
     reals: Sequence[RealJog]
     rows: Mapping[str, Sequence[float]]
-    apart_s: float
 
     @property
     def moving_axes(self) -> list[tuple[float, RealJog]]:
         """Those of the real axes that move, with the size of their rates."""
         return [(abs(rate), real) for rate, real in zip(self.rates, self.reals, strict=True) if rate]
 
-    def find_off(self, name: str) -> float:
-        """How far another virtual axis may be off its position per unit/s."""
-        factors = zip(self.rows[name], self.rates, strict=True)
-        return (STEP_S / 2 + self.apart_s) * sum(abs(factor * rate) for factor, rate in factors)
+    def find_sweeps(self) -> dict[str, float]:
+        """How far the parts of the real axes alone would move each other virtual axis, per unit."""
+        return {
+            name: sum(abs(factor * rate) for factor, rate in zip(row, self.rates, strict=True))
+            for name, row in self.rows.items()
+        }
 
-    def find_drift(self, name: str, speed: float) -> float:
-        """By how much more each second at a speed."""
-        return sum(
-            abs(factor) * (ROUNDED_COUNTS_S / float(real.config.scale) + CRYSTAL_PPM * 1e-6 * speed * abs(rate))
-            for factor, rate, real in zip(self.rows[name], self.rates, self.reals, strict=True)
-            if rate
-        )
+    def find_rounding(self) -> dict[str, float]:
+        """How fast each other virtual axis may drift because speeds are rounded, in its unit/s."""
+        lengths = [
+            abs(real.config.to_length(ROUNDED_COUNTS_S)) if rate else 0.0
+            for rate, real in zip(self.rates, self.reals, strict=True)
+        ]
+        return {
+            name: sum(abs(factor) * length for factor, length in zip(row, lengths, strict=True))
+            for name, row in self.rows.items()
+        }
 
 
 def _find_reach(axis: VirtualAxis, name: str, target: float) -> _Reach:
