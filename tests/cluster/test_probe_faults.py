@@ -12,11 +12,10 @@ from cluster.test_probe import (
     STAGE_READY,
     Bench,
     run_bench,
-    with_lift,
     with_stage_touch,
     with_touch,
 )
-from cluster.worlds import job
+from cluster.worlds import drive_fleet, job
 
 from adapters.yaskawa.triggers import probe as latch_probe
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -31,7 +30,7 @@ AHEAD_MM, END_MM, SPEED_MM_S = 1.0, 5.0, 1.0
 
 MAKES = {
     "smc4000": (with_touch(), "gantry.x", READY, PROBE),
-    "cia402": (with_lift(), "lift.z", LIFT_READY, LIFT_PROBE),
+    "cia402": (drive_fleet("touch"), "lift.z", LIFT_READY, LIFT_PROBE),
     "shrc203": (with_stage_touch(), "stage.u", STAGE_READY, STAGE_PROBE.replace("speed", "by: host, speed")),
 }
 
