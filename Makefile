@@ -90,7 +90,7 @@ demo: $(RUN)/.stamp page-if-possible
 test: test-fast test-live
 
 test-fast: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not nightly and not browser" -n 2 --dist worksteal $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not nightly and not browser and not structure" -n 2 --dist worksteal $(SLOWEST)
 
 # Syntax and imports of every module, asyncio, typing, SQLite, JSON, random draws: what a version of Python can change.
 test-python: $(DEV)/.stamp
@@ -160,6 +160,7 @@ check: $(DEV)/.stamp
 	$(DEV)/bin/lint-imports
 	$(DEV)/bin/basedpyright
 	$(DEV)/bin/basedpyright -p tests
+	$(DEV)/bin/pytest -m structure tests/unit/project
 
 figures: $(DEV)/.stamp
 	$(DEV)/bin/python tools/figures.py

@@ -1,5 +1,7 @@
 """What holds for all tests."""
 
+from pathlib import Path
+
 import pytest
 from processes import give_children_default_signals
 
@@ -24,7 +26,21 @@ PYTHON = (
 """Tests that another version of Python could change, by the begin of their names below this folder."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.nodeid.removeprefix("tests/").startswith(PYTHON):
+NIGHTLY = Path(__file__).with_name("nightly.txt")
+"""Tests that run nightly only, a line each: the name below this folder."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    nightly = {line for line in NIGHTLY.read_text(encoding="utf-8").splitlines() if not line.startswith("#")}
+    names = {item.nodeid.removeprefix("tests/"): item for item in items}
+    for name, item in names.items():
+        if name.startswith(PYTHON):
             item.add_marker(pytest.mark.python)
+        if name in nightly:
+            item.add_marker(pytest.mark.nightly)
+    if any("::" in argument for argument in config.args):
+        return  # not all tests of a file are here
+    files = {name.partition("::")[0] for name in names}
+    lost_names = sorted(name for name in nightly - names.keys() if name.partition("::")[0] in files)
+    if lost_names:
+        raise pytest.UsageError(f"tests/nightly.txt names what is no test: {', '.join(lost_names)}")

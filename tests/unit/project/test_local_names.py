@@ -28,6 +28,7 @@ def list_wrong_figures(folders: dict[str, float], most: dict[str, float]) -> lis
     return lines
 
 
+@pytest.mark.structure
 def test_no_folder_has_more_local_names_that_are_no_nouns_than_its_figure_and_each_figure_is_lowered() -> None:
     lines = list_wrong_figures(measure_folders(ROOT), MOST)
     assert not lines, "\n".join(lines)

@@ -81,6 +81,7 @@ def test_virtual_code_has_no_other_time_and_no_other_random_source() -> None:
     assert len(checked) > 300 and not found, "\n".join(found)
 
 
+@pytest.mark.structure
 @pytest.mark.usefixtures("outlines")
 def test_imports_have_no_circles() -> None:
     """None across packages, and none of more than two files inside one."""

@@ -3,6 +3,8 @@
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[3]
 LIST = Path(__file__).parent / "large.txt"
 sys.path.insert(0, str(ROOT / "tools"))
@@ -30,6 +32,7 @@ def list_wrong_sizes(sizes: dict[str, int], most: dict[str, int]) -> list[str]:
     return lines
 
 
+@pytest.mark.structure
 def test_no_class_and_no_function_grows_beyond_its_size_in_the_list() -> None:
     sizes = {name: size for name, size in figures.list_large().items() if not name.startswith(GENERATED)}
     lines = list_wrong_sizes(sizes, read_list())
