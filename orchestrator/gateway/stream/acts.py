@@ -88,8 +88,10 @@ class FleetActs:
             raise Refusal("not-there", "the user has gone meanwhile", "acquire the axes again")
         self._manual, self._named = manual, axes
         self._watch()
-        self._socket.send({"manual": {"axes": manual.axes, "lost": None}})
-        return {"axes": manual.axes}
+        # Virtual axes are named beside the real ones that are leased for them.
+        held = list(dict.fromkeys([*(name for name in axes if "." in name), *manual.axes]))
+        self._socket.send({"manual": {"axes": held, "lost": None}})
+        return {"axes": held}
 
     async def _release(self, _: Frame) -> dict[str, Any]:
         await self._end_manual()

@@ -10,6 +10,7 @@ from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.units import parse_quantity
 
 DIGITS = 6  # after the point: nanometres of a mm axis
+STALE_NS = NS_PER_S  # a state that is older is shown with its age
 
 
 def show_controller(state: ControllerState, config: Controller | None, targets: Mapping[str, float]) -> dict[str, Any]:

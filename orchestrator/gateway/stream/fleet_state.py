@@ -9,9 +9,10 @@ from pydantic import ValidationError
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.gateway.stream.controllers import show_controller
+from orchestrator.gateway.stream.controllers import STALE_NS, show_controller
 from orchestrator.gateway.stream.merge_patch import drop_nulls
 from orchestrator.gateway.stream.targets import JobTargets
+from orchestrator.gateway.stream.virtual_groups import VirtualGroups
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.names import split_name
@@ -24,7 +25,6 @@ from orchestrator.model.web_views import WebView
 MAX_EVENTS = 100
 MAX_CONTROLLERS, MAX_JOBS, MAX_ALARMS, MAX_LEASES = 500, 300, 1000, 2000  # whatever is published
 KEEP_ENDED_NS = 60 * NS_PER_S  # of a job that has ended
-STALE_NS = NS_PER_S
 LEADER_NS = NS_PER_S  # ten heartbeats are missing
 
 _Take = Callable[[BusSample], None]
@@ -81,6 +81,7 @@ class FleetState:
         self._jobs: dict[str, JobProgress] = {}
         self._ended_ns: dict[str, int] = {}
         self._targets = JobTargets()
+        self._virtual = VirtualGroups()
         self._leader: tuple[int, LeaderHeartbeat] | None = None
         self._last_stop: dict[str, Any] | None = None
         self._takers: dict[str, _Take] = {
@@ -94,7 +95,8 @@ class FleetState:
         """The key expressions to subscribe to."""
         keys = self._keys
         jobs = (keys.job_state(), keys.job_begun())
-        return (keys.state(), keys.event(), keys.link(), *jobs, keys.queue, keys.leases, keys.alarm(), keys.leader)
+        states = (keys.state(), keys.event(), keys.link(), keys.virtual())
+        return (*states, *jobs, keys.queue, keys.leases, keys.alarm(), keys.leader)
 
     @property
     def controllers(self) -> list[str]:
@@ -104,6 +106,8 @@ class FleetState:
     def find_rest(self, axis: str) -> float | None:
         """The commanded user position of `controller.axis` when it was at rest last; None if it is not known."""
         controller, name = split_name(axis)
+        if self.fleet is not None and controller in self.fleet.virtual:
+            return self._virtual.find_rest(controller, name)
         self._read_state(controller)
         return self._rests.get(controller, {}).get(name)
 
@@ -117,6 +121,8 @@ class FleetState:
                 self._takers[leaf](sample)
             elif kind == "job":
                 self._take_job(sample, leaf)
+            elif kind == "virtual":
+                self._virtual.take_payload(sample.key.split("/")[-2], sample.payload, self._clock.now_ns())
             elif kind == "lease":
                 self._take_lease(LeaseState.read_message(sample.payload))
             elif kind == "alarm":
@@ -253,6 +259,8 @@ class FleetState:
             state["permits"] = plain.pop("missing_permits")
             state["queue"] = drop_nulls(plain)
         state |= show_views(self.fleet)
+        if groups := self._virtual.compose(self.fleet, self._targets.by_axis, now_ns):
+            state["virtual"] = groups
         if self._last_stop is not None:
             state["last_stop"] = self._last_stop
         return state

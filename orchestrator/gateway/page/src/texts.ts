@@ -157,6 +157,7 @@ export const why = {
   working: (words: string) => `first wait for this, or stop it: ${words}`,
   held: (axis: string, job: string) => `${axis} is held by the job ${job}; wait for its end, or stop it`,
   disabled: (axis: string) => `the motor of ${axis} is off; enable it first`,
+  noJog: (axis: string) => `${axis} cannot be jogged now: its real axes cannot, or it would leave its curve`,
 };
 
 export const stop = {
@@ -220,6 +221,7 @@ export const axes = {
   setTo: (value: string) => `Set the present position to ${value}`,
   setting: (axis: string) => `Set the position of ${axis}`,
   removeOffset: "Remove the offset",
+  standsFor: (axes: string) => `Virtual: its motors and references are those of ${axes}.`,
   setHint: "Setting a position moves nothing: it changes what the present position is called.",
 };
 

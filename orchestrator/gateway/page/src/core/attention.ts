@@ -2,7 +2,7 @@
 
 import { effect, signal } from "@preact/signals";
 import { readinessOf } from "./ready.ts";
-import { controllers, permits } from "./store.ts";
+import { owners, permits } from "./store.ts";
 
 const RANKS = { busy: 0, bad: 1, off: 1, ok: 2 };
 const LAST = 2;
@@ -26,7 +26,7 @@ export function watchAttention(): void {
     const before = attention.peek();
     const next: Record<string, number> = {};
     let soonest = Infinity;
-    for (const controller of controllers.value)
+    for (const controller of owners.value)
       for (const axis of controller.axes.value) {
         const rank = RANKS[readinessOf(axis.id, axis.flags.value, controller.rest.value, permits.value).level];
         const kept = before[axis.id] ?? LAST;

@@ -72,6 +72,8 @@ export interface ControllerState {
   age_s?: number;
   present: boolean;
   make?: string;
+  /** Of a group of virtual axes: the real axes that it stands for. */
+  of?: string[];
   epoch?: number;
   digest?: string;
   job?: string;
@@ -230,6 +232,7 @@ export interface State {
   fleet_s?: number;
   coordinator: { present: boolean; name?: string; epoch?: number };
   controllers: Record<string, ControllerState>;
+  virtual?: Record<string, ControllerState>;
   leases?: Record<string, Lease>;
   permits?: Permit[];
   queue?: QueueState;

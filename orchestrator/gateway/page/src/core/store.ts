@@ -5,7 +5,7 @@
  * else again. The state itself is kept plain, and frames are merged into it.
  */
 
-import { batch, signal, type Signal } from "@preact/signals";
+import { batch, computed, signal, type Signal } from "@preact/signals";
 import type {
   Alarm,
   AxisState,
@@ -130,6 +130,10 @@ export const utc = signal("");
 export const fleetSeconds = signal<number | null>(null);
 export const coordinator = signal<State["coordinator"]>({ present: false });
 export const controllers = signal<ControllerStore[]>([]);
+/** Groups of virtual axes, with what a controller has as far as they have it. */
+export const groups = signal<ControllerStore[]>([]);
+/** What has axes. */
+export const owners = computed(() => [...controllers.value, ...groups.value]);
 export const leases = signal<Record<string, Lease>>({});
 export const permits = signal<Permit[]>([]);
 export const queue = signal<QueueState>({});
@@ -146,22 +150,28 @@ export const loaded = signal(false);
 export const samples = signal(0);
 
 const stores = new Map<string, ControllerStore>();
+const groupStores = new Map<string, ControllerStore>();
 let state: State | null = null;
 let sampledMs = -Infinity;
 
 export function findController(id: string): ControllerStore | undefined {
-  return stores.get(id);
+  return stores.get(id) ?? groupStores.get(id);
 }
 
 /** What renders by it is rendered again once the axis is there: a remembered choice comes before the state. */
 export function findAxis(id: string): AxisStore | undefined {
   const [owner = "", name = ""] = id.split(".");
-  const controller = controllers.value.find((each) => each.id === owner);
+  const controller = owners.value.find((each) => each.id === owner);
   return controller?.axes.value.find((axis) => axis.name === name);
 }
 
-export function allAxes(): AxisStore[] {
+export function realAxes(): AxisStore[] {
   return controllers.value.flatMap((controller) => controller.axes.value);
+}
+
+/** Virtual axes come behind the real ones. */
+export function allAxes(): AxisStore[] {
+  return owners.value.flatMap((owner) => owner.axes.value);
 }
 
 /** Replace the whole state. `nowMs`: when it came, on this page's own clock. */
@@ -197,8 +207,8 @@ function publish(patch: JsonObject | null, nowMs: number): void {
     events.value = now.events ?? NO_LIST;
     lastStop.value = now.last_stop;
     views.value = now.views ?? NO_LIST;
-    const change = patch === null ? null : patch["controllers"];
-    if (change !== undefined) takeControllers(now.controllers ?? {}, isObject(change ?? undefined) ? (change as JsonObject) : null);
+    takeOwners(now.controllers, patch === null ? null : patch["controllers"], stores, controllers);
+    takeOwners(now.virtual, patch === null ? null : patch["virtual"], groupStores, groups);
     takeSamples(nowMs);
   });
 }
@@ -207,7 +217,15 @@ const NOTHING: Record<string, never> = {};
 const NO_LIST: never[] = [];
 const NO_COORDINATOR = { present: false };
 
-function takeControllers(all: Record<string, ControllerState>, patch: JsonObject | null): void {
+/** Take what has changed of `all`. change: their part of a patch; undefined: nothing. */
+function takeOwners(
+  all: Record<string, ControllerState> = {},
+  change: Json | undefined,
+  stores: Map<string, ControllerStore>,
+  list: Signal<ControllerStore[]>,
+): void {
+  if (change === undefined) return;
+  const patch = isObject(change) ? change : null;
   let listed = false;
   for (const id of Object.keys(patch ?? all)) {
     const next = all[id];
@@ -218,20 +236,20 @@ function takeControllers(all: Record<string, ControllerState>, patch: JsonObject
       stores.set(id, new ControllerStore(id, next));
       listed = true;
     } else {
-      const change = patch?.[id];
-      known.take(next, isObject(change) ? change : null);
+      const part = patch?.[id];
+      known.take(next, isObject(part) ? part : null);
     }
   }
   if (patch === null)
     for (const id of stores.keys()) if (all[id] === undefined) listed = stores.delete(id) || listed;
-  if (listed) controllers.value = [...stores.values()];
+  if (listed) list.value = [...stores.values()];
 }
 
 function takeSamples(nowMs: number): void {
   if (nowMs - sampledMs < SAMPLE_MS) return;
   sampledMs = nowMs;
-  for (const controller of stores.values())
-    for (const axis of controller.axes.peek()) {
+  for (const owner of owners.peek())
+    for (const axis of owner.axes.peek()) {
       const position = axis.position.peek();
       if (position !== null) axis.ring.push(nowMs / 1000, position);
     }

@@ -8,7 +8,7 @@ import { formatUnit, formatValue, withoutAddress } from "../core/format.ts";
 import { held } from "../core/manual.ts";
 import { plotted } from "../core/look.ts";
 import { readinessOf } from "../core/ready.ts";
-import { allAxes, controllers, jobs, leases, permits, queue, type AxisStore, type ControllerStore } from "../core/store.ts";
+import { allAxes, jobs, leases, owners, permits, queue, type AxisStore, type ControllerStore } from "../core/store.ts";
 import { pageAge } from "../core/stream.ts";
 import * as T from "../texts.ts";
 import { AxisMenu } from "./axismenu.tsx";
@@ -25,7 +25,7 @@ const stays = signal(false);
 export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => void; chosen?: string }): JSX.Element {
   const many = allAxes().length > MANY;
   const last = useRef<ControllerStore[]>([]);
-  const all = controllers.value;
+  const all = owners.value;
   const known = last.current.length === all.length && last.current.every((controller) => all.includes(controller));
   if (!many) last.current = all;
   else if (!stays.value || !known) last.current = [...all].sort((a, b) => rankOfController(a) - rankOfController(b));
@@ -44,7 +44,7 @@ export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => v
         </div>
       }
     >
-      {controllers.value.length === 0 ? (
+      {all.length === 0 ? (
         <Empty text={T.axes.none} />
       ) : (
         <table

@@ -11,14 +11,12 @@ import * as T from "../texts.ts";
 import { Act, closeDialog, Field, Mark } from "./parts.tsx";
 
 export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: ControllerStore }): JSX.Element {
-  const [text, setText] = useState("");
+  const { of } = controller.rest.value;
+  const axes = of ?? [axis.id];
   const flags = axis.flags.value;
-  const unit = formatUnit(flags.unit);
   const why = firstOf(whyNot("work", controller.id), working.value ? T.why.working(working.value.words) : "");
-  const value = readNumber(text);
-  const valueWhy = firstOf(why, value === null ? T.axes.typeNumber : "");
   const work = (words: string, step: object): void => {
-    void beginWork(words, [axis.id], step);
+    void beginWork(words, axes, step);
     closeDialog();
   };
   return (
@@ -30,15 +28,35 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
       <ReadyLine axis={axis} controller={controller} />
       <div class="row">
         {flags.enabled ? (
-          <Act label={T.axes.disable(axis.id)} why={why} onAct={() => work(T.axes.disable(axis.id), { do: "disable", axes: [axis.id] })} />
+          <Act label={T.axes.disable(axis.id)} why={why} onAct={() => work(T.axes.disable(axis.id), { do: "disable", axes })} />
         ) : (
-          <Act label={T.axes.enable(axis.id)} why={why} motion onAct={() => work(T.axes.enable(axis.id), { do: "enable", axes: [axis.id] })} />
+          <Act label={T.axes.enable(axis.id)} why={why} motion onAct={() => work(T.axes.enable(axis.id), { do: "enable", axes })} />
         )}
       </div>
       <div class="row">
-        <Act label={T.axes.home(axis.id)} why={why} motion onAct={() => work(T.axes.home(axis.id), { do: "home", axes: [axis.id] })} />
+        <Act label={T.axes.home(axis.id)} why={why} motion onAct={() => work(T.axes.home(axis.id), { do: "home", axes })} />
         <span class="hint">{T.axes.homeHint}</span>
       </div>
+      {of ? <p class="hint">{T.axes.standsFor(of.join(", "))}</p> : <SetPosition axis={axis} why={why} work={work} />}
+    </div>
+  );
+}
+
+interface SetProps {
+  axis: AxisStore;
+  why: string;
+  work: (words: string, step: object) => void;
+}
+
+/** What the present position is called. Virtual axes have no offset: they follow from their real ones. */
+function SetPosition({ axis, why, work }: SetProps): JSX.Element {
+  const [text, setText] = useState("");
+  const flags = axis.flags.value;
+  const unit = formatUnit(flags.unit);
+  const value = readNumber(text);
+  const valueWhy = firstOf(why, value === null ? T.axes.typeNumber : "");
+  return (
+    <>
       <Field label={T.axes.valueLabel(unit)}>
         <input
           type="text"
@@ -61,7 +79,7 @@ export function AxisMenu({ axis, controller }: { axis: AxisStore; controller: Co
         />
       </div>
       <p class="hint">{T.axes.setHint}</p>
-    </div>
+    </>
   );
 }
 

@@ -6,12 +6,12 @@ import { computed } from "@preact/signals";
 import { get } from "../core/http.ts";
 import { beginWork, working } from "../core/manual.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { allAxes, type AxisStore } from "../core/store.ts";
+import { realAxes, type AxisStore } from "../core/store.ts";
 import * as T from "../texts.ts";
 import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
 
 /** The axes whose motor is off, or whose reference is missing. */
-export const unready = computed(() => allAxes().filter((axis) => !axis.flags.value.enabled || !axis.flags.value.referenced));
+export const unready = computed(() => realAxes().filter((axis) => !axis.flags.value.enabled || !axis.flags.value.referenced));
 
 const MOST_JOBS = 20;
 
@@ -28,7 +28,7 @@ export function GetReady({ ids }: { ids: string[] }): JSX.Element {
 }
 
 function ReadyDialog({ ids }: { ids: string[] }): JSX.Element {
-  const [axes, setAxes] = useState<AxisStore[] | null>(ids.length === 0 ? allAxes() : null);
+  const [axes, setAxes] = useState<AxisStore[] | null>(ids.length === 0 ? realAxes() : null);
   useEffect(() => {
     if (ids.length > 0) void findNeeded(ids).then(setAxes);
   }, [ids.join()]);
@@ -64,7 +64,7 @@ function ReadyDialog({ ids }: { ids: string[] }): JSX.Element {
 /** The axes that these jobs use, those of their named positions too. Of a job that cannot be told: all axes. */
 async function findNeeded(ids: string[]): Promise<AxisStore[]> {
   const answers = await Promise.all(ids.map((id) => get<{ axes: string[] }>(`jobs/${encodeURIComponent(id)}/axes`)));
-  const all = allAxes();
+  const all = realAxes();
   const named = new Set(answers.flatMap((answer) => ("ok" in answer ? answer.ok.axes : all.map((axis) => axis.id))));
   return all.filter((axis) => named.has(axis.id));
 }

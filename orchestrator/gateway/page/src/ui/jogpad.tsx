@@ -58,6 +58,7 @@ function whyNotJog(axis: AxisStore): string {
     working.value ? T.why.working(working.value.words) : "",
     whyHeld(axis),
     flags.enabled ? "" : T.why.disabled(axis.id),
+    flags.jog_velocity === 0 ? T.why.noJog(axis.id) : "",
   );
 }
 

@@ -3,7 +3,7 @@
 import type { JSX } from "preact";
 import { beginWork, working } from "../core/manual.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { allAxes, controllers, jobs, permits } from "../core/store.ts";
+import { realAxes, controllers, jobs, permits } from "../core/store.ts";
 import { onPage } from "../texts.ts";
 import * as T from "../texts.ts";
 import { GetReady, unready } from "./getready.tsx";
@@ -11,7 +11,7 @@ import { WorkLine } from "./jogpad.tsx";
 import { Act, Empty, Mark, Panel } from "./parts.tsx";
 
 export function PreparePanel(): JSX.Element {
-  const axes = allAxes();
+  const axes = realAxes();
   const count = (test: (axis: (typeof axes)[number]) => boolean): number => axes.filter(test).length;
   const enabled = count((axis) => axis.flags.value.enabled);
   const referenced = count((axis) => axis.flags.value.referenced);
