@@ -61,6 +61,7 @@ class ManualControl:
         self._ttl_s = ttl_s
         self._seq = 0
         self._velocities: dict[str, float] = {}
+        self._is_broken_off = False
         self._renewals = TaskOwner()
         self._feed = VirtualFeed(connection)
         self._ramp = VirtualRamp(self._feed.states)
@@ -130,6 +131,7 @@ class ManualControl:
             await self._follow_ramp(valid_ms)
             return
         self._velocities.update(velocities)
+        self._is_broken_off = False
         await self._send_velocities(_JogOrder(velocities, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S))
 
     async def renew_jog(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
@@ -142,6 +144,8 @@ class ManualControl:
             self._ramp.request(velocities or {})
             await self._follow_ramp(valid_ms)
             return
+        if self._is_broken_off:
+            raise Refusal("not-jogging", "all axes were stopped when a controller refused", "begin with `jog`")
         has_changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving_velocities = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
@@ -165,6 +169,7 @@ class ManualControl:
             await self._send_step(VALID_MS)
             return
         self._velocities.update(velocities)
+        self._is_broken_off &= renew
         await self._request_jogs(_JogOrder(velocities, renew=renew, timeout_s=JOG_TIMEOUT_S))
 
     async def stop(self) -> None:
@@ -259,6 +264,7 @@ class ManualControl:
         if not errors:
             return
         if len(requests) > 1:
+            self._is_broken_off = True
             with contextlib.suppress(Refusal):
                 await self._halt()
         for error in errors:

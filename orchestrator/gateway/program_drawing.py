@@ -65,7 +65,7 @@ def list_extents(
         low, high = (float(value) * scale for value in (points[:, number].min(), points[:, number].max()))
         limits = axis.soft_limits_counts
         offset = 0.0 if forecast is None else float(forecast.offset)
-        ends = None if limits is None else [axis.to_unit(end) + offset for end in limits]
+        ends = None if limits is None else sorted(axis.to_unit(end) + offset for end in limits)
         over = 0.0 if ends is None else max(ends[0] - low, high - ends[1], 0.0)
         extents.append(
             {

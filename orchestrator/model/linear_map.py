@@ -54,6 +54,16 @@ class LinearMap:
         return tuple(tuple(map(float, row)) for row in self.inverse)
 
     @cached_property
+    def sweeps(self) -> "Rows":
+        """How far the parts of the real axes alone would move each virtual axis while one moves by 1 and the others
+        stay: a row for the one, a number for each."""
+        columns = tuple(zip(*self.inverse_rows, strict=True))
+        return tuple(
+            tuple(sum(abs(factor * rate) for factor, rate in zip(row, rates, strict=True)) for row in self.rows)
+            for rates in columns
+        )
+
+    @cached_property
     def _offsets(self) -> tuple[float, ...]:
         return tuple(map(float, self.offset))
 

@@ -5,11 +5,12 @@ The velocity changes by steps that all real axes are sent at once, each small en
 its speed by dv takes a real axis at most the period of steps, and comes at an instant of its own. From rest to rest,
 with one speed between, a real axis is at most v x (STEP_S / 2 + apart_s) from where the others have it: so each other
 virtual axis is off by at most the sum of |m| times that, with m its factor; twice as many changes of speed add as much
-again. Beside that controllers round speeds to ROUNDED_COUNTS_S and have crystals of their own, which adds up with time.
+again. Play of a drive adds its width, an error table its span: a jog does not follow them. Controllers round
+speeds to ROUNDED_COUNTS_S and have crystals of their own, which adds up with time.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from pydantic import Field
@@ -36,15 +37,17 @@ class VirtualJog(Model):
 
     rates: the velocity of each real axis of the group, in the order of `of`, per unit/s. speed: the highest.
     acceleration: of the common ramp, so that no real axis is asked for more than its own. off: how far each other
-    virtual axis of the group may be off its position, in its unit, by a jog from rest to that speed and to rest; drift:
-    by how much more per second. deviations: the `jog.deviation` of those that have one. low, high: how far it can go,
-    in both directions, until `low_by`, `high_by` is at its soft limit; None: without one.
+    virtual axis of the group may be off its position, in its unit, by a jog from rest to that speed and to rest; play:
+    by how much more because of play and errors of real axes; drift: by how much more per second. deviations: the
+    `jog.deviation` of those that have one. low, high: how far it can go, in both directions, until `low_by`, `high_by`
+    is at its soft limit; None: without one.
     """
 
     rates: list[float]
     speed: float = Field(ge=0)
     acceleration: float = Field(gt=0)
     off: dict[Id, float]
+    play: dict[Id, float] = Field(default={})
     drift: dict[Id, float]
     deviations: dict[Id, float]
     low: float | None = None
@@ -106,70 +109,82 @@ def find_jogs(
     rates = find_rates(virtual_map, positions)
     if not rates:
         return {}
-    rows = virtual_map.find_rows(positions)
     targets = virtual_map.observe([real.state.commanded for real in reals])
     group = split_name(virtual_map.virtual[0])[0]
+    errors = _find_errors(virtual_map, rates, reals)
     jogs: dict[str, VirtualJog] = {}
-    for name, target in zip(rates, targets, strict=True):
+    for number, (name, target) in enumerate(zip(rates, targets, strict=True)):
         reach = _find_reach(axes[name], f"{group}.{name}", target)
         if len(reals) > 1:  # one alone ends at its soft limit by itself
             reach = _narrow_by_reals(reach, rates[name], reals)
-        off_rows = {key: row for key, row in zip(rates, rows, strict=True) if key != name}
-        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_rows), reach, apart_s)
+        sweeps = virtual_map.sweeps[number] if isinstance(virtual_map, LinearMap) else (0.0,)
+        others = {key: (sweep, errors[key]) for key, sweep in zip(rates, sweeps, strict=True) if key != name}
+        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, others, apart_s), reach)
     return jogs
 
 
-def _make_jog(
-    axes: Mapping[str, VirtualAxis], name: str, motion: "_Motion", reach: _Reach, apart_s: float
-) -> VirtualJog:
-    deviations = {key: deviation for key in motion.rows if (deviation := axes[key].jog.deviation) is not None}
-    moving_axes, sweeps = motion.moving_axes, motion.find_sweeps()
-    offs = {key: (STEP_S / 2 + apart_s) * sweep for key, sweep in sweeps.items()}
+class _Errors(NamedTuple):
+    """Of a virtual axis: how fast it may drift because speeds are rounded, in its unit/s, and how far it may be off,
+    because drives of its real axes have play, or errors that a jog does not follow, in its unit."""
+
+    rounding: float
+    play: float
+
+
+def _find_errors(virtual_map: VirtualMap, names: Iterable[str], reals: Sequence[RealJog]) -> dict[str, _Errors]:
+    """By virtual axis. A real axis alone moves no other virtual one."""
+    if len(reals) == 1:
+        return {name: _Errors(0.0, 0.0) for name in names}
+    roundings = [abs(real.config.to_length(ROUNDED_COUNTS_S)) for real in reals]
+    plays = [_find_play(real.config) for real in reals]
+    rows = virtual_map.find_rows([])
+    return {
+        name: _Errors(*(sum(map(_multiply_sizes, row, lengths)) for lengths in (roundings, plays)))
+        for name, row in zip(names, rows, strict=True)
+    }
+
+
+def _find_play(axis: Axis) -> float:
+    """How far an axis may be from where its motor has it in a jog, in its unit."""
+    width = 0.0 if axis.play is None else abs(axis.to_length(axis.play.most - axis.play.least))
+    return width if axis.correction is None else width + axis.correction.table.span
+
+
+def _multiply_sizes(first: float, second: float) -> float:
+    return abs(first) * second
+
+
+class _Motion(NamedTuple):
+    """A jog by `rates` of real axes. others: by the other virtual axes of the group, how far the parts of the real axes
+    alone would move it, per unit, and what adds to that. apart_s: as of `find_jogs`."""
+
+    rates: list[float]
+    reals: Sequence[RealJog]
+    others: Mapping[str, tuple[float, _Errors]]
+    apart_s: float
+
+
+def _make_jog(axes: Mapping[str, VirtualAxis], name: str, motion: _Motion, reach: _Reach) -> VirtualJog:
+    lag_s = STEP_S / 2 + motion.apart_s
+    deviations = {key: limit for key in motion.others if (limit := axes[key].jog.deviation) is not None}
+    moving_axes = [(abs(rate), real) for rate, real in zip(motion.rates, motion.reals, strict=True) if rate]
     speeds = [real.config.jog_speed(referenced=real.state.referenced) / rate for rate, real in moving_axes]
-    # The other half of a deviation is left to changes of speed and to the drift.
-    speeds += [deviation / offs[key] / 2 for key, deviation in deviations.items() if offs[key]]
+    for key, limit in deviations.items():
+        sweep, errors = motion.others[key]
+        if sweep:  # the other half of a deviation is left to changes of speed and to the drift
+            speeds.append(max(limit - errors.play, 0.0) / (lag_s * sweep) / 2)
     speed = min([*speeds, axes[name].jog.speed or math.inf])
-    rounding = motion.find_rounding()
+    others = motion.others.items()
     return VirtualJog(
         rates=motion.rates,
         speed=speed,
         acceleration=min(real.config.limits.acceleration / rate for rate, real in moving_axes),
-        off={key: off * speed for key, off in offs.items()},
-        drift={key: rounding[key] + CRYSTAL_PPM * 1e-6 * speed * sweep for key, sweep in sweeps.items()},
+        off={key: lag_s * sweep * speed for key, (sweep, _) in others},
+        play={key: errors.play for key, (_, errors) in others if errors.play},
+        drift={key: errors.rounding + CRYSTAL_PPM * 1e-6 * speed * sweep for key, (sweep, errors) in others},
         deviations=deviations,
         **reach._asdict(),
     )
-
-
-class _Motion(NamedTuple):
-    """A jog by `rates` of real axes. rows: by the other virtual axes of the group, their factors."""
-
-    rates: list[float]
-    reals: Sequence[RealJog]
-    rows: Mapping[str, Sequence[float]]
-
-    @property
-    def moving_axes(self) -> list[tuple[float, RealJog]]:
-        """Those of the real axes that move, with the size of their rates."""
-        return [(abs(rate), real) for rate, real in zip(self.rates, self.reals, strict=True) if rate]
-
-    def find_sweeps(self) -> dict[str, float]:
-        """How far the parts of the real axes alone would move each other virtual axis, per unit."""
-        return {
-            name: sum(abs(factor * rate) for factor, rate in zip(row, self.rates, strict=True))
-            for name, row in self.rows.items()
-        }
-
-    def find_rounding(self) -> dict[str, float]:
-        """How fast each other virtual axis may drift because speeds are rounded, in its unit/s."""
-        lengths = [
-            abs(real.config.to_length(ROUNDED_COUNTS_S)) if rate else 0.0
-            for rate, real in zip(self.rates, self.reals, strict=True)
-        ]
-        return {
-            name: sum(abs(factor) * length for factor, length in zip(row, lengths, strict=True))
-            for name, row in self.rows.items()
-        }
 
 
 def _find_reach(axis: VirtualAxis, name: str, target: float) -> _Reach:

@@ -47,7 +47,7 @@ class VirtualRamp:
         for axis, velocity in goal.items():
             if velocity:
                 jog = self._require_jog(axis)
-                load += abs(velocity) / jog.speed
+                load += abs(velocity) / jog.speed if jog.speed else math.inf
                 text = self._describe_speed(axis, jog, velocity)
         if load > 1 + TOLERANCE:
             *company, _ = (axis for axis, velocity in goal.items() if velocity)
@@ -140,7 +140,8 @@ class VirtualRamp:
         name = split_name(axis)[1]
         unit = state.axes[name].unit
         offs = " and ".join(
-            f"{split_name(axis)[0]}.{other_name} is off by at most {off:.3g} {state.axes[other_name].unit}"
+            f"{split_name(axis)[0]}.{other_name} is off by at most {off + jog.play.get(other_name, 0.0):.3g} "
+            f"{state.axes[other_name].unit}"
             for other_name, off in jog.off.items()
         )
         off_text = f", where {offs}" if offs else ""
@@ -166,7 +167,8 @@ class VirtualRamp:
             rises = (self._varied[axis] + abs(velocity)) / 2
             until_rest_s = self._moving_s + abs(velocity) / jog.acceleration + STEP_S
             for name, limit in jog.deviations.items():
-                off = jog.off[name] * rises / jog.speed + (jog.drift[name] * until_rest_s if rises else 0.0)
+                off = jog.off[name] * rises / jog.speed if rises else 0.0
+                off += jog.drift[name] * until_rest_s + jog.play.get(name, 0.0) if rises else 0.0
                 offs[f"{group}.{name}"] = offs.get(f"{group}.{name}", 0.0) + off
                 if offs[f"{group}.{name}"] > limit * (1 + TOLERANCE):
                     unit = self._state_of(axis).axes[name].unit

@@ -233,6 +233,14 @@ def test_a_controller_that_refuses_stops_the_others() -> None:
             assert error.value.code == "not-enabled"
             assert stage.of("gantry")[-1].velocities == {"x": 0.0}
             assert hand.lost is None
+            # A program that goes on renewing learns that nothing moves.
+            count = len(stage.jogs)
+            with pytest.raises(Refusal, match="all axes were stopped"):
+                await hand.renew_jog()
+            assert len(stage.jogs) == count
+            stage.refuse.clear()
+            await hand.jog({"gantry.x": 5.0, "stage.u": 1.0})
+            await hand.renew_jog()
 
     on_stage(test)
 

@@ -65,6 +65,18 @@ def test_the_speed_is_that_of_its_own_its_real_axes_and_the_deviation_of_the_oth
     assert slow.speed == pytest.approx(2 * 20 / 50)
 
 
+def test_play_and_errors_of_real_axes_are_part_of_how_far_others_are_off() -> None:
+    plain = load_fleet(EXAMPLES / "table.fleet.yaml").to_plain()
+    plain["controllers"]["front"]["axes"]["upper"]["backlash"] = {"amount": "20 um"}
+    fleet, states = Fleet.model_validate(plain), [make_state(0.0)] * 2
+    gap = find("slit", states, fleet)["gap"]
+    assert gap.play == pytest.approx({"centre": 0.5 * 0.020})  # half of one blade's
+    assert not find("slit", states)["gap"].play
+    # What is left of the deviation beside the play decides the speed.
+    assert find("slit", states, fleet, deviation="20 um")["gap"].speed == pytest.approx(0.1)
+    assert find("slit", states, fleet, deviation="10 um")["gap"].speed == 0
+
+
 def test_the_way_ends_at_the_first_soft_limit_of_any_axis() -> None:
     # Blades at 12 and 10 mm, of -20 to 20 mm; the gap is 2 of 0 to 10 mm.
     jogs = find("slit", [make_state(12.0), make_state(10.0)])
