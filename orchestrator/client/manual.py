@@ -149,11 +149,8 @@ class ManualControl:
         has_changed = any(velocity != self._velocities.get(axis) for axis, velocity in (velocities or {}).items())
         self._velocities.update(velocities or {})
         moving_velocities = {axis: velocity for axis, velocity in self._velocities.items() if velocity}
-        await self._send_velocities(
-            _JogOrder(
-                moving_velocities, renew=True, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S if has_changed else ANSWER_S
-            )
-        )
+        timeout_s = JOG_TIMEOUT_S if has_changed else ANSWER_S
+        await self._send_velocities(_JogOrder(moving_velocities, renew=True, valid_ms=valid_ms, timeout_s=timeout_s))
 
     async def request_jog(self, velocities: Mapping[str, float], *, renew: bool = False) -> None:
         """`jog`, or `renew_jog`, by one request to each controller, which is not renewed while it is on its way.
@@ -263,8 +260,8 @@ class ManualControl:
         errors = [error for error in await asyncio.gather(*requests, return_exceptions=True) if error is not None]
         if not errors:
             return
-        if len(requests) > 1:
-            self._is_broken_off = True
+        self._is_broken_off = len(requests) > 1
+        if self._is_broken_off:
             with contextlib.suppress(Refusal):
                 await self._halt()
         for error in errors:

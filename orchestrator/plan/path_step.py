@@ -29,6 +29,7 @@ from orchestrator.plan.path_profiles import Array, Evaluate, FittedAxis, PathSta
 from orchestrator.plan.play import bound_path
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import find_jerk, make_axis_move
+from orchestrator.plan.virtual_bound import CurvedLine
 
 MAX_STRETCHES = 200  # of a report
 ORDERS = ("", "velocity", "acceleration", "jerk")
@@ -59,6 +60,7 @@ class PlannedPath:
     counts_per_unit: by axis, in that unit. times_s, speeds: samples of the plan, by axis, in that unit/s. course: the
     motion, for members that execute it in chunks; a line on a trapezoid has none.
     lines: of the file that it was made of. bounds: of compensated axes, by what the fleet file states of them.
+    line: of curved virtual axes, on which the path keeps them.
     """
 
     plan: StepPlan
@@ -73,6 +75,7 @@ class PlannedPath:
     course: PathCourse | None
     lines: LineTimes | None = None
     bounds: Mapping[str, PositionBound] = field(default_factory=dict[str, PositionBound])
+    line: CurvedLine | None = None
 
     @property
     def compensation_error(self) -> float:

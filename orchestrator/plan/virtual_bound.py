@@ -6,6 +6,7 @@ its real axes of |m| x (v x |e - c| + path error + rounding), with m its factor,
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S
@@ -14,13 +15,29 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.linear_map import LinearMap
 from orchestrator.model.messages import Proposal
 from orchestrator.model.names import split_name
-from orchestrator.model.report import SyncBudget, VirtualBound
+from orchestrator.model.report import PathReport, SyncBudget, VirtualBound
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.play import bound_way
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.virtual_moves import group_virtual
 
 ROUNDED_COUNTS = 1.0  # of a target to counts, and of a controller's profile on the way
+
+
+@dataclass(frozen=True, slots=True)
+class CurvedLine:
+    """How a path of real axes keeps a curved group on its line. errors: by virtual axis, of the path as it is planned,
+    in its unit. factors: how far it moves by one count of the real axes together, at most on the way."""
+
+    errors: Mapping[str, float]
+    factors: Mapping[str, float]
+
+    def bound(self, fleet: Fleet, counts: float) -> dict[str, VirtualBound]:
+        """How far each virtual axis may be off its line, where the real axes may be off their path by `counts`."""
+        return {
+            name: VirtualBound(most=self.errors[name] + factor * counts, unit=fleet.unit_of(name))
+            for name, factor in self.factors.items()
+        }
 
 
 class AgreedStart(Protocol):
@@ -35,9 +52,17 @@ class AgreedStart(Protocol):
     @property
     def budget(self) -> SyncBudget | None: ...
 
+    @property
+    def path(self) -> PathReport | None: ...
 
-def bound_virtual_axes(fleet: Fleet, step: Motion, agreement: AgreedStart) -> dict[str, VirtualBound]:
-    """The bound of each virtual axis of the groups that a step moves, in its unit; none without a budget."""
+
+def bound_virtual_axes(
+    fleet: Fleet, step: Motion, agreement: AgreedStart, line: CurvedLine | None
+) -> dict[str, VirtualBound]:
+    """The bound of each virtual axis of the groups that a step moves, in its unit; none without a budget. line: of a
+    curved group."""
+    if line is not None and agreement.path is not None and agreement.path.bound is not None:
+        return line.bound(fleet, agreement.path.bound.predicted)
     if agreement.budget is None:
         return {}
     bounds: dict[str, VirtualBound] = {}

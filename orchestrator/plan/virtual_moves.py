@@ -6,7 +6,7 @@ changes in proportion as well. Virtual axes of a group that the step does not na
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import TypeVar
+from typing import NamedTuple
 
 from orchestrator.model.curved_map import CurvedMap
 from orchestrator.model.errors import Refusal
@@ -14,11 +14,8 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.linear_map import MapError
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.move import Move
 from orchestrator.model.units import UnitError, parse_quantity
-
-MotionT = TypeVar("MotionT", bound=Motion)
 
 
 def find_virtual_names(fleet: Fleet, step: Step) -> list[str]:
@@ -27,8 +24,15 @@ def find_virtual_names(fleet: Fleet, step: Step) -> list[str]:
     return [name for name in step.named_axes if name in names] if names else []
 
 
-def straighten(fleet: Fleet, step: MotionT) -> MotionT:
-    """The step as it is planned: one of virtual axes goes along a straight line of its real axes."""
+def find_curved_group(fleet: Fleet, step: Step) -> str | None:
+    """The curved group of several real axes whose virtual axes a step names: its real axes follow a path."""
+    maps = {group: fleet.virtual_axes.maps[group] for group in group_virtual(fleet, step)}
+    curved_groups = (name for name, axes in maps.items() if isinstance(axes, CurvedMap) and len(axes.real) > 1)
+    return next(curved_groups, None)
+
+
+def go_straight(fleet: Fleet, step: Move) -> Move:
+    """The move with its virtual axes on a straight line of their real axes."""
     return step.model_copy(update={"sync": "phase"}) if find_virtual_names(fleet, step) else step
 
 
@@ -38,6 +42,10 @@ def require_apart(fleet: Fleet, step: Move) -> None:
     if virtual_names and step.sync == "none":
         text = f"`sync: none` would move {virtual_names[0]} and its group elsewhere on the way"
         raise Refusal("bad-step", text, "leave `sync` out: virtual axes move on a straight line")
+    curved_group = find_curved_group(fleet, step)
+    if curved_group is not None and any(split_name(name)[0] != curved_group for name in step.named_axes):
+        text = f"{curved_group} is curved: its real axes follow a path, which nothing else can be a part of"
+        raise Refusal("bad-step", text, "move the other axes in another step")
     movers: dict[str, str] = {}
     for name in step.named_axes:
         owner = split_name(name)[0] if name in virtual_names else name
@@ -63,10 +71,22 @@ def find_virtual_targets(
 
     positions: user positions of its real axes now, in order; None: unknown. Raises `Refusal`.
     """
+    way = find_virtual_way(fleet, step, group, positions)
+    return None if way is None else dict(zip(fleet.virtual_axes.maps[group].real, way.targets, strict=True))
+
+
+class VirtualWay(NamedTuple):
+    """From where to where a group goes. begin, end: of its virtual axes, in order; begin is empty if it is not known.
+    targets: of its real axes, user positions, in order."""
+
+    begin: Sequence[Fraction]
+    end: Sequence[Fraction]
+    targets: Sequence[Fraction]
+
+
+def find_virtual_way(fleet: Fleet, step: Move, group: str, positions: Sequence[Fraction] | None) -> VirtualWay | None:
+    """As `find_virtual_targets`, with both ends of the way in virtual axes."""
     virtual_map = fleet.virtual_axes.maps[group]
-    if isinstance(virtual_map, CurvedMap) and len(virtual_map.real) > 1:
-        text = f"{group} of {len(virtual_map.real)} real axes is curved: its real axes would leave the curve on the way"
-        raise Refusal("curved", text, "move its real axes")
     virtual_positions = None if positions is None else _map(virtual_map.to_virtual, positions)
     targets: list[Fraction] = []
     for number, name in enumerate(virtual_map.virtual):
@@ -81,7 +101,7 @@ def find_virtual_targets(
             beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, targets[-1])
             if beyond_limits is not None:
                 raise Refusal("soft-limit", beyond_limits, "change the target, or the soft limits in the fleet file")
-    return dict(zip(virtual_map.real, _map(virtual_map.to_real, targets), strict=True))
+    return VirtualWay(virtual_positions or (), targets, _map(virtual_map.to_real, targets))
 
 
 def _map(convert: Callable[[Sequence[Fraction]], Sequence[Fraction]], values: Sequence[Fraction]) -> Sequence[Fraction]:

@@ -20,6 +20,7 @@ from orchestrator.model.state import AxisState, ControllerInfo, ControllerState,
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.plan.curved_move import CurvedMove, plan_curved_move
 from orchestrator.plan.flying.path import FlightPath, place_triggers, plan_flight_step
 from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
@@ -27,6 +28,7 @@ from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
+from orchestrator.plan.virtual_bound import CurvedLine
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
 WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
@@ -104,6 +106,11 @@ class PlannedStep:
     rate: float = 1.0
     elapsed_ns: int = 0
     triggers: Sequence[ResolvedTrigger] = ()
+
+    @property
+    def line(self) -> CurvedLine | None:
+        """The line of curved virtual axes that it moves."""
+        return None if self.path is None else self.path.line
 
 
 async def plan_request(
@@ -222,6 +229,8 @@ async def _plan_from(
             plan_elsewhere = services.plan_long if find_long_paths([move]) else services.plan
             if isinstance(move, FlightPath):
                 path, triggers = plan_flight_step(move, starts), place_triggers(move.part, triggers)
+            elif isinstance(move, CurvedMove):
+                path = await services.plan(plan_curved_move, move, starts, context.fleet)
             else:
                 path = await plan_elsewhere(plan_path_step, move, starts, context.fleet.path_frames)
             resolved_move = ResolvedMove(path.moves, dict(path.exact), bounds=dict(path.bounds))

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Protocol
+from typing import Any, Protocol
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
@@ -424,8 +424,13 @@ def _make_report(
 ) -> StepReport:
     """The report of a step, with how far virtual axes may have been off their line. failure: what ended it, and why."""
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
-    virtual_bounds = bound_virtual_axes(fleet, request.move, motion.agreement)
-    return report.model_copy(update={"virtual": virtual_bounds, "bounds": motion.planned.resolved.bounds})
+    line = motion.planned.line
+    update: dict[str, Any] = {
+        "virtual": bound_virtual_axes(fleet, request.move, motion.agreement, line),
+        "bounds": motion.planned.resolved.bounds,
+    }
+    # In counts, and without a tolerance, the path that keeps curved axes on their line means nothing to a user.
+    return report.model_copy(update=update if line is None else update | {"path": None})
 
 
 def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:

@@ -89,9 +89,9 @@ class FleetActs:
         self._manual, self._named = manual, axes
         self._watch()
         # Virtual axes are named beside the real ones that are leased for them.
-        held = list(dict.fromkeys([*(name for name in axes if "." in name), *manual.axes]))
-        self._socket.send({"manual": {"axes": held, "lost": None}})
-        return {"axes": held}
+        held_axes = list(dict.fromkeys([*(name for name in axes if "." in name), *manual.axes]))
+        self._socket.send({"manual": {"axes": held_axes, "lost": None}})
+        return {"axes": held_axes}
 
     async def _release(self, _: Frame) -> dict[str, Any]:
         await self._end_manual()

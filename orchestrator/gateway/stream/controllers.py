@@ -13,6 +13,11 @@ DIGITS = 6  # after the point: nanometres of a mm axis
 STALE_NS = NS_PER_S  # a state that is older is shown with its age
 
 
+def find_age_s(age_ns: int) -> int:
+    """The age of a state as it is shown: whole seconds, 0 up to a second."""
+    return age_ns // NS_PER_S if age_ns > STALE_NS else 0
+
+
 def show_controller(state: ControllerState, config: Controller | None, targets: Mapping[str, float]) -> dict[str, Any]:
     """The controller for the stream. config: of the fleet file; None: not in it. targets: of its axes, by name."""
     shown_controller: dict[str, Any] = {

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.gateway.stream.controllers import STALE_NS, show_controller
+from orchestrator.gateway.stream.controllers import find_age_s, show_controller
 from orchestrator.gateway.stream.merge_patch import drop_nulls
 from orchestrator.gateway.stream.targets import JobTargets
 from orchestrator.gateway.stream.virtual_groups import VirtualGroups
@@ -106,23 +106,22 @@ class FleetState:
     def find_rest(self, axis: str) -> float | None:
         """The commanded user position of `controller.axis` when it was at rest last; None if it is not known."""
         controller, name = split_name(axis)
-        if self.fleet is not None and controller in self.fleet.virtual:
-            return self._virtual.find_rest(controller, name)
         self._read_state(controller)
-        return self._rests.get(controller, {}).get(name)
+        return self._rests.get(controller, {}).get(name, self._virtual.find_rest(controller, name))
 
     # What arrives
 
     def take_sample(self, sample: BusSample) -> None:
         """Store a sample; one that is not valid is counted."""
         try:
-            kind, leaf = self._split_key(sample.key)
+            chunks = sample.key.removeprefix(f"{self._keys.prefix}/").split("/")
+            kind, leaf = chunks[0], chunks[-1]
             if kind == "ctl":
                 self._takers[leaf](sample)
             elif kind == "job":
                 self._take_job(sample, leaf)
             elif kind == "virtual":
-                self._virtual.take_payload(sample.key.split("/")[-2], sample.payload, self._clock.now_ns())
+                self._virtual.take_payload(chunks[1], sample.payload, self._clock.now_ns())
             elif kind == "lease":
                 self._take_lease(LeaseState.read_message(sample.payload))
             elif kind == "alarm":
@@ -179,10 +178,6 @@ class FleetState:
         self._shown.clear()
         for name in self._received_ns.keys() - fleet.controllers.keys():
             del self._received_ns[name]
-
-    def _split_key(self, key: str) -> tuple[str, str]:
-        chunks = key.removeprefix(f"{self._keys.prefix}/").split("/")
-        return chunks[0], chunks[-1]
 
     def _take_state(self, sample: BusSample) -> None:
         controller = sample.key.split("/")[-2]
@@ -258,9 +253,7 @@ class FleetState:
             plain = self._queue.to_plain()
             state["permits"] = plain.pop("missing_permits")
             state["queue"] = drop_nulls(plain)
-        state |= show_views(self.fleet)
-        if groups := self._virtual.compose(self.fleet, self._targets.by_axis, now_ns):
-            state["virtual"] = groups
+        state |= show_views(self.fleet) | self._virtual.compose(self.fleet, self._targets.by_axis, now_ns)
         if self._last_stop is not None:
             state["last_stop"] = self._last_stop
         return state
@@ -269,8 +262,7 @@ class FleetState:
         shown_controller = self._shown.get(name)
         if shown_controller is None:
             shown_controller = self._shown[name] = self._make_controller(name)
-        age_ns = now_ns - self._received_ns[name]
-        age_s = age_ns // NS_PER_S if age_ns > STALE_NS else 0
+        age_s = find_age_s(now_ns - self._received_ns[name])
         return shown_controller if shown_controller.get("age_s") == age_s else {**shown_controller, "age_s": age_s}
 
     def _make_controller(self, name: str) -> dict[str, Any]:

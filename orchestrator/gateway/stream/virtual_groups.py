@@ -6,8 +6,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from orchestrator.clock.base import NS_PER_S
-from orchestrator.gateway.stream.controllers import DIGITS, STALE_NS
+from orchestrator.gateway.stream.controllers import DIGITS, find_age_s
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.virtual_axes import VirtualGroup
@@ -37,16 +36,16 @@ class VirtualGroups:
         return state.axes[axis].target
 
     def compose(self, fleet: Fleet | None, targets: Mapping[str, float], now_ns: int) -> dict[str, Any]:
-        """The groups of the fleet file for the stream. targets: of the running steps, by `group.axis`."""
+        """The groups of the fleet file as a part of the stream; without any no part. targets: of the running steps, by
+        `group.axis`."""
         shown_groups: dict[str, Any] = {}
         for name, group in ({} if fleet is None else fleet.virtual).items():
             state = self._read_state(name)
             if state is None:
                 continue
-            age_ns = now_ns - self._received_ns[name]
-            age_s = age_ns // NS_PER_S if age_ns > STALE_NS else 0
-            shown_groups[name] = show_group(state, group, targets) | {"age_s": age_s}
-        return shown_groups
+            age = {"age_s": find_age_s(now_ns - self._received_ns[name])}
+            shown_groups[name] = show_group(state, group, targets) | age
+        return {"virtual": shown_groups} if shown_groups else {}
 
     def _read_state(self, group: str) -> VirtualState | None:
         raw = self._raw.pop(group, None)

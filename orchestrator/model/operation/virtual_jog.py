@@ -118,8 +118,8 @@ def find_jogs(
         if len(reals) > 1:  # one alone ends at its soft limit by itself
             reach = _narrow_by_reals(reach, rates[name], reals)
         sweeps = virtual_map.sweeps[number] if isinstance(virtual_map, LinearMap) else (0.0,)
-        others = {key: (sweep, errors[key]) for key, sweep in zip(rates, sweeps, strict=True) if key != name}
-        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, others, apart_s), reach)
+        off_axes = {key: (sweep, errors[key]) for key, sweep in zip(rates, sweeps, strict=True) if key != name}
+        jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_axes, apart_s), reach)
     return jogs
 
 
@@ -174,14 +174,14 @@ def _make_jog(axes: Mapping[str, VirtualAxis], name: str, motion: _Motion, reach
         if sweep:  # the other half of a deviation is left to changes of speed and to the drift
             speeds.append(max(limit - errors.play, 0.0) / (lag_s * sweep) / 2)
     speed = min([*speeds, axes[name].jog.speed or math.inf])
-    others = motion.others.items()
+    off_axes = motion.others.items()
     return VirtualJog(
         rates=motion.rates,
         speed=speed,
         acceleration=min(real.config.limits.acceleration / rate for rate, real in moving_axes),
-        off={key: lag_s * sweep * speed for key, (sweep, _) in others},
-        play={key: errors.play for key, (_, errors) in others if errors.play},
-        drift={key: errors.rounding + CRYSTAL_PPM * 1e-6 * speed * sweep for key, (sweep, errors) in others},
+        off={key: lag_s * sweep * speed for key, (sweep, _) in off_axes},
+        play={key: errors.play for key, (_, errors) in off_axes if errors.play},
+        drift={key: errors.rounding + CRYSTAL_PPM * 1e-6 * speed * sweep for key, (sweep, errors) in off_axes},
         deviations=deviations,
         **reach._asdict(),
     )

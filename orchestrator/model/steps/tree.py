@@ -15,6 +15,11 @@ def as_motion(step: Step) -> Motion | None:
     return step if isinstance(step, Move | FollowPath) else None
 
 
+def as_move(step: Step) -> Move | None:
+    """The step, if it is a move."""
+    return step if isinstance(step, Move) else None
+
+
 def as_path(step: Step) -> FollowPath | None:
     """The step, if it is a path."""
     return step if isinstance(step, FollowPath) else None

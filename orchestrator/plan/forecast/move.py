@@ -4,6 +4,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.names import ALL_AXES
 from orchestrator.model.steps.move import Move
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
+from orchestrator.plan.forecast.curved import forecast_curved
 from orchestrator.plan.forecast.measured import take_measured
 from orchestrator.plan.forecast.motion import check_record, check_triggers, plan_ways
 from orchestrator.plan.forecast.span import Span
@@ -12,7 +13,7 @@ from orchestrator.plan.forecast.targets import take_target
 from orchestrator.plan.forecast.virtual import take_virtual_targets
 from orchestrator.plan.forecast.ways import ForecastMotion, MoveWays
 from orchestrator.plan.play import require_play
-from orchestrator.plan.virtual_moves import find_virtual_names, straighten
+from orchestrator.plan.virtual_moves import find_curved_group, find_virtual_names, go_straight
 
 
 def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span:
@@ -31,11 +32,14 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
         require_play(state.fleet, step)
     except Refusal as error:
         state.add_problem(at, ("approach",), error)
+    group = find_curved_group(state.fleet, step)
+    if group is not None:
+        return forecast_curved(state, at, step, group)
     ways = MoveWays(step.approach)
     if not take_virtual_targets(state, at, ways, step):
         return Span()
     _take_real_targets(state, at, ways, step)
-    span = plan_ways(state, at, straighten(state.fleet, step), ways)
+    span = plan_ways(state, at, go_straight(state.fleet, step), ways)
     if ways.plan is not None and len(ways.exact) == len(step.find_axes(state.fleet)):
         state.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
     check_triggers(state, at, step)

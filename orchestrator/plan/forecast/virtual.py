@@ -43,7 +43,7 @@ def _find_targets(
     for name in real_axes:
         state.require_ready(at, name, place)
     try:
-        targets = find_virtual_targets(state.fleet, step, group, _find_positions(state, at, real_axes))
+        targets = find_virtual_targets(state.fleet, step, group, find_positions(state, at, real_axes))
     except Refusal as error:
         state.add_problem(at, place, error)
         return None
@@ -54,7 +54,7 @@ def _find_targets(
     return targets
 
 
-def _find_positions(state: ForecastState, at: ForecastContext, axes: Sequence[str]) -> list[Fraction] | None:
+def find_positions(state: ForecastState, at: ForecastContext, axes: Sequence[str]) -> list[Fraction] | None:
     """User positions of axes; None unless all are known."""
     states = [state.find_state(at, name) for name in axes]
     if not all(axis.known and axis.offset_kind != "unknown" for axis in states):

@@ -18,11 +18,11 @@ from orchestrator.model.jobs.forecast import AxisForecast, StepForecast, StepPro
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.jobs.service import DryRun, DryRunDone
 from orchestrator.model.steps.tree import as_motion
+from orchestrator.plan.curved_move import straighten
 from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.probes import ProbeAbilities
 from orchestrator.plan.virtual_bound import bound_virtual_axes
-from orchestrator.plan.virtual_moves import straighten
 
 REHEARSALS_AT_ONCE = 3
 """Steps for which the members are asked at the same time, so that they work while messages are under way. Few, because
@@ -123,7 +123,7 @@ class JobRehearsal:
                 "least_s": forecast.least_s if is_line else duration_s,
                 "most_s": forecast.most_s if is_line else duration_s,
                 "path": agreement.path,
-                "virtual": bound_virtual_axes(self._services.view.fleet, planned.request.move, agreement),
+                "virtual": bound_virtual_axes(self._services.view.fleet, planned.request.move, agreement, planned.line),
                 "budget": agreement.budget.to_plain() if agreement.budget else None,
                 "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},
             }

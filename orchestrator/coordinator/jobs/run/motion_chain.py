@@ -11,7 +11,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import StepChain, StepReport
 from orchestrator.model.steps.kinds import Motion
-from orchestrator.plan.virtual_moves import straighten
+from orchestrator.plan.curved_move import straighten
 
 
 class MotionChain:
