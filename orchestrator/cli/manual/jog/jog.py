@@ -94,6 +94,12 @@ async def _find_configurations(tutti: "Tutti", wanted: tuple[str, ...]) -> "dict
     chosen_axes: dict[str, Axis] = {}
     for name in wanted:
         configs = {axis: config for axis, config in known_infos.items() if name in (axis, axis.partition(".")[0])}
+        if not configs and name.partition(".")[0] in await tutti.virtual_states():
+            exit_with_error(
+                f"{name} is virtual, and this panel jogs real axes",
+                BAD_INPUT,
+                "jog it on the operators' page, or from Python by `Tutti.manual_control`",
+            )
         if not configs:
             exit_with_error(f"no axis or controller {name!r}; the axes are: {', '.join(known_infos)}", BAD_INPUT)
         chosen_axes |= configs
