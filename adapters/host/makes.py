@@ -103,9 +103,19 @@ def find_controller_problems(name: str, config: Controller, *, tolerant: bool = 
         texts += error.texts
     except ValueError as error:  # of a make outside this project
         texts.append(str(error))
+    if not getattr(make, "gears_motors", False):
+        texts += [_explain_pair(axis_name, config) for axis_name, axis in config.axes.items() if axis.rack is not None]
     if getattr(make, "searches_by_direction", False):
         texts += [_explain_side(axis_name, axis) for axis_name, axis in config.axes.items() if _is_beyond_switch(axis)]
     return [_locate_problem(own, text) for text in dict.fromkeys(texts)]
+
+
+def _explain_pair(name: str, config: Controller) -> str:
+    first, second = config.axes[name].motors
+    return (
+        f"axes.{name}.motors: {config.adapter} cannot gear motor {second} to {first}; give each an axis of its own, and "
+        "make a pair of these axes under `virtual`"
+    )
 
 
 def _is_beyond_switch(axis: Axis) -> bool:

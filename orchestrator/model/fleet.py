@@ -27,7 +27,8 @@ from orchestrator.model.fleet_names import DefinedNames, collect_names, find_ref
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.names import split_name
-from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, UnitNumber
+from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNumber, UnitNumber
+from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
@@ -126,7 +127,12 @@ SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings, Backlash |
 class Axis(Model):
     """One coordinate of the fleet."""
 
-    motors: list[MotorName] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
+    motors: list[MotorName] = Field(
+        min_length=1,
+        max_length=2,
+        description="The make's names of the motors, e.g. [X] or ['1']. Two motors carry one beam: the second one is "
+        "geared to the first (SMC-4000).",
+    )
     unit: Unit
     description: Annotated[str, PLAIN_TEXT] = Field(
         default="", max_length=200, description="What the axis is, for people and for programs that describe it."
@@ -160,7 +166,24 @@ class Axis(Model):
     following_error: UnitNumber | None = Field(
         default=None, description="In the axis's unit; a larger following error is a fault."
     )
-    max_deviation: UnitNumber | None = Field(default=None, description="In the axis's unit; between coupled motors.")
+    max_deviation: UnitNumber | None = Field(
+        default=None,
+        validate_default=True,
+        description="In the axis's unit; how far its two motors may be apart; beyond that both are stopped.",
+    )
+    may_rack: UnitNumber | None = Field(
+        default=None,
+        validate_default=True,
+        exclude_if=lambda length: length is None,
+        description="In the axis's unit; how far its two motors may be apart after any single fault, which bounds its "
+        "speed; default: twice `max_deviation`.",
+    )
+    square: SignedNumber = Field(
+        default=0.0,
+        exclude_if=lambda length: not length,
+        description="In the axis's unit; where the second motor is, from its own reference, with the beam square and "
+        "the first motor at its reference.",
+    )
     backlash: Backlash | None = Field(
         default=None,
         exclude_if=lambda backlash: backlash is None,
@@ -184,13 +207,6 @@ class Axis(Model):
         if find_dimension(unit) == "energy":
             raise ValueError(f"an axis moves, and {unit} is a unit of energy; make it a virtual axis, `kind: energy`")
         return unit
-
-    @field_validator("motors")
-    @classmethod
-    def _check_one_motor(cls, motors: list[str]) -> list[str]:
-        if len(motors) > 1:
-            raise ValueError(f"{len(motors)} motors on one axis are not supported yet; define one axis per motor")
-        return motors
 
     # Each check belongs to the last of its fields, so that a mistake elsewhere in the axis does not hide it.
 
@@ -249,9 +265,51 @@ class Axis(Model):
     @field_validator("max_deviation")
     @classmethod
     def _check_deviation(cls, deviation: float | None, info: ValidationInfo) -> float | None:
-        if deviation is not None and len(info.data.get("motors", ())) == 1:
+        count = len(info.data.get("motors", ()))
+        if deviation is not None and count == 1:
             raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
+        if deviation is None and count == 2:
+            raise ValueError("an axis of two motors needs max_deviation, how far they may be apart")
+        if count == 2 and (info.data.get("kind") == "rotary" or info.data.get("start_rate") is not None):
+            raise ValueError("an axis of two motors is linear (no `kind: rotary`), without `start_rate`")
         return deviation
+
+    @field_validator("may_rack")
+    @classmethod
+    def _check_rack(cls, length: float | None, info: ValidationInfo) -> float | None:
+        data = info.data
+        if len(data.get("motors", ())) == 1:
+            if length is not None:
+                raise ValueError("may_rack applies between the motors of one axis, but this axis has one motor")
+            return length
+        if "limits" in data and data.get("max_deviation") is not None and "following_error" in data:
+            rack = MotorRack.of(data["max_deviation"], data["following_error"], length)
+            if rack.most <= rack.watched:
+                raise ValueError(
+                    f"may_rack ({rack.most:g}) must be above max_deviation and following_error together "
+                    f"({rack.watched:g}): the motors are that far apart before anything stops"
+                )
+            speed = data["homing"].speed if "homing" in data else None
+            fastest = rack.fastest(data["limits"].acceleration)
+            if speed is not None and speed > fastest:
+                raise ValueError(
+                    f"homing.speed ({speed:g}) is too fast for may_rack ({rack.most:g}): after a fault the motors would "
+                    f"be {rack.at_speed(speed, data['limits'].acceleration):.4g} apart; at most {fastest:.4g} fits"
+                )
+        return length
+
+    @field_validator("square")
+    @classmethod
+    def _check_square(cls, offset: float, info: ValidationInfo) -> float:
+        deviation = info.data.get("max_deviation")
+        if offset and len(info.data.get("motors", ())) == 1:
+            raise ValueError("square applies between the motors of one axis, but this axis has one motor")
+        if deviation is not None and abs(offset) > deviation:
+            raise ValueError(
+                f"square ({offset:g}) is beyond max_deviation ({deviation:g}): the beam would be skewed by that at the "
+                "reference of the second motor; move its switch"
+            )
+        return offset
 
     @field_validator("correction")
     @classmethod
@@ -278,9 +336,18 @@ class Axis(Model):
         """The direction of its reference search in counts; `homing.direction` is that of its unit."""
         return 1 if (self.homing.direction == "positive") == (self.sign > 0) else -1
 
+    @cached_property
+    def rack(self) -> MotorRack | None:
+        """How far its two motors may be apart; None for an axis of one motor."""
+        if len(self.motors) == 1 or self.max_deviation is None:
+            return None
+        return MotorRack.of(self.max_deviation, self.following_error, self.may_rack)
+
     def jog_speed(self, *, referenced: bool) -> float:
-        """The maximum jog speed, unit/s; lower while the axis is unreferenced."""
+        """The maximum jog speed, unit/s; lower while the axis is unreferenced, and bounded by `may_rack`."""
         fast = self.jog.speed or self.limits.velocity / 4
+        if self.rack is not None:
+            fast = min(fast, self.rack.fastest(self.limits.acceleration))
         return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
 
     def to_counts(self, position: Fraction) -> int:

@@ -1,6 +1,6 @@
 """A planned path in a few lines."""
 
-from orchestrator.model.report import PathReport, PositionBound
+from orchestrator.model.report import PathReport, PositionBound, RackBound
 
 MAX_BINDING = 4  # limits that are named in one line
 
@@ -40,3 +40,11 @@ def describe_bound(axis: str, bound: PositionBound) -> str:
     causes = {"rounding": bound.rounding, "table": bound.table, "play": bound.play}
     terms = ", ".join(f"{name} {value:.3g}" for name, value in causes.items() if value)
     return f"{axis} ends within {bound.most:.3g} {bound.unit} of its target ({terms})"
+
+
+def describe_rack(axis: str, rack: RackBound) -> str:
+    """How far the two motors of an axis may be apart."""
+    return (
+        f"the motors of {axis} are at most {rack.watched:.3g} {rack.unit} apart, and at most {rack.most:.3g} after a "
+        f"single fault (at {rack.speed:.3g} {rack.unit}/s)"
+    )

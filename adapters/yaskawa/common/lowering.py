@@ -71,7 +71,8 @@ class LoweringContext:
     """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
     the timing of its program; None for one that cannot hold a following step. axes: of the controller.
     begins_at_once: that program can begin a following step as soon as the one before has ended.
-    release_ns: how long a release or a withdrawal of a following step takes. beside_commands, beside_elements: what
+    release_ns: how long a release or a withdrawal of a following step takes. geared: axes of two motors, which move by
+    registers alone, and with no step beside: its program compares the counts of all motors. beside_commands, beside_elements: what
     triggers take from a contour."""
 
     config: Controller
@@ -84,6 +85,7 @@ class LoweringContext:
     axes: int = 0
     begins_at_once: bool = False
     release_ns: int = 0
+    geared: frozenset[str] = frozenset()
     beside_commands: float = 0.0
     beside_elements: int = 0
 
@@ -115,8 +117,15 @@ def lower_moves(
     shapes, refusal_text = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: MoveLoad
     note: tuple[str, ...] = ()
-    slow = isinstance(context.packets, arrays.SlowArrayTransfer)
-    if shapes is not None and (slow or not refusal_text):
+    geared_axes = sorted(context.geared & set(way))
+    if shapes is None and geared_axes:
+        raise Refusal(
+            "no-contour",
+            f"axis {geared_axes[0]} has two motors: it moves from rest to rest, by trapezoids, and not along a path",
+            "move it by a step of its own",
+        )
+    by_registers = bool(geared_axes) or isinstance(context.packets, arrays.SlowArrayTransfer)
+    if shapes is not None and (by_registers or not refusal_text):
         load = _build_registers(shapes, way, motors)
         note = (f"({refusal_text})",) if refusal_text else ()
     else:
@@ -208,7 +217,8 @@ def _build_registers(
 
 def takes_chunks(context: LoweringContext) -> bool:
     """Whether a path can be loaded in chunks while it is executed: not where uploads are slow."""
-    return context.model.contours and not isinstance(context.packets, arrays.SlowArrayTransfer)
+    by_registers = bool(context.geared) or isinstance(context.packets, arrays.SlowArrayTransfer)
+    return context.model.contours and not by_registers
 
 
 def find_interval(context: LoweringContext, tick_ns: float) -> int:
@@ -447,7 +457,7 @@ class _Behind(NamedTuple):
 def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, tick_ns: float) -> _Behind | None:
     """None: the controller cannot hold the step beside the present one."""
     gate = context.gate
-    if not start.follows or gate is None or not load.fits_beside or start.wait is not None or start.drive is not None:
+    if not start.follows or gate is None or context.geared or not load.fits_beside or start.wait is not None or start.drive is not None:
         return None
     disarm_ns = math.ceil(gate.follow_before * tick_ns) + context.release_ns
     if context.begins_at_once and start.at_once:

@@ -37,6 +37,7 @@ from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import PathStop, StepReport
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.flying.path import FlightPath
+from orchestrator.plan.racks import bound_racks
 from orchestrator.plan.virtual_bound import bound_virtual_axes
 
 BRAKED = "braked"  # code of a path that was braked along it, because a chunk was not loaded in time
@@ -422,10 +423,13 @@ class MotionStep:
 def _make_report(
     fleet: Fleet, request: StepRequest, motion: PlannedMotion, failure: tuple[str, str] | None
 ) -> StepReport:
-    """The report of a step, with how far virtual axes may have been off their line. failure: what ended it, and why."""
+    """The report of a step, with how far axes may have been off their line, and motors apart. failure: what ended it, and why."""
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
     virtual_bounds = bound_virtual_axes(fleet, request.move, motion.agreement)
-    return report.model_copy(update={"virtual": virtual_bounds, "bounds": motion.planned.resolved.bounds})
+    racks = bound_racks(fleet, motion.agreement.plan)
+    return report.model_copy(
+        update={"virtual": virtual_bounds, "bounds": motion.planned.resolved.bounds, "racks": racks}
+    )
 
 
 def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:
