@@ -10,6 +10,7 @@ the motors are apart; FE leaves counts as they are.
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from math import ceil
 
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.homing import SPEED_OF_LIMIT, require_at_rest
@@ -27,6 +28,7 @@ from orchestrator.model.fleet import Axis
 EDGE_FOUND, MOVE_DONE = 9, 1  # stop codes (L9858-9899)
 LIMITED = (2, 3)  # by a limit switch or a software limit
 SLOW_SHARE = 0.1  # of the speed of the search, for the edges
+PASSED_SAMPLES = 2
 LOOK_NS = 20 * NS_PER_MS
 REST_NS = NS_PER_S  # after a stop: longer than any ramp of a search
 
@@ -106,7 +108,9 @@ class PairHoming:
     async def _find_second(self, stood: int) -> int:
         """The count of the second motor at the edge of its switch, at most `max_deviation` from `stood`."""
         counts, pair, device = self._counts, self._pair, self._device
-        beyond = round(counts.slow**2 / (2 * counts.ramp)) + 1  # it brakes behind its software limit (L5284)
+        # It brakes behind its software limit (L5284), which it is seen to pass by a sample or two.
+        tick_s = device.samples.tick_ns * 1e-9
+        beyond = ceil(counts.slow**2 / (2 * counts.ramp) + PASSED_SAMPLES * counts.slow * tick_s) + 1
         reach = max(0, counts.reach - beyond)
         await load_registers(device, pair.axis, pair.second, {"BL": stood - reach, "FL": stood + reach})
         try:
