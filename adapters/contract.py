@@ -50,8 +50,8 @@ class ControllerIdentity:
 
 
 class SecondMotor(NamedTuple):
-    """The second motor of an axis. actual_counts: as those of the first one; the difference is the deviation. limit: its
-    own switches, which `AxisReading.limit` has too."""
+    """The second motor of an axis. actual_counts: as those of the first one; the difference is the deviation. limit:
+    its own switches, which `AxisReading.limit` has too."""
 
     actual_counts: float
     limit: Literal["none", "forward", "reverse", "both"] = "none"

@@ -6,7 +6,6 @@ from adapters.controller.manual.jogging import JogControl
 from adapters.controller.manual.motors import MotorControl
 from adapters.controller.manual.probing import AxisProbing
 from adapters.controller.manual.referencing import AxisReferencing
-from adapters.controller.monitoring.pairs import PairWatch
 from adapters.controller.monitoring.polling import StatePolling
 from adapters.controller.monitoring.settling import SettlingMonitor
 from adapters.controller.monitoring.surveillance import Surveillance
@@ -51,7 +50,6 @@ class Components:
     participant: StepParticipant
     withdrawal: StepWithdrawal
     settling: SettlingMonitor
-    pairs: PairWatch
     chunks: PathChunks
     retargets: MoveRetargets
     samples: SampleCollection
@@ -71,8 +69,7 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
     defects = DefectRecord(context.log, context.controller)
     tasks = BackgroundTasks(context, defects, timer)
     publisher = StatePublisher(context, StateSources(fence, remembered, status, steps, leases))
-    pairs = PairWatch(context.config)
-    polling = StatePolling(context, status, steps, publisher, timer, pairs)
+    polling = StatePolling(context, status, steps, publisher, timer)
     settling = SettlingMonitor(clock, status, polling)
     surveillance = Surveillance(context, status, steps, publisher)
     events = StepEvents(publisher, timer)
@@ -96,7 +93,6 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         participant=StepParticipant(context, step_parts, StepChecks(context.config, fence, status, leases)),
         withdrawal=withdrawal,
         settling=settling,
-        pairs=pairs,
         chunks=PathChunks(present),
         retargets=MoveRetargets(present),
         samples=SampleCollection(context, status, steps),

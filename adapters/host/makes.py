@@ -113,8 +113,8 @@ def find_controller_problems(name: str, config: Controller, *, tolerant: bool = 
 def _explain_pair(name: str, config: Controller) -> str:
     first, second = config.axes[name].motors
     return (
-        f"axes.{name}.motors: {config.adapter} cannot gear motor {second} to {first}; give each an axis of its own, and "
-        "make a pair of these axes under `virtual`"
+        f"axes.{name}.motors: {config.adapter} cannot gear motor {second} to {first}; give each an axis of its own, "
+        "and make a pair of these axes under `virtual`"
     )
 
 

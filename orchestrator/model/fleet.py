@@ -293,7 +293,7 @@ class Axis(Model):
             fastest = rack.fastest(data["limits"].acceleration)
             if speed is not None and speed > fastest:
                 raise ValueError(
-                    f"homing.speed ({speed:g}) is too fast for may_rack ({rack.most:g}): after a fault the motors would "
+                    f"homing.speed ({speed:g}) is too fast for may_rack ({rack.most:g}): after a fault the motors may "
                     f"be {rack.at_speed(speed, data['limits'].acceleration):.4g} apart; at most {fastest:.4g} fits"
                 )
         return length

@@ -27,6 +27,7 @@ from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_lines import LineTimes, time_lines
 from orchestrator.plan.path_profiles import Array, Evaluate, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.play import bound_path
+from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import find_jerk, make_axis_move
 
@@ -98,7 +99,8 @@ def plan_path_step(
     step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
 ) -> PlannedPath:
     """Plan a path whose axes stand at its start. frames: those of the fleet file. Raises `Refusal`, `PlanError`."""
-    _require_single_motors(starts)
+    for start in starts:
+        require_single_motor(start.name, start.axis, "follow the path")
     step, starts = _apply_fraction(step, starts)
     unit = find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
@@ -333,15 +335,6 @@ def _describe_place(step: FollowPath, starts: Sequence[PathStart], frames: Mappi
     values = frame.find_coordinates(positions, [start.axis.unit for start in starts])[0].tolist()
     words = ", ".join(f"{name} {value:.6g}" for name, value in zip(frame.coordinates, values, strict=True))
     return f"in {step.frame} the axes are at {words} {frame.unit}"
-
-
-def _require_single_motors(starts: Iterable[PathStart]) -> None:
-    """Raise `Refusal` for an axis of two motors: no make is stated to move a geared motor along a path."""
-    for start in starts:
-        if start.axis.rack is not None:
-            text = f"axis {start.name} has two motors, and moves from rest to rest only, not along a path"
-            remedy = "leave the axis out of the path, and move it before or after"
-            raise Refusal("path-class", text, remedy, controller_of(start.name))
 
 
 def _require_orders(starts: Iterable[PathStart]) -> None:

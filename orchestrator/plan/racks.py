@@ -1,11 +1,19 @@
 """How far the two motors of axes may be apart on a planned way, and whether that fits `may_rack`."""
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.names import controller_of
 from orchestrator.model.report import RackBound
 from orchestrator.plan.step import StepPlan
 
 ROUNDED_DOWN = 0.995  # three digits of a speed are not above it
+
+
+def require_single_motor(name: str, axis: Axis, verb: str) -> None:
+    """Raise `Refusal` for an axis of two motors. verb: what it is wanted for."""
+    if axis.rack is not None:
+        text = f"axis {name} has two motors, and moves from rest to rest only"
+        raise Refusal("two-motors", text, f"{verb} with another axis", controller_of(name))
 
 
 def bound_racks(fleet: Fleet, plan: StepPlan) -> dict[str, RackBound]:
@@ -30,8 +38,8 @@ def require_racks(fleet: Fleet, plan: StepPlan) -> None:
         if bound.most > axis.rack.most:
             ramp = plan.profiles[name].peak_acceleration / float(axis.scale)
             text = (
-                f"at {bound.speed:.4g} {axis.unit}/s the motors of axis {name} may be {bound.most:.4g} {axis.unit} apart "
-                f"after a fault; its `may_rack` is {axis.rack.most:g}"
+                f"at {bound.speed:.4g} {axis.unit}/s the motors of axis {name} may be {bound.most:.4g} {axis.unit} "
+                f"apart after a fault; its `may_rack` is {axis.rack.most:g}"
             )
             fitting = ROUNDED_DOWN * axis.rack.fastest(ramp)
             remedy = f"move it at {fitting:.3g} {axis.unit}/s or less (`speed`), or lower its limit"

@@ -28,7 +28,7 @@ MOVE = job("[{do: move, to: {gantry.y: 100}}]")
 SQUARE_COUNTS = 120 + 50  # from the truth of its switches, and `square`
 EDGE_COUNTS = 3  # a search ends on either side of an edge, for each motor
 BEGIN_S, MOVES_S = 0.9, 3.0  # after a job is submitted, the axis moves at full speed from here, that long
-SEEDS, NIGHTLY_SEEDS = 1, 200
+SAMPLE_NS = 4 * NS_PER_MS
 
 
 @dataclass
@@ -68,12 +68,12 @@ class Beam:
 
     @asynccontextmanager
     async def watched(self) -> AsyncIterator[None]:
-        """Measure each millisecond."""
+        """Measure all the time."""
         self.deviations = [self.measure()]
 
         async def watch() -> None:
             while True:
-                await sleep_ns(self.virtual.clock, NS_PER_MS)
+                await sleep_ns(self.virtual.clock, SAMPLE_NS)
                 self.deviations.append(self.measure())
 
         watching = asyncio.get_running_loop().create_task(watch())
@@ -182,7 +182,13 @@ def test_a_stop_brakes_both_motors_together(act: str) -> None:
             job_id = await client.submit(MOVE)
             await asyncio.sleep(BEGIN_S + 0.5)
             assert beam.is_moving
-            await (client.estop("a test") if act == "estop" else client.stop() if act == "stop" else client.pause_job(job_id, now=True))
+            await (
+                client.estop("a test")
+                if act == "estop"
+                else client.stop()
+                if act == "stop"
+                else client.pause_job(job_id, now=True)
+            )
             await asyncio.sleep(0.5)
             assert not beam.is_moving
         assert beam.largest_mm <= 0.001
@@ -330,7 +336,10 @@ def test_a_speed_that_may_rack_too_far_is_refused_with_one_that_fits() -> None:
     async def main(beam: Beam) -> None:
         refused = await refusal(beam.virtual, job("[{do: move, to: {gantry.y: 100}, speed: 40 mm/s}]"))
         assert refused.code == "may-rack"
-        assert "at 40 mm/s the motors of axis gantry.y may be 2.9 mm apart after a fault; its `may_rack` is 2" in refused.text
+        assert (
+            "at 40 mm/s the motors of axis gantry.y may be 2.9 mm apart after a fault; its `may_rack` is 2"
+            in refused.text
+        )
         assert "27.7 mm/s or less" in refused.remedy
         fits = await outcome(beam.virtual, job("[{do: move, to: {gantry.y: 100}, speed: 27.7 mm/s}]"))
         assert fits.state == "done"
@@ -350,8 +359,7 @@ def test_paths_and_probes_with_the_axis_are_refused_by_name() -> None:
     async def main(beam: Beam) -> None:
         await outcome(beam.virtual, job("[{do: enable, axes: [gantry]}, {do: home, axes: [gantry.x]}]"))
         refused = await refusal(beam.virtual, job(f"[{path}]"))
-        assert refused.code == "path-class"
-        assert "axis gantry.y has two motors" in refused.text
+        assert (refused.code, "axis gantry.y has two motors" in refused.text) == ("two-motors", True)
 
     run_beam(main)
 

@@ -40,7 +40,6 @@ class StatePolling:
         steps: LoadedSteps,
         publisher: StatePublisher,
         timer: PollTimer,
-        pairs: PairWatch,
     ) -> None:
         self.is_connected = False
         self._context = context
@@ -48,7 +47,7 @@ class StatePolling:
         self._steps = steps
         self._publisher = publisher
         self._timer = timer
-        self._pairs = pairs
+        self._pairs = PairWatch(context.config)
         # Polls are spread out: after a common stop, 16 controllers would otherwise be polled at the same instant for
         # ever.
         self._poll_spread = 1.0 + POLL_SPREAD * (crc32(context.controller.encode()) % 64) / 64
@@ -83,5 +82,6 @@ class StatePolling:
     def _quiet_until_ns(self) -> int | None:
         """Return until when the controller is not polled; None: it is polled. A controller that jogs, homes or probes
         is always polled, and one with an axis of two motors whenever it moves."""
-        watches_pairs = self._pairs.has_pairs and self._publisher.is_moving
-        return None if self._status.moved_singly or watches_pairs else self._steps.quiet_until_ns(self._context.clock.now_ns())
+        if self._status.moved_singly or (self._pairs.has_pairs and self._publisher.is_moving):
+            return None
+        return self._steps.quiet_until_ns(self._context.clock.now_ns())

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from types import MappingProxyType
 from typing import Generic, Literal, TypeVar
 
 from adapters.abilities import (
@@ -70,7 +69,7 @@ class YaskawaDriver(
 ):
     """One controller of either model.
 
-    motors: motor index by axis; second: that of the second motor, of axes of two. watch: its settings.
+    motors: motor index by axis. watch: its settings.
     """
 
     NOT_BY_RAW: Sequence[str]
@@ -83,13 +82,13 @@ class YaskawaDriver(
         device: _Device,
         start: SampleStart,
         watch: SettingsWatch,
-        second: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         self._log = setup.log
         self._config = setup.config
         self._clock = setup.clock
         self._motors = motors
-        self._second = second
+        self._second: Mapping[str, int] = {}
+        """Of axes of two motors: the index of the second one."""
         self._device = device
         device.log = setup.log
         self._start = start

@@ -72,8 +72,8 @@ class LoweringContext:
     the timing of its program; None for one that cannot hold a following step. axes: of the controller.
     begins_at_once: that program can begin a following step as soon as the one before has ended.
     release_ns: how long a release or a withdrawal of a following step takes. geared: axes of two motors, which move by
-    registers alone, and with no step beside: its program compares the counts of all motors. beside_commands, beside_elements: what
-    triggers take from a contour."""
+    registers alone, and with no step beside: its program compares the counts of all motors. beside_commands,
+    beside_elements: what triggers take from a contour."""
 
     config: Controller
     motors: Mapping[str, int]
@@ -457,7 +457,9 @@ class _Behind(NamedTuple):
 def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, tick_ns: float) -> _Behind | None:
     """None: the controller cannot hold the step beside the present one."""
     gate = context.gate
-    if not start.follows or gate is None or context.geared or not load.fits_beside or start.wait is not None or start.drive is not None:
+    if not start.follows or gate is None or context.geared:
+        return None
+    if not load.fits_beside or start.wait is not None or start.drive is not None:
         return None
     disarm_ns = math.ceil(gate.follow_before * tick_ns) + context.release_ns
     if context.begins_at_once and start.at_once:

@@ -17,13 +17,11 @@ NO_LIMITS = (-2147483648, 2147483647)  # BL and FL that are off (L3185, L5284)
 async def configure_controller(
     device: SmcDevice, config: Controller, options: YaskawaOptions, motors: Iterable[tuple[str, int]]
 ) -> None:
-    """Verify and load the settings. motors: axes, each with the index of a motor. Raises `ControllerFault` of code `config-mismatch` with item, found and expected
-    value."""
+    """Verify and load the settings. motors: axes, each with the index of a motor. Raises `ControllerFault` of code
+    `config-mismatch` with item, found and expected value."""
     (period,), _ = await device.session.read_numbers("_TM")
     if int(period) != options.servo_period_us:
-        raise make_mismatch(
-            "servo period (TM)", f"{period:g}", str(options.servo_period_us), "set TM and burn it (BN)"
-        )
+        raise make_mismatch("servo period (TM)", f"{period:g}", str(options.servo_period_us), "set TM and burn it (BN)")
     for name, index in motors:
         await _configure_axis(device, config, options, name, index)
 

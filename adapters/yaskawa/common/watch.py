@@ -127,8 +127,8 @@ def format_value(value: float) -> str:
 class SettingsWatch:
     """The expected settings of one controller, and the differences from them.
 
-    motors: axes, each with the index of a motor. slow: the time of the link is dominated by its characters; the critical settings are
-    then read as sums of their deviations."""
+    motors: axes, each with the index of a motor. slow: the time of the link is dominated by its characters; the
+    critical settings are then read as sums of their deviations."""
 
     def __init__(
         self, device: SmcDevice, motors: Iterable[tuple[str, int]], watched: WatchedSettings, *, slow: bool = False

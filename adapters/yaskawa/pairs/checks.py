@@ -30,6 +30,6 @@ def find_pair_problems(config: Controller, options: YaskawaOptions) -> Iterator[
             )
         if axis.limits.jerk is not None:
             yield (
-                f"axes.{name}.limits.jerk: an axis of two motors moves by trapezoids, as contours are not stated to move "
-                "a geared motor; leave it out"
+                f"axes.{name}.limits.jerk: an axis of two motors moves by trapezoids, because contours are not stated "
+                "to move a geared motor; leave it out"
             )

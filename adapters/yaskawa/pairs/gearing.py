@@ -1,13 +1,14 @@
 """The gearing of the second motor of an axis to the commanded position of the first: GA, GR 1, GM 1 (L5426-5534,
 L13519-13631).
 
-In gantry mode neither a stop nor a limit switch ends the gearing (L5492, L13522): a stop of the first motor brakes both by
-its ramp, and a limit switch of the second one is regarded by the watch of the adapter alone. GR 0 ends it at once, without
-a ramp, and is sent at rest only. The manual states the commanded position as a master for jogs and independent moves
-(L13534), and not for contours: such an axis is not in paths.
+In gantry mode neither a stop nor a limit switch ends the gearing (L5492, L13522): a stop of the first motor brakes both
+by its ramp, and a limit switch of the second one is regarded by the watch of the adapter alone. GR 0 ends it at once,
+without a ramp, and is sent at rest only. The manual states the commanded position as a master for jogs and independent
+moves (L13534), and not for contours: such an axis is not in paths.
 
 Counts of both motors are equal where the beam is square, so that their difference is its deviation. After power-up both
-are 0, where they stand. GM is not burned (L3248-3267): gearing is set at each connection, and watched (`SettingsWatch`).
+are 0, where they stand. GM is not burned (L3248-3267): gearing is set at each connection, and watched with the other
+settings.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from adapters.yaskawa.language.dialect import find_motor
 from adapters.yaskawa.wire.record import AXIS_LETTERS, RECORD_LETTERS
 from orchestrator.model.fleet import Controller
 
-LIMITS_OFF = dict(zip(("BL", "FL"), NO_LIMITS, strict=True))
+LIMITS_OFF: dict[str, int] = dict(zip(("BL", "FL"), NO_LIMITS, strict=True))
 STEPPER = 2.0  # |MT| of step motors (L7683)
 
 

@@ -3,8 +3,8 @@
 Both motors go to the home switch of the first one together, fast and then slowly back over its edge (FE, L5168). There
 they rest; the second one is not geared any more, and goes slowly to the edge of its own switch, at most `max_deviation`
 from where it stood: its software limits are there. From the edge it goes by `square`. Then both counts are 0, and it is
-geared again. HM and FI would set the count of one motor alone on the way (L14199), so that no difference would show how far
-the motors are apart; FE leaves counts as they are.
+geared again. HM and FI would set the count of one motor alone on the way (L14199), so that no difference would show how
+far the motors are apart; FE leaves counts as they are.
 """
 
 from collections.abc import Mapping
@@ -89,7 +89,7 @@ class PairHoming:
     async def _square(self) -> None:
         """Bring the second motor to its own reference, and by the offset from there."""
         device, pair = self._device, self._pair
-        first, second = pair.letters
+        second = pair.letters[1]
         await device.session.send_command(f"GR{second}=0")
         try:
             stood = (await device.read_record()).axes[pair.second].commanded

@@ -40,8 +40,8 @@ from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
-from adapters.yaskawa.pairs.gearing import MotorPair, find_pairs, gear_motors, join_readings
 from adapters.yaskawa.pairs.checks import find_pair_problems
+from adapters.yaskawa.pairs.gearing import MotorPair, find_pairs, gear_motors, join_readings
 from adapters.yaskawa.pairs.homing import PairHoming
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
@@ -113,7 +113,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
         serial = isinstance(setup.config.link, SerialLink)
         watch = SettingsWatch(device, all_motors, SMC4000_WATCHED, slow=serial)
         start = SampleStart(device, setup.clock, options, TriggerPlayer(device, setup.clock, options, SMC4000_TRIGGERS))
-        super().__init__(setup, motors, device, start, watch, second)
+        super().__init__(setup, motors, device, start, watch)
+        self._second = second
         char_ns = 10 * NS_PER_S // setup.config.link.baud if isinstance(setup.config.link, SerialLink) else NS_PER_US
         limits = SamplingLimits.of_link(SAMPLED_AXES, UPLOAD_ELEMENTS, options.exchange_ns, char_ns)
         self._sampling = DeviceSampling(device, motors, limits)
@@ -252,8 +253,6 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
 
     async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
         require_encoder(axis, self._steppers)
-        if axis in self._pairs:
-            raise Refusal("probe-pair", f"axis {axis} has two motors, and is not probed with", "probe with another axis")
         self._jogging.drop_jogs([axis])
         latch = PositionLatch(self._device, self._clock, self._motors)
         target = LatchTarget(LATCH_TARGET_OFF, self.traits, self._watch)

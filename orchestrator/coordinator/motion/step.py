@@ -423,7 +423,8 @@ class MotionStep:
 def _make_report(
     fleet: Fleet, request: StepRequest, motion: PlannedMotion, failure: tuple[str, str] | None
 ) -> StepReport:
-    """The report of a step, with how far axes may have been off their line, and motors apart. failure: what ended it, and why."""
+    """The report of a step, with how far axes may have been off their lines, and motors apart. failure: what ended
+    it, and why."""
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
     virtual_bounds = bound_virtual_axes(fleet, request.move, motion.agreement)
     racks = bound_racks(fleet, motion.agreement.plan)

@@ -1,9 +1,9 @@
 """How far the two motors of an axis may be apart.
 
 A motor that stops dead, because it is blocked or off or no longer coupled, is left behind by the other one. The watch
-sees that at the first reading behind `watched`, the deviation that is allowed; at most `REACTION_S` later the stop acts,
-and the axis brakes by its ramp. Up to there the other motor moves at speed v, and then v²/2a, with a its deceleration:
-they are at most
+sees that at the first reading behind `watched`, the deviation that is allowed; at most `REACTION_S` later the stop
+acts, and the axis brakes by its ramp. Until then the other motor goes on at speed v, and then by v²/2a, with a its
+deceleration: they are at most
 
     watched + v · REACTION_S + v² / 2a
 
