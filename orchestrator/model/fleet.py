@@ -28,6 +28,7 @@ from orchestrator.model.frame import FrameSpec
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNumber, UnitNumber
+from orchestrator.model.pairs.fields import explain_pair_field
 from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
@@ -124,14 +125,24 @@ Scale = Annotated[Rational, AfterValidator(_check_scale)]
 SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings, Backlash | None)
 
 
+def _require_range(limits: SoftLimits, unit: Unit, scale: Fraction) -> None:
+    """Raise `ValueError` for limits that are no range of counts."""
+    low, high = limits.in_unit(unit)
+    if low >= high:
+        raise ValueError(f"soft_limits.min ({limits.min}) is not below max ({limits.max})")
+    for name, end in (("min", low), ("max", high)):
+        if abs(end * scale) > MAX_COUNTS:
+            raise ValueError(
+                f"soft_limits.{name} ({getattr(limits, name)}) is {float(end * scale):.4g} counts; positions are "
+                f"within ±{MAX_COUNTS} counts"
+            )
+
+
 class Axis(Model):
     """One coordinate of the fleet."""
 
     motors: list[MotorName] = Field(
-        min_length=1,
-        max_length=2,
-        description="The make's names of the motors, e.g. [X] or ['1']. Two motors carry one beam: the second one is "
-        "geared to the first (SMC-4000).",
+        min_length=1, max_length=2, description="The make's names, e.g. [X] or ['1']; two motors carry one beam."
     )
     unit: Unit
     description: Annotated[str, PLAIN_TEXT] = Field(
@@ -167,22 +178,18 @@ class Axis(Model):
         default=None, description="In the axis's unit; a larger following error is a fault."
     )
     max_deviation: UnitNumber | None = Field(
-        default=None,
-        validate_default=True,
-        description="In the axis's unit; how far its two motors may be apart; beyond that both are stopped.",
+        default=None, validate_default=True, description="How far its two motors may be apart, in the axis's unit."
     )
     may_rack: UnitNumber | None = Field(
         default=None,
         validate_default=True,
         exclude_if=lambda length: length is None,
-        description="In the axis's unit; how far its two motors may be apart after any single fault, which bounds its "
-        "speed; default: twice `max_deviation`.",
+        description="The same after any single fault, which bounds its speed; default: twice `max_deviation`.",
     )
     square: SignedNumber = Field(
         default=0.0,
         exclude_if=lambda length: not length,
-        description="In the axis's unit; where the second motor is, from its own reference, with the beam square and "
-        "the first motor at its reference.",
+        description="Where the second motor is, from its own reference, with the beam square and the first one at its.",
     )
     backlash: Backlash | None = Field(
         default=None,
@@ -231,18 +238,8 @@ class Axis(Model):
     @field_validator("soft_limits")
     @classmethod
     def _check_soft_limits(cls, limits: SoftLimits | None, info: ValidationInfo) -> SoftLimits | None:
-        if limits is None or "unit" not in info.data:
-            return limits
-        low, high = limits.in_unit(info.data["unit"])
-        if low >= high:
-            raise ValueError(f"soft_limits.min ({limits.min}) is not below max ({limits.max})")
-        scale = info.data.get("scale", 1)
-        for name, end in (("min", low), ("max", high)):
-            if abs(end * scale) > MAX_COUNTS:
-                raise ValueError(
-                    f"soft_limits.{name} ({getattr(limits, name)}) is {float(end * scale):.4g} counts; positions are "
-                    f"within ±{MAX_COUNTS} counts"
-                )
+        if limits is not None and "unit" in info.data:
+            _require_range(limits, info.data["unit"], info.data.get("scale", 1))
         return limits
 
     @field_validator("homing", "jog", "backlash")
@@ -262,63 +259,20 @@ class Axis(Model):
             raise ValueError("`done: in_position` needs in_position_window")
         return window
 
-    @field_validator("max_deviation")
+    @field_validator("max_deviation", "may_rack", "square")
     @classmethod
-    def _check_deviation(cls, deviation: float | None, info: ValidationInfo) -> float | None:
-        count = len(info.data.get("motors", ()))
-        if deviation is not None and count == 1:
-            raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
-        if deviation is None and count == 2:
-            raise ValueError("an axis of two motors needs max_deviation, how far they may be apart")
-        if count == 2 and (info.data.get("kind") == "rotary" or info.data.get("start_rate") is not None):
-            raise ValueError("an axis of two motors is linear (no `kind: rotary`), without `start_rate`")
-        return deviation
-
-    @field_validator("may_rack")
-    @classmethod
-    def _check_rack(cls, length: float | None, info: ValidationInfo) -> float | None:
-        data = info.data
-        if len(data.get("motors", ())) == 1:
-            if length is not None:
-                raise ValueError("may_rack applies between the motors of one axis, but this axis has one motor")
-            return length
-        if "limits" in data and data.get("max_deviation") is not None and "following_error" in data:
-            rack = MotorRack.of(data["max_deviation"], data["following_error"], length)
-            if rack.most <= rack.watched:
-                raise ValueError(
-                    f"may_rack ({rack.most:g}) must be above max_deviation and following_error together "
-                    f"({rack.watched:g}): the motors are that far apart before anything stops"
-                )
-            speed = data["homing"].speed if "homing" in data else None
-            fastest = rack.fastest(data["limits"].acceleration)
-            if speed is not None and speed > fastest:
-                raise ValueError(
-                    f"homing.speed ({speed:g}) is too fast for may_rack ({rack.most:g}): after a fault the motors may "
-                    f"be {rack.at_speed(speed, data['limits'].acceleration):.4g} apart; at most {fastest:.4g} fits"
-                )
-        return length
-
-    @field_validator("square")
-    @classmethod
-    def _check_square(cls, offset: float, info: ValidationInfo) -> float:
-        deviation = info.data.get("max_deviation")
-        if offset and len(info.data.get("motors", ())) == 1:
-            raise ValueError("square applies between the motors of one axis, but this axis has one motor")
-        if deviation is not None and abs(offset) > deviation:
-            raise ValueError(
-                f"square ({offset:g}) is beyond max_deviation ({deviation:g}): the beam would be skewed by that at the "
-                "reference of the second motor; move its switch"
-            )
-        return offset
+    def _check_pair(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if text := explain_pair_field(info.field_name or "", value, info.data):
+            raise ValueError(text)
+        return value
 
     @field_validator("correction")
     @classmethod
     def _check_correction(cls, correction: Correction | None, info: ValidationInfo) -> Correction | None:
         if correction is not None and "unit" in info.data and "soft_limits" in info.data:
-            limits: SoftLimits | None = info.data["soft_limits"]
-            ends = limits and [parse_quantity(end, info.data["unit"]) for end in (limits.min, limits.max)]
-            wraps = info.data.get("wrap") is not None
-            raise_problems(correction.find_problems(ends, info.data["unit"], wraps=wraps), cls.__name__)
+            limits, unit, wraps = info.data["soft_limits"], info.data["unit"], info.data.get("wrap") is not None
+            ends = limits and [parse_quantity(end, unit) for end in (limits.min, limits.max)]
+            raise_problems(correction.find_problems(ends, unit, wraps=wraps), cls.__name__)
         return correction
 
     @cached_property
@@ -339,9 +293,8 @@ class Axis(Model):
     @cached_property
     def rack(self) -> MotorRack | None:
         """How far its two motors may be apart; None for an axis of one motor."""
-        if len(self.motors) == 1 or self.max_deviation is None:
-            return None
-        return MotorRack.of(self.max_deviation, self.following_error, self.may_rack)
+        deviation = self.max_deviation
+        return None if deviation is None else MotorRack.of(deviation, self.following_error, self.may_rack)
 
     def jog_speed(self, *, referenced: bool) -> float:
         """The maximum jog speed, unit/s; lower while the axis is unreferenced, and bounded by `may_rack`."""
@@ -404,9 +357,8 @@ class Axis(Model):
         if self.turn_length is None:
             return position
         position_within = position % float(self.turn_length)
-        return (
-            position_within if position_within < float(self.turn_length) else 0.0
-        )  # a value slightly below 0 is rounded up to a whole turn
+        # A value slightly below 0 is rounded up to a whole turn.
+        return position_within if position_within < float(self.turn_length) else 0.0
 
     @cached_property
     def _float_scale(self) -> float:
@@ -426,9 +378,7 @@ class Axis(Model):
         """The soft limits as (low, high) counts that the motor may reach: with the play that it takes up on its way to
         them."""
         limits, play = self.soft_limits_counts, self.play
-        if limits is None or play is None:
-            return limits
-        return limits[0] - play.most, limits[1] - play.least
+        return limits if limits is None or play is None else (limits[0] - play.most, limits[1] - play.least)
 
     @cached_property
     def _exact_soft_limits(self) -> tuple[Fraction, Fraction] | None:

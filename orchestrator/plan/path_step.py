@@ -99,8 +99,6 @@ def plan_path_step(
     step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec] | None = None
 ) -> PlannedPath:
     """Plan a path whose axes stand at its start. frames: those of the fleet file. Raises `Refusal`, `PlanError`."""
-    for start in starts:
-        require_single_motor(start.name, start.axis, "follow the path")
     step, starts = _apply_fraction(step, starts)
     unit = find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
@@ -239,6 +237,7 @@ def _find_line_limits(step: FollowPath, unit: Unit) -> AlongLimits:
 
 def _describe_axis(start: PathStart) -> PathAxis:
     """An axis for the planner, which knows user positions only."""
+    require_single_motor(start.name, start.axis, "follow the path")
     axis, limits = start.axis, start.axis.soft_limits_counts
     soft = None
     if limits is not None:

@@ -117,15 +117,7 @@ def lower_moves(
     shapes, refusal_text = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: MoveLoad
     note: tuple[str, ...] = ()
-    geared_axes = sorted(context.geared & set(way))
-    if shapes is None and geared_axes:
-        raise Refusal(
-            "no-contour",
-            f"axis {geared_axes[0]} has two motors: it moves from rest to rest, by trapezoids, and not along a path",
-            "move it by a step of its own",
-        )
-    by_registers = bool(geared_axes) or isinstance(context.packets, arrays.SlowArrayTransfer)
-    if shapes is not None and (by_registers or not refusal_text):
+    if shapes is not None and (_must_be_registers(context, way) or not refusal_text):
         load = _build_registers(shapes, way, motors)
         note = (f"({refusal_text})",) if refusal_text else ()
     else:
@@ -215,6 +207,12 @@ def _build_registers(
     return RegisterLoad(ends, {motors[axis]: shape for axis, shape in shapes.items()})
 
 
+def _must_be_registers(context: LoweringContext, way: Mapping[str, Profile]) -> bool:
+    """Whether registers execute trapezoids, whatever their deviation: where uploads are slow, and of axes that contours
+    do not move."""
+    return bool(context.geared & way.keys()) or isinstance(context.packets, arrays.SlowArrayTransfer)
+
+
 def takes_chunks(context: LoweringContext) -> bool:
     """Whether a path can be loaded in chunks while it is executed: not where uploads are slow."""
     by_registers = bool(context.geared) or isinstance(context.packets, arrays.SlowArrayTransfer)
@@ -293,6 +291,10 @@ def _lower_to_contour(
     brake_s: float,
 ) -> ContourLoad:
     motors, options, model, packets = context.motors, context.options, context.model, context.packets
+    geared_axes = sorted(context.geared & way.keys())
+    if geared_axes:
+        text = f"axis {geared_axes[0]} has two motors: it moves from rest to rest, by trapezoids, and not along a path"
+        raise Refusal("no-contour", text, "move it by a step of its own")
     if not model.contours:
         raise Refusal(
             "order",

@@ -62,8 +62,8 @@ async def gear_motors(device: SmcDevice, pair: MotorPair) -> None:
     if any(record.axes[index].is_moving for index in pair.indices):
         if ratio == 1 and is_gantry:
             return
-        found = "it moves, and its second motor is not geared"
-        raise make_mismatch(f"gearing (GR{letter})", found, "1 in gantry mode (GM)", "stop it first", pair.axis)
+        text = "it moves, and its second motor is not geared"
+        raise make_mismatch(f"gearing (GR{letter})", text, "1 in gantry mode (GM)", "stop it first", pair.axis)
     await load_registers(device, pair.axis, pair.second, LIMITS_OFF)
     await engage_gear(device, pair)
 
@@ -85,8 +85,8 @@ async def _require_alike(device: SmcDevice, pair: MotorPair) -> None:
         raise make_mismatch(f"encoder (CE{second})", f"{second_encoder:g}", f"{encoder:g}", remedy, pair.axis)
     for letter, motor_type in zip(pair.letters, motor_types, strict=True):
         if abs(motor_type) >= STEPPER:
-            found, remedy = f"{motor_type:g}, a step motor", "its encoder would not show how far the motors are apart"
-            raise make_mismatch(f"motor type (MT{letter})", found, "1 or -1", remedy, pair.axis)
+            text, remedy = f"{motor_type:g}, a step motor", "its encoder would not show how far the motors are apart"
+            raise make_mismatch(f"motor type (MT{letter})", text, "1 or -1", remedy, pair.axis)
 
 
 def join_readings(first: AxisReading, second: AxisReading) -> AxisReading:

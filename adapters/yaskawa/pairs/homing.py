@@ -92,11 +92,11 @@ class PairHoming:
         second = pair.letters[1]
         await device.session.send_command(f"GR{second}=0")
         try:
-            stood = (await device.read_record()).axes[pair.second].commanded
-            end = await self._find_second(stood) + self._counts.square
-            if abs(end - stood) > self._counts.reach:
-                await self._move_second(stood)
-                raise self._make_refusal(f"is {self._length(end - stood):.4g} off", "move one of the switches")
+            stand_counts = (await device.read_record()).axes[pair.second].commanded
+            end = await self._find_second(stand_counts) + self._counts.square
+            if abs(end - stand_counts) > self._counts.reach:
+                await self._move_second(stand_counts)
+                raise self._make_refusal(f"is {self._length(end - stand_counts):.4g} off", "move one of the switches")
             await self._move_second(end)
             await device.session.send_command(_define_zero(pair))
         except BaseException:
@@ -105,21 +105,21 @@ class PairHoming:
         finally:
             await self._gear_again()
 
-    async def _find_second(self, stood: int) -> int:
-        """The count of the second motor at the edge of its switch, at most `max_deviation` from `stood`."""
+    async def _find_second(self, stand_counts: int) -> int:
+        """The count of the second motor at the edge of its switch, at most `max_deviation` from `stand_counts`."""
         counts, pair, device = self._counts, self._pair, self._device
         # It brakes behind its software limit (L5284), which it is seen to pass by a sample or two.
         tick_s = device.samples.tick_ns * 1e-9
-        beyond = ceil(counts.slow**2 / (2 * counts.ramp) + PASSED_SAMPLES * counts.slow * tick_s) + 1
-        reach = max(0, counts.reach - beyond)
-        await load_registers(device, pair.axis, pair.second, {"BL": stood - reach, "FL": stood + reach})
+        overrun = ceil(counts.slow**2 / (2 * counts.ramp) + PASSED_SAMPLES * counts.slow * tick_s) + 1
+        reach = max(0, counts.reach - overrun)
+        await load_registers(device, pair.axis, pair.second, {"BL": stand_counts - reach, "FL": stand_counts + reach})
         try:
             return await self._find_edge(pair.second, counts.slow)
         except _NoEdge:
             pass
         finally:
             await load_registers(device, pair.axis, pair.second, LIMITS_OFF)
-        await self._move_second(stood)
+        await self._move_second(stand_counts)
         raise self._make_refusal("has not come", "bring the beam square by hand, or look at its switch")
 
     def _make_refusal(self, found: str, remedy: str) -> Refusal:

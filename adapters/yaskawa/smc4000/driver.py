@@ -241,10 +241,10 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
     ) -> dict[str, Refusal]:
         """Home axes of two motors, one after the other, and then the others."""
         counts = self._device.stop_counts
-        since = {index: counts.stop_count(index) for pair in pairs for index in pair.indices}
+        stops = {index: counts.stop_count(index) for pair in pairs for index in pair.indices}
         failures: dict[str, Refusal] = {}
         for pair in pairs:
-            refusal = await PairHoming(self._device, self._clock, pair, self._config.axes[pair.axis], since).run()
+            refusal = await PairHoming(self._device, self._clock, pair, self._config.axes[pair.axis], stops).run()
             if refusal is None:
                 found(pair.axis)
             else:
