@@ -27,7 +27,7 @@ READY = job("[{do: enable, axes: [gantry.y]}, {do: home, axes: [gantry.y]}]")
 MOVE = job("[{do: move, to: {gantry.y: 100}}]")
 SQUARE_COUNTS = 120 + 50  # from the truth of its switches, and `square`
 EDGE_COUNTS = 3  # a search ends on either side of an edge, for each motor
-BEGIN_S, MOVES_S = 0.9, 3.0  # after a job is submitted, the axis moves at full speed from here, that long
+BEGIN_S, MOVES_S = 0.9, 2.2  # after a job is submitted, the axis moves at full speed from here, that long
 SAMPLE_NS = 4 * NS_PER_MS
 
 
@@ -229,7 +229,7 @@ async def _press_limit(beam: Beam) -> None:
 FAULTS: dict[str, tuple[Callable[[Beam], Coroutine[Any, Any, None]], str]] = {
     "second blocked": (lambda beam: beam.stall(SECOND), "the motors of axis y are"),
     "first blocked": (lambda beam: beam.stall(FIRST), "the motors of axis y are"),
-    "second off": (lambda beam: beam.send(f"MO{SECOND}"), "the motor of axis y has switched off"),
+    "second off": (lambda beam: beam.send(f"MO{SECOND}"), "of axis y"),
     "first off": (_switch_off_first, "axis y"),
     "gearing off": (lambda beam: beam.send(f"GR{SECOND}=0"), "the motors of axis y are"),
     "limit of the second": (_press_limit, "forward limit switch"),

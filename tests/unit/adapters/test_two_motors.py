@@ -16,7 +16,8 @@ def make_controller(make: str, **changes: object) -> Controller:
     axis = next(iter(plain["axes"].values()))
     taken_motors = {motor for entry in plain["axes"].values() for motor in entry["motors"]}
     second = next(motor for motor in (*"ZWYD", "2", "3", "4") if motor not in taken_motors)
-    axis |= {"motors": [*axis["motors"], second], "max_deviation": 0.5, "homing": {}, "start_rate": None}
+    axis |= {"motors": [*axis["motors"], second], "max_deviation": 0.5, "homing": {}}
+    axis |= {"start_rate": None, "kind": "linear", "wrap": None, "shortest_way": False}
     plain["axes"] = {"beam": axis}
     return Controller.model_validate(plain | changes)
 
