@@ -196,6 +196,21 @@ def test_a_stop_brakes_both_motors_together(act: str) -> None:
     run_beam(main)
 
 
+def test_a_stop_in_a_search_of_the_pair_begins_no_search_of_another_axis() -> None:
+    async def main(virtual: VirtualFleet) -> None:
+        client, unit = virtual.make_client(), virtual.controllers["gantry"]
+        await client.start_queue()
+        await client.submit(job("[{do: enable, axes: [gantry]}, {do: home, axes: [gantry]}]"))
+        async with asyncio.timeout(5):
+            while not unit.is_moving(FIRST):
+                await sleep_ns(virtual.clock, SAMPLE_NS)
+        await client.stop()
+        await asyncio.sleep(1.0)
+        assert {motion.axis for motion in unit.commanded_motions} == {FIRST, SECOND}
+
+    run_fleet(main, pair_fleet())
+
+
 # Faults
 
 

@@ -41,7 +41,7 @@ from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.pairs.checks import find_pair_problems
-from adapters.yaskawa.pairs.gearing import MotorPair, find_pairs, gear_motors, join_readings
+from adapters.yaskawa.pairs.gearing import find_pairs, gear_motors, join_readings
 from adapters.yaskawa.pairs.homing import PairHoming
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
@@ -230,26 +230,31 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
         return find_ability(self._motors, LATCHES)
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
-        pairs = [self._pairs[name] for name in axes if name in self._pairs]
-        if not pairs:
+        """Axes of two motors come first, one after the other."""
+        single_axes = [name for name in axes if name not in self._pairs]
+        if len(single_axes) == len(axes):
             return await super().home_axes(axes, found)
         self._jogging.drop_jogs(axes)
-        return await self._home_pairs(pairs, [name for name in axes if name not in self._pairs], found)
-
-    async def _home_pairs(
-        self, pairs: Sequence[MotorPair], single: Sequence[str], found: Callable[[str], None]
-    ) -> dict[str, Refusal]:
-        """Home axes of two motors, one after the other, and then the others."""
-        counts = self._device.stop_counts
-        stops = {index: counts.stop_count(index) for pair in pairs for index in pair.indices}
+        stops = {index: self._device.stop_counts.stop_count(index) for _, index in self._find_motors(axes)}
         failures: dict[str, Refusal] = {}
-        for pair in pairs:
+        for pair in [self._pairs[name] for name in axes if name in self._pairs]:
             refusal = await PairHoming(self._device, self._clock, pair, self._config.axes[pair.axis], stops).run()
             if refusal is None:
                 found(pair.axis)
             else:
                 failures[pair.axis] = refusal
-        return failures | dict(await super().home_axes(single, found)) if single else failures
+        return failures | await self._home_single(single_axes, stops, found)
+
+    async def _home_single(
+        self, axes: Sequence[str], stops: Mapping[int, int], found: Callable[[str], None]
+    ) -> dict[str, Refusal]:
+        """Home axes of one motor, unless they were stopped since their numbers of stops were `stops`."""
+        try:
+            for name in axes:
+                self._device.stop_counts.require_no_stop(name, self._motors[name], stops[self._motors[name]])
+            return dict(await super().home_axes(axes, found)) if axes else {}
+        except Refusal as refusal:
+            return dict.fromkeys(axes, refusal)
 
     async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
         require_encoder(axis, self._steppers)
