@@ -49,9 +49,18 @@ class ControllerIdentity:
     serial: str
 
 
+class SecondMotor(NamedTuple):
+    """The second motor of an axis. actual_counts: as those of the first one; the difference is the deviation. limit:
+    its own switches, which `AxisReading.limit` has too."""
+
+    actual_counts: float
+    limit: Literal["none", "forward", "reverse", "both"] = "none"
+
+
 @dataclass(frozen=True, slots=True)
 class AxisReading:
-    """One axis as the controller reports it, in its counts.
+    """One axis as the controller reports it, in its counts. Of an axis of two motors these are those of the first one;
+    it moves, loses its position or is at a limit if one of them is, and is enabled if both are.
 
     limit_inferred: the controller does not report its switches; that one is active is concluded from a motion that has
     ended too early, and only the next motion can show whether it still is. position_lost: the counts may no longer
@@ -66,6 +75,7 @@ class AxisReading:
     limit: Literal["none", "forward", "reverse", "both"] = "none"
     limit_inferred: bool = False
     position_lost: bool = False
+    second: SecondMotor | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -836,6 +846,7 @@ class Make(Protocol):
     Optional: `make_decoder(options)` returns an `adapters.toolkit.frames.FrameDecoder` for `tutti trace`, made for a
     controller with these options; without it the trace shows text. `searches_by_direction = True`: a search for the
     reference goes in `homing.direction` and ends at a switch, so that soft limits beyond it are a mistake of the file.
+    `gears_motors = True`: an axis may have two motors; without it such an axis is refused.
     """
 
     @property

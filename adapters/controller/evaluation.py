@@ -2,6 +2,7 @@
 
 from adapters.contract import ControllerReading
 from adapters.controller.components import Components
+from adapters.controller.monitoring.pairs import PairWatch
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.stops import ControllerStops
@@ -14,6 +15,7 @@ class ReadingEvaluation:
         self._context = context
         self._parts = parts
         self._stops = stops
+        self._pairs = PairWatch(context.config)
 
     def handle_reading(self, reading: ControllerReading) -> None:
         """Compare a fresh reading with the last one, and report what has changed."""
@@ -36,6 +38,7 @@ class ReadingEvaluation:
         failure = self._motion_failure(last_reading, reading)
         if failure is not None:
             self._parts.tasks.spawn(self._parts.withdrawal.fail_step(failure))
+        self._stop_pairs(last_reading, reading)
         self._repeat_lost_stop(reading)
 
     def _report_switches(self, last_reading: ControllerReading | None, reading: ControllerReading) -> None:
@@ -54,6 +57,7 @@ class ReadingEvaluation:
         """Report faults that are new, and the end of the last one."""
         status = self._parts.status
         faults = [*reading.faults, *self._parts.settling.find_following_errors(reading)]
+        faults += self._pairs.find_deviations(reading)
         faults += [difference.to_fault() for difference in status.differences.values()]
         known_faults = {(fault.code, fault.axis) for fault in status.faults}
         for fault in faults:
@@ -64,6 +68,14 @@ class ReadingEvaluation:
         status.faults = faults
         if faults and status.jogging:
             self._parts.tasks.spawn(self._parts.jogging.stop_axes(sorted(status.jogging), faults[0].text))
+
+    def _stop_pairs(self, last_reading: ControllerReading | None, reading: ControllerReading) -> None:
+        """Stop the controller because of an axis of two motors, unless its step is stopped already."""
+        status, present = self._parts.status, self._parts.steps.present
+        reason = self._pairs.explain_stop(last_reading, reading, status.faults)
+        is_stopped = status.stop_unseen or (present is not None and present.phase is StepPhase.MOVING)
+        if reason is not None and not is_stopped:
+            self._parts.tasks.spawn(self._stops.stop(abort=False, reason=reason))
 
     def _repeat_lost_stop(self, reading: ControllerReading) -> None:
         """Repeat a stop without effect: a stop on a disturbed line may be lost. A controller that moves after the time

@@ -90,6 +90,7 @@ class GalilMake(SMC4000Make):
 
     name = "galil"
     options_model: type[BaseModel] = GalilOptions
+    gears_motors = False  # no manual of the families was compared
 
     def fleet_example(self, place: ExamplePlace) -> str:
         return _EXAMPLE.format(host=place.own_port + 20)

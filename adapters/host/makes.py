@@ -103,9 +103,26 @@ def find_controller_problems(name: str, config: Controller, *, tolerant: bool = 
         texts += error.texts
     except ValueError as error:  # of a make outside this project
         texts.append(str(error))
-    if getattr(make, "searches_by_direction", False):
-        texts += [_explain_side(axis_name, axis) for axis_name, axis in config.axes.items() if _is_beyond_switch(axis)]
+    texts += _explain_axes(make, config)
     return [_locate_problem(own, text) for text in dict.fromkeys(texts)]
+
+
+def _explain_axes(make: Make, config: Controller) -> list[str]:
+    """What is wrong with axes by what a make states of itself."""
+    texts: list[str] = []
+    if not getattr(make, "gears_motors", False):
+        texts += [_explain_pair(name, config) for name, axis in config.axes.items() if axis.rack is not None]
+    if getattr(make, "searches_by_direction", False):
+        texts += [_explain_side(name, axis) for name, axis in config.axes.items() if _is_beyond_switch(axis)]
+    return texts
+
+
+def _explain_pair(name: str, config: Controller) -> str:
+    first, second = config.axes[name].motors
+    return (
+        f"axes.{name}.motors: {config.adapter} cannot gear motor {second} to {first}; give each an axis of its own, "
+        "and make a pair of these axes under `virtual`"
+    )
 
 
 def _is_beyond_switch(axis: Axis) -> bool:

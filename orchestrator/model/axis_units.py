@@ -45,6 +45,8 @@ _RATES: dict[tuple[str, ...], int] = {
     ("in_position_window",): 0,
     ("following_error",): 0,
     ("max_deviation",): 0,
+    ("may_rack",): 0,
+    ("square",): 0,
 }
 _VALID = 1.0  # stands for a value that is reported, so that the other fields are checked too
 

@@ -27,7 +27,9 @@ from orchestrator.model.fleet_names import DefinedNames, collect_names, find_ref
 from orchestrator.model.frame import FrameSpec
 from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
 from orchestrator.model.names import split_name
-from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, UnitNumber
+from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNumber, UnitNumber
+from orchestrator.model.pairs.fields import explain_pair_field
+from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
@@ -123,10 +125,25 @@ Scale = Annotated[Rational, AfterValidator(_check_scale)]
 SpeedSettings = TypeVar("SpeedSettings", HomingSettings, JogSettings, Backlash | None)
 
 
+def _require_range(limits: SoftLimits, unit: Unit, scale: Fraction) -> None:
+    """Raise `ValueError` for limits that are no range of counts."""
+    low, high = limits.in_unit(unit)
+    if low >= high:
+        raise ValueError(f"soft_limits.min ({limits.min}) is not below max ({limits.max})")
+    for name, end in (("min", low), ("max", high)):
+        if abs(end * scale) > MAX_COUNTS:
+            raise ValueError(
+                f"soft_limits.{name} ({getattr(limits, name)}) is {float(end * scale):.4g} counts; positions are "
+                f"within ±{MAX_COUNTS} counts"
+            )
+
+
 class Axis(Model):
     """One coordinate of the fleet."""
 
-    motors: list[MotorName] = Field(min_length=1, description="The make's names of the motors, e.g. [X] or ['1'].")
+    motors: list[MotorName] = Field(
+        min_length=1, max_length=2, description="The make's names, e.g. [X] or ['1']; two motors carry one beam."
+    )
     unit: Unit
     description: Annotated[str, PLAIN_TEXT] = Field(
         default="", max_length=200, description="What the axis is, for people and for programs that describe it."
@@ -160,7 +177,20 @@ class Axis(Model):
     following_error: UnitNumber | None = Field(
         default=None, description="In the axis's unit; a larger following error is a fault."
     )
-    max_deviation: UnitNumber | None = Field(default=None, description="In the axis's unit; between coupled motors.")
+    max_deviation: UnitNumber | None = Field(
+        default=None, validate_default=True, description="How far its two motors may be apart, in the axis's unit."
+    )
+    may_rack: UnitNumber | None = Field(
+        default=None,
+        validate_default=True,
+        exclude_if=lambda length: length is None,
+        description="The same after any single fault, which bounds its speed; default: twice `max_deviation`.",
+    )
+    square: SignedNumber = Field(
+        default=0.0,
+        exclude_if=lambda length: not length,
+        description="Where the second motor is, from its own reference, with the beam square and the first one at its.",
+    )
     backlash: Backlash | None = Field(
         default=None,
         exclude_if=lambda backlash: backlash is None,
@@ -185,13 +215,6 @@ class Axis(Model):
             raise ValueError(f"an axis moves, and {unit} is a unit of energy; make it a virtual axis, `kind: energy`")
         return unit
 
-    @field_validator("motors")
-    @classmethod
-    def _check_one_motor(cls, motors: list[str]) -> list[str]:
-        if len(motors) > 1:
-            raise ValueError(f"{len(motors)} motors on one axis are not supported yet; define one axis per motor")
-        return motors
-
     # Each check belongs to the last of its fields, so that a mistake elsewhere in the axis does not hide it.
 
     @field_validator("wrap")
@@ -215,18 +238,8 @@ class Axis(Model):
     @field_validator("soft_limits")
     @classmethod
     def _check_soft_limits(cls, limits: SoftLimits | None, info: ValidationInfo) -> SoftLimits | None:
-        if limits is None or "unit" not in info.data:
-            return limits
-        low, high = limits.in_unit(info.data["unit"])
-        if low >= high:
-            raise ValueError(f"soft_limits.min ({limits.min}) is not below max ({limits.max})")
-        scale = info.data.get("scale", 1)
-        for name, end in (("min", low), ("max", high)):
-            if abs(end * scale) > MAX_COUNTS:
-                raise ValueError(
-                    f"soft_limits.{name} ({getattr(limits, name)}) is {float(end * scale):.4g} counts; positions are "
-                    f"within ±{MAX_COUNTS} counts"
-                )
+        if limits is not None and "unit" in info.data:
+            _require_range(limits, info.data["unit"], info.data.get("scale", 1))
         return limits
 
     @field_validator("homing", "jog", "backlash")
@@ -246,21 +259,20 @@ class Axis(Model):
             raise ValueError("`done: in_position` needs in_position_window")
         return window
 
-    @field_validator("max_deviation")
+    @field_validator("max_deviation", "may_rack", "square")
     @classmethod
-    def _check_deviation(cls, deviation: float | None, info: ValidationInfo) -> float | None:
-        if deviation is not None and len(info.data.get("motors", ())) == 1:
-            raise ValueError("max_deviation applies between the motors of one axis, but this axis has one motor")
-        return deviation
+    def _check_pair(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if text := explain_pair_field(info.field_name or "", value, info.data):
+            raise ValueError(text)
+        return value
 
     @field_validator("correction")
     @classmethod
     def _check_correction(cls, correction: Correction | None, info: ValidationInfo) -> Correction | None:
         if correction is not None and "unit" in info.data and "soft_limits" in info.data:
-            limits: SoftLimits | None = info.data["soft_limits"]
-            ends = limits and [parse_quantity(end, info.data["unit"]) for end in (limits.min, limits.max)]
-            wraps = info.data.get("wrap") is not None
-            raise_problems(correction.find_problems(ends, info.data["unit"], wraps=wraps), cls.__name__)
+            limits, unit, wraps = info.data["soft_limits"], info.data["unit"], info.data.get("wrap") is not None
+            ends = limits and [parse_quantity(end, unit) for end in (limits.min, limits.max)]
+            raise_problems(correction.find_problems(ends, unit, wraps=wraps), cls.__name__)
         return correction
 
     @cached_property
@@ -278,9 +290,17 @@ class Axis(Model):
         """The direction of its reference search in counts; `homing.direction` is that of its unit."""
         return 1 if (self.homing.direction == "positive") == (self.sign > 0) else -1
 
+    @cached_property
+    def rack(self) -> MotorRack | None:
+        """How far its two motors may be apart; None for an axis of one motor."""
+        deviation = self.max_deviation
+        return None if deviation is None else MotorRack.of(deviation, self.following_error, self.may_rack)
+
     def jog_speed(self, *, referenced: bool) -> float:
-        """The maximum jog speed, unit/s; lower while the axis is unreferenced."""
+        """The maximum jog speed, unit/s; lower while the axis is unreferenced, and bounded by `may_rack`."""
         fast = self.jog.speed or self.limits.velocity / 4
+        if self.rack is not None:
+            fast = min(fast, self.rack.fastest(self.limits.acceleration))
         return fast if referenced else min(fast, self.jog.slow_speed or self.limits.velocity / 50)
 
     def to_counts(self, position: Fraction) -> int:
@@ -337,9 +357,8 @@ class Axis(Model):
         if self.turn_length is None:
             return position
         position_within = position % float(self.turn_length)
-        return (
-            position_within if position_within < float(self.turn_length) else 0.0
-        )  # a value slightly below 0 is rounded up to a whole turn
+        # A value slightly below 0 is rounded up to a whole turn.
+        return position_within if position_within < float(self.turn_length) else 0.0
 
     @cached_property
     def _float_scale(self) -> float:
@@ -359,9 +378,7 @@ class Axis(Model):
         """The soft limits as (low, high) counts that the motor may reach: with the play that it takes up on its way to
         them."""
         limits, play = self.soft_limits_counts, self.play
-        if limits is None or play is None:
-            return limits
-        return limits[0] - play.most, limits[1] - play.least
+        return limits if limits is None or play is None else (limits[0] - play.most, limits[1] - play.least)
 
     @cached_property
     def _exact_soft_limits(self) -> tuple[Fraction, Fraction] | None:

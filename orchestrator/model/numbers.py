@@ -99,6 +99,9 @@ Positive = Annotated[float, Field(gt=0, le=MAX_NUMBER)]
 UnitNumber = Annotated[Positive, _NUMBER_OR_TEXT]
 """A number in the unit of its axis; text with a unit is converted by the axis."""
 
+SignedNumber = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER), _NUMBER_OR_TEXT]
+"""The same, of both signs."""
+
 Part = Annotated[float, accept_units({"%": Fraction(1, 100)}), Field(gt=0, le=1), _NUMBER_OR_TEXT]
 """A fraction, above 0 to 1; in a file also `"50%"`."""
 

@@ -151,6 +151,16 @@ class PositionBound(Model):
     unit: Unit
 
 
+class RackBound(Model):
+    """How far the two motors of an axis may be apart on the way, in its unit: `most` after any single fault, `watched`
+    without one. speed: the highest one of the way, unit/s."""
+
+    most: float
+    watched: float
+    speed: float
+    unit: Unit
+
+
 class SyncBudget(Model):
     """The guaranteed predicted start skew of a step and the member with the largest share; end and path skew once the
     step is lowered."""
@@ -509,6 +519,11 @@ class StepReport(Model):
     )
     bounds: dict[str, PositionBound] = Field(
         default={}, description="Of axes with `backlash` or `correction`: how far each may be from its target at rest."
+    )
+    racks: dict[str, RackBound] = Field(
+        default={},
+        exclude_if=lambda racks: not racks,
+        description="Of axes of two motors: how far these may be apart on the way.",
     )
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 

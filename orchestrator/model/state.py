@@ -55,6 +55,14 @@ class FaultReport(Model):
         return cls(code=error.code, text=error.text, remedy=error.remedy, axis=error.axis)
 
 
+class PairState(Model):
+    """The two motors of one axis, in its unit. motors: the positions by the make's names, motor positions. deviation:
+    the second one minus the first one; 0 where the beam is square."""
+
+    motors: dict[str, float]
+    deviation: float
+
+
 class AxisState(Model):
     """One axis now, in its unit. Three coordinates: raw (counts of the controller), motor (raw in the axis's unit,
     with its play and its table of errors), user (motor plus `offset`, within one turn where the axis wraps). Jobs use
@@ -82,6 +90,11 @@ class AxisState(Model):
         default=None,
         exclude_if=lambda play: play is None,
         description="By how many counts the axis is ahead of its motor; left out for one without `backlash`.",
+    )
+    pair: PairState | None = Field(
+        default=None,
+        exclude_if=lambda pair: pair is None,
+        description="Its two motors, of which the first one is the position; left out for an axis of one motor.",
     )
 
     @property

@@ -268,6 +268,9 @@ def describe_axis(axis: AxisState, *, estop: bool = False) -> Text:
         words.append(("unreferenced", "yellow"))
     if axis.limit != "none":
         words.append((f"on {axis.limit} limit", "red"))
+    if axis.pair is not None:
+        words = words or [("ready", "green")]
+        words.append((f"motors {axis.pair.deviation:+.3g} {axis.unit} apart", ""))
     return Text(", ").join(Text(word, style=style) for word, style in words or [("ready", "green")])
 
 

@@ -1,6 +1,7 @@
 """A planned path in a few lines."""
 
-from orchestrator.model.report import PathReport, PositionBound
+from orchestrator.model.jobs.forecast import StepForecast
+from orchestrator.model.report import PathReport, PositionBound, RackBound, StepReport
 
 MAX_BINDING = 4  # limits that are named in one line
 
@@ -35,8 +36,22 @@ def _describe_binding(report: PathReport) -> str:
     return ", ".join(shown_limits) + (f" and {more} more" if more else "") if shown_limits else "nothing"
 
 
-def describe_bound(axis: str, bound: PositionBound) -> str:
+def _describe_bound(axis: str, bound: PositionBound) -> str:
     """The bound of an axis with its causes: `gantry.x ends within 0.0015 mm of its target (…)`."""
     causes = {"rounding": bound.rounding, "table": bound.table, "play": bound.play}
     terms = ", ".join(f"{name} {value:.3g}" for name, value in causes.items() if value)
     return f"{axis} ends within {bound.most:.3g} {bound.unit} of its target ({terms})"
+
+
+def _describe_rack(axis: str, rack: RackBound) -> str:
+    """How far the two motors of an axis may be apart."""
+    return (
+        f"the motors of {axis} are at most {rack.watched:.3g} {rack.unit} apart, and at most {rack.most:.3g} after a "
+        f"single fault (at {rack.speed:.3g} {rack.unit}/s)"
+    )
+
+
+def describe_bounds(step: StepReport | StepForecast) -> list[str]:
+    """How far the axes of a step may be from their targets, and the motors of an axis apart."""
+    lines = [_describe_bound(name, bound) for name, bound in step.bounds.items()]
+    return lines + [_describe_rack(name, rack) for name, rack in step.racks.items()]

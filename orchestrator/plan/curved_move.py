@@ -28,6 +28,7 @@ from orchestrator.model.steps.tree import as_move
 from orchestrator.model.units import Quantity, Unit
 from orchestrator.plan.path_profiles import Array
 from orchestrator.plan.path_step import PathStart, PlannedPath, make_moves, plan_path_step
+from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import limit_speeds
 from orchestrator.plan.step import AxisMove, StepPlan
@@ -212,6 +213,7 @@ def _require_path_makes(step: CurvedMove, starts: Sequence[PathStart]) -> None:
     """Raise `Refusal` for a real axis that cannot follow a curve."""
     for start in starts:
         owner = controller_of(start.name)
+        require_single_motor(start.name, start.axis, f"make {step.group}")
         if start.axis.is_compensated:
             text = f"axis {start.name} has `backlash` or `correction`, which a move of the curved {step.group} lacks"
             raise Refusal("not-compensated", text, "move its real axes", owner)

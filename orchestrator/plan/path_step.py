@@ -27,6 +27,7 @@ from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_lines import LineTimes, time_lines
 from orchestrator.plan.path_profiles import Array, Evaluate, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.play import bound_path
+from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.step import AxisMove, StepPlan
 from orchestrator.plan.targets import find_jerk, make_axis_move
 from orchestrator.plan.virtual_bound import CurvedLine
@@ -239,6 +240,7 @@ def _find_line_limits(step: FollowPath, unit: Unit) -> AlongLimits:
 
 def _describe_axis(start: PathStart) -> PathAxis:
     """An axis for the planner, which knows user positions only."""
+    require_single_motor(start.name, start.axis, "follow the path")
     axis, limits = start.axis, start.axis.soft_limits_counts
     soft = None
     if limits is not None:

@@ -9,6 +9,7 @@ from orchestrator.model.linear_map import LinearMap
 from orchestrator.model.steps.base import MotionOptions
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import Unit, UnitError, parse_rate
+from orchestrator.plan.racks import require_racks
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.step import AxisMove, StepPlan, plan_step
 from orchestrator.plan.virtual_moves import group_virtual
@@ -18,11 +19,14 @@ LEAST_TIME_S = 1e-9  # a way that takes less is only the rounding to counts
 
 
 def plan_motion(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> StepPlan:
-    """Plan the moves of a step at its speed. Raises `PlanError`."""
+    """Plan the moves of a step at its speed. Raises `PlanError`, `Refusal` for motors that may be too far apart."""
     speed = step.speed
     if isinstance(speed, float | int):
-        return plan_step(moves, step.sync, speed, step.ramps)
-    return plan_step(limit_speeds(fleet, step, moves), step.sync, 1.0, step.ramps)
+        plan = plan_step(moves, step.sync, speed, step.ramps)
+    else:
+        plan = plan_step(limit_speeds(fleet, step, moves), step.sync, 1.0, step.ramps)
+    require_racks(fleet, plan)
+    return plan
 
 
 def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> list[AxisMove]:

@@ -32,6 +32,7 @@ FIRST_HALF = (
     "how-to/think-in-other-axes.md",
     "how-to/probe.md",
     "how-to/compensate.md",
+    "how-to/drive-a-gantry-pair.md",
     "how-to/move-along-a-path.md",
     "how-to/run-a-program-from-cam.md",
     "how-to/use-templates.md",

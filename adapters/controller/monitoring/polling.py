@@ -6,6 +6,7 @@ from typing import Protocol
 from zlib import crc32
 
 from adapters.contract import ControllerReading, HostInterval
+from adapters.controller.monitoring.pairs import PairWatch
 from adapters.controller.publishing.publisher import StatePublisher
 from adapters.controller.state.armed_step import StepPhase
 from adapters.controller.state.context import ControllerContext
@@ -46,6 +47,7 @@ class StatePolling:
         self._steps = steps
         self._publisher = publisher
         self._timer = timer
+        self._pairs = PairWatch(context.config)
         # Polls are spread out: after a common stop, 16 controllers would otherwise be polled at the same instant for
         # ever.
         self._poll_spread = 1.0 + POLL_SPREAD * (crc32(context.controller.encode()) % 64) / 64
@@ -72,12 +74,14 @@ class StatePolling:
         rates, armed_step = self._context.config.state, self._steps.present
         about_to_move = armed_step is not None and armed_step.phase is StepPhase.RELEASED
         is_fast = about_to_move or self._publisher.is_moving
-        await self._timer.wait(1.0 / rates.moving_hz if is_fast else self._poll_spread / rates.idle_hz)
+        await self._timer.wait(1.0 / self._pairs.moving_hz if is_fast else self._poll_spread / rates.idle_hz)
         while (until_ns := self._quiet_until_ns()) is not None:
             # A stop ends the quiet time by a wake-up; so does the beginning of a jog.
             await self._timer.wait_until_ns(until_ns + NS_PER_MS)
 
     def _quiet_until_ns(self) -> int | None:
         """Return until when the controller is not polled; None: it is polled. A controller that jogs, homes or probes
-        is always polled."""
-        return None if self._status.moved_singly else self._steps.quiet_until_ns(self._context.clock.now_ns())
+        is always polled, and one with an axis of two motors whenever it moves."""
+        if self._status.moved_singly or (self._pairs.has_pairs and self._publisher.is_moving):
+            return None
+        return self._steps.quiet_until_ns(self._context.clock.now_ns())

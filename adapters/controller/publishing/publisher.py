@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from adapters.abilities import LearningDriver
-from adapters.contract import ControllerReading
+from adapters.contract import AxisReading, ControllerReading
 from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.publishing.events import EventRing
 from adapters.controller.publishing.info import make_info
@@ -35,6 +35,7 @@ from orchestrator.model.state import (
     FaultReport,
     LinkTotals,
     Mode,
+    PairState,
     ReadPosition,
 )
 
@@ -195,6 +196,7 @@ class StatePublisher:
             limit=axis_reading.limit,
             fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
             play=play,
+            pair=_make_pair(axis, axis_reading),
         )
 
     def _clock_mapping(self) -> TickMapping | None:
@@ -273,6 +275,14 @@ class StatePublisher:
 
     async def _answer_info(self, _: BusSample) -> bytes:
         return make_info(self._context, self._status.identity).to_json()
+
+
+def _make_pair(axis: Axis, axis_reading: AxisReading) -> PairState | None:
+    """Return the state of the two motors of an axis; None for an axis of one motor."""
+    if axis_reading.second is None:
+        return None
+    first, second = axis.to_unit(axis_reading.actual_counts), axis.to_unit(axis_reading.second.actual_counts)
+    return PairState(motors=dict(zip(axis.motors, (first, second), strict=True)), deviation=second - first)
 
 
 def _make_unseen(axis: Axis, offset: Fraction, *, may_move: bool) -> AxisState:

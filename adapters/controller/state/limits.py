@@ -83,6 +83,14 @@ def check_limits(name: str, axis: Axis, profile: Profile) -> None:
             "acceleration-limit",
             f"axis {name}: {rate:g} {axis.unit}/s² exceeds its limit of {axis.limits.acceleration:g}",
         )
+    if axis.rack is not None and not profile.is_still:
+        deviation = axis.rack.at_speed(speed, rate)
+        if deviation > axis.rack.most * (1 + LIMIT_TOLERANCE):
+            raise Refusal(
+                "may-rack",
+                f"axis {name}: at {speed:g} {axis.unit}/s its motors may be {deviation:g} {axis.unit} apart "
+                f"after a fault; its `may_rack` is {axis.rack.most:g}",
+            )
     low, high = profile.extent_counts
     if low < -MAX_COUNTS or high >= MAX_COUNTS:
         raise Refusal(

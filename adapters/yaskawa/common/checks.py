@@ -29,12 +29,13 @@ def find_model_problems(config: Controller, terminals: Terminals, options: Yaska
 def _find_motor_problems(config: Controller, terminals: Terminals) -> Iterator[str]:
     """Motors that the model does not have, and two names for one."""
     indices: dict[int, str] = {}
-    for name, axis in config.axes.items():
-        index = find_motor(axis.motors[0], terminals.names)
+    for name, motor in ((name, motor) for name, axis in config.axes.items() for motor in axis.motors):
+        index = find_motor(motor, terminals.names)
         if index is None:
-            yield f"axes.{name}.motors: there is no motor {axis.motors[0]!r}; motors are {terminals.motors}"
+            yield f"axes.{name}.motors: there is no motor {motor!r}; motors are {terminals.motors}"
         elif index in indices:
-            yield f"axes.{name}.motors: {axis.motors[0]} is another name for the motor of another axis"
+            of = "this axis" if indices[index] == name else "another axis"
+            yield f"axes.{name}.motors: {motor} is another name for the motor of {of}"
         else:
             indices[index] = name
 

@@ -1,6 +1,6 @@
 """Driver code common to both models, over a device that each model provides."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Generic, Literal, TypeVar
 
@@ -87,6 +87,8 @@ class YaskawaDriver(
         self._config = setup.config
         self._clock = setup.clock
         self._motors = motors
+        self._second: Mapping[str, int] = {}
+        """Of axes of two motors: the index of the second one."""
         self._device = device
         device.log = setup.log
         self._start = start
@@ -120,13 +122,13 @@ class YaskawaDriver(
 
     async def _read_faults(self, record: DataRecord) -> Sequence[FaultReport]:
         faults: list[FaultReport] = []
-        for name, index in self._motors.items():
+        for name, index in self._all_motors:
             if self._off_by_error(record.axes[index]):
                 words = STOP_CODES[8]
                 faults.append(
                     FaultReport(code=words.code, text=f"axis {name} {words.text}", remedy=words.remedy, axis=name)
                 )
-        if any(record.axes[index].stop_code == 6 for index in self._motors.values()):
+        if any(record.axes[index].stop_code == 6 for _, index in self._all_motors):
             # The stop code persists until the next move; the input itself shows whether the abort is still active
             # (2.0g, L6790).
             (free,), _ = await self._device.session.read_numbers("_AB")
@@ -182,12 +184,23 @@ class YaskawaDriver(
 
     # Other operations
 
+    @property
+    def _all_motors(self) -> list[tuple[str, int]]:
+        """Axes, each with the index of a motor: the first ones, then the second ones."""
+        return [*self._motors.items(), *self._second.items()]
+
+    def _find_motors(self, axes: Iterable[str]) -> list[tuple[str, int]]:
+        """The same of some axes."""
+        wanted_axes = set(axes)
+        return [(name, index) for name, index in self._all_motors if name in wanted_axes]
+
     async def set_enabled(self, axes: Sequence[str], *, on: bool) -> None:
-        letters = "".join(AXIS_LETTERS[self._motors[name]] for name in axes)
+        motors = self._find_motors(axes)
+        letters = "".join(AXIS_LETTERS[index] for _, index in motors)
         await self._device.session.send_command(("SH" if on else "MO") + letters)
         record = await self._device.read_record()
-        for name in axes:
-            if record.axes[self._motors[name]].is_enabled != on:
+        for name, index in motors:
+            if record.axes[index].is_enabled != on:
                 raise Refusal(
                     "enable-failed", f"axis {name} does not switch {'on' if on else 'off'}", "query the reason with TC1"
                 )
@@ -201,7 +214,7 @@ class YaskawaDriver(
         await self._jogging.start_jog(axis, move)
 
     async def stop_axes(self, axes: Sequence[str]) -> None:
-        self._device.stop_axes(self._motors[axis] for axis in axes)
+        self._device.stop_axes(index for _, index in self._find_motors(axes))
 
     async def load_soft_limits(self, limits: Mapping[str, tuple[int, int] | None]) -> None:
         await load_soft_limits(self._device, self._motors, limits, self._watch)

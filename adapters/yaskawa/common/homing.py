@@ -72,7 +72,7 @@ async def _begin_homing(
     for homing_axis in axes:
         name, index, axis = homing_axis
         try:
-            _require_ready(name, record.axes[index])
+            require_at_rest(name, record.axes[index])
             await _load_homing(device, index, axis)
             await device.begin_motion(name, index, since[index])
         except Refusal as error:
@@ -97,7 +97,8 @@ async def _homing_failure(device: SmcDevice, searched: HomingAxis, now: AxisReco
     return None
 
 
-def _require_ready(name: str, now: AxisRecord) -> None:
+def require_at_rest(name: str, now: AxisRecord) -> None:
+    """Raise `Refusal` for an axis that moves or is not enabled."""
     if now.is_moving:
         raise Refusal("moving", f"axis {name} is moving", "wait for its end, or stop it")
     if not now.is_enabled:

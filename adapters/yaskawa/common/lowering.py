@@ -71,8 +71,9 @@ class LoweringContext:
     """The controller for which steps are lowered. motors: index of each axis. packets: how arrays are loaded. gate:
     the timing of its program; None for one that cannot hold a following step. axes: of the controller.
     begins_at_once: that program can begin a following step as soon as the one before has ended.
-    release_ns: how long a release or a withdrawal of a following step takes. beside_commands, beside_elements: what
-    triggers take from a contour."""
+    release_ns: how long a release or a withdrawal of a following step takes. geared: axes of two motors, which move by
+    registers alone, and with no step beside: its program compares the counts of all motors. beside_commands,
+    beside_elements: what triggers take from a contour."""
 
     config: Controller
     motors: Mapping[str, int]
@@ -84,6 +85,7 @@ class LoweringContext:
     axes: int = 0
     begins_at_once: bool = False
     release_ns: int = 0
+    geared: frozenset[str] = frozenset()
     beside_commands: float = 0.0
     beside_elements: int = 0
 
@@ -115,8 +117,7 @@ def lower_moves(
     shapes, refusal_text = _lower_to_registers(way, bounds, tick_ns, model, places)
     load: MoveLoad
     note: tuple[str, ...] = ()
-    slow = isinstance(context.packets, arrays.SlowArrayTransfer)
-    if shapes is not None and (slow or not refusal_text):
+    if shapes is not None and (_must_be_registers(context, way) or not refusal_text):
         load = _build_registers(shapes, way, motors)
         note = (f"({refusal_text})",) if refusal_text else ()
     else:
@@ -206,9 +207,16 @@ def _build_registers(
     return RegisterLoad(ends, {motors[axis]: shape for axis, shape in shapes.items()})
 
 
+def _must_be_registers(context: LoweringContext, way: Mapping[str, Profile]) -> bool:
+    """Whether registers execute trapezoids, whatever their deviation: where uploads are slow, and of axes that contours
+    do not move."""
+    return bool(context.geared & way.keys()) or isinstance(context.packets, arrays.SlowArrayTransfer)
+
+
 def takes_chunks(context: LoweringContext) -> bool:
     """Whether a path can be loaded in chunks while it is executed: not where uploads are slow."""
-    return context.model.contours and not isinstance(context.packets, arrays.SlowArrayTransfer)
+    by_registers = bool(context.geared) or isinstance(context.packets, arrays.SlowArrayTransfer)
+    return context.model.contours and not by_registers
 
 
 def find_interval(context: LoweringContext, tick_ns: float) -> int:
@@ -283,6 +291,10 @@ def _lower_to_contour(
     brake_s: float,
 ) -> ContourLoad:
     motors, options, model, packets = context.motors, context.options, context.model, context.packets
+    geared_axes = sorted(context.geared & way.keys())
+    if geared_axes:
+        text = f"axis {geared_axes[0]} has two motors: it moves from rest to rest, by trapezoids, and not along a path"
+        raise Refusal("no-contour", text, "move it by a step of its own")
     if not model.contours:
         raise Refusal(
             "order",
@@ -447,7 +459,9 @@ class _Behind(NamedTuple):
 def _find_behind(context: LoweringContext, load: MoveLoad, start: StartOptions, tick_ns: float) -> _Behind | None:
     """None: the controller cannot hold the step beside the present one."""
     gate = context.gate
-    if not start.follows or gate is None or not load.fits_beside or start.wait is not None or start.drive is not None:
+    if not start.follows or gate is None or context.geared:
+        return None
+    if not load.fits_beside or start.wait is not None or start.drive is not None:
         return None
     disarm_ns = math.ceil(gate.follow_before * tick_ns) + context.release_ns
     if context.begins_at_once and start.at_once:

@@ -2,7 +2,8 @@
 the controller holds at rest and before each step.
 
 A value that `configure` loads or accepts is the expected one. Coupling (GR, EB) and smoothing (IT) have only their
-neutral values. Line numbers are those of the SMC-4000's manual; the SMC-2000 has the same commands.
+neutral values, except GR of the second motor of an axis. Line numbers are those of the SMC-4000's manual; the SMC-2000
+has the same commands.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -126,11 +127,11 @@ def format_value(value: float) -> str:
 class SettingsWatch:
     """The expected settings of one controller, and the differences from them.
 
-    motors: motor index by axis. slow: the time of the link is dominated by its characters; the critical settings are
-    then read as sums of their deviations."""
+    motors: axes, each with the index of a motor. slow: the time of the link is dominated by its characters; the
+    critical settings are then read as sums of their deviations."""
 
     def __init__(
-        self, device: SmcDevice, motors: Mapping[str, int], watched: WatchedSettings, *, slow: bool = False
+        self, device: SmcDevice, motors: Iterable[tuple[str, int]], watched: WatchedSettings, *, slow: bool = False
     ) -> None:
         self._device = device
         self._slow = slow
@@ -322,10 +323,10 @@ class SettingsWatch:
         return f"{command}{item.letter}={format_value(value)}" if item.axis else f"{command} {format_value(value)}"
 
 
-def _list_items(watched: WatchedSettings, motors: Mapping[str, int]) -> list[_Item]:
+def _list_items(watched: WatchedSettings, motors: Iterable[tuple[str, int]]) -> list[_Item]:
     controller_items = [_Item(setting, None, "") for setting in watched.controller]
     return controller_items + [
-        _Item(setting, name, AXIS_LETTERS[index]) for name, index in motors.items() for setting in watched.axis
+        _Item(setting, name, AXIS_LETTERS[index]) for name, index in motors for setting in watched.axis
     ]
 
 

@@ -136,7 +136,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], ProbeDriver, SharedLineDriver):
             options,
             PolledPoints(sorted(motors.values()), inputs, outputs),
         )
-        watch = SettingsWatch(device, motors, SMC2000_WATCHED, slow=True)
+        watch = SettingsWatch(device, motors.items(), SMC2000_WATCHED, slow=True)
         self._triggers = _make_trigger_traits(len(motors), self._char_ns)
         start = SerialStart(device, setup.clock, options, TriggerPlayer(device, setup.clock, options, self._triggers))
         super().__init__(setup, motors, device, start, watch)
@@ -155,7 +155,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], ProbeDriver, SharedLineDriver):
 
     async def configure(self) -> None:
         await require_uncoupled(self._device, self._motors, gantry=lambda letter: "")
-        await configure_controller(self._device, self._config, self._options, self._motors)
+        await configure_controller(self._device, self._config, self._options, self._motors.items())
         types, _ = await self._device.session.read_numbers(*(f"_MT{LETTERS[index]}" for index in self._motors.values()))
         self._steppers = {name for name, kind in zip(self._motors, types, strict=True) if abs(kind) >= STEPPER_TYPE}
         await self._watch.learn_values()

@@ -1,6 +1,6 @@
 """The SMC-4000: its driver, and the check of its part of the fleet file."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 from pydantic import BaseModel
@@ -40,6 +40,9 @@ from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
 from adapters.yaskawa.language.dialect import motor_indices
+from adapters.yaskawa.pairs.checks import find_pair_problems
+from adapters.yaskawa.pairs.gearing import find_pairs, gear_motors, join_readings
+from adapters.yaskawa.pairs.homing import PairHoming
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
@@ -53,10 +56,12 @@ from adapters.yaskawa.wire.record import (
     RECORD_LETTERS,
     REVERSE_SWITCH,
     AxisRecord,
+    DataRecord,
 )
 from adapters.yaskawa.wire.session import pack_operands
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.plugins import API_VERSION
@@ -100,32 +105,39 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
         motors = motor_indices(setup.config, NAMES)
         goodbye = FREE_OWN_HANDLE if isinstance(setup.config.link, UdpLink) else b""
         handles = HandleTraits(goodbye, shared=isinstance(setup.config.link, SerialLink))
-        device = self.DEVICE(setup.clock, setup.open_link, options, max(motors.values()) + 1, handles)
+        self._pairs = find_pairs(setup.config, NAMES)
+        second = {name: pair.second for name, pair in self._pairs.items()}
+        all_motors = [*motors.items(), *second.items()]
+        axes_needed = max(index for _, index in all_motors) + 1
+        device = self.DEVICE(setup.clock, setup.open_link, options, axes_needed, handles)
         serial = isinstance(setup.config.link, SerialLink)
-        watch = SettingsWatch(device, motors, SMC4000_WATCHED, slow=serial)
+        watch = SettingsWatch(device, all_motors, SMC4000_WATCHED, slow=serial)
         start = SampleStart(device, setup.clock, options, TriggerPlayer(device, setup.clock, options, SMC4000_TRIGGERS))
         super().__init__(setup, motors, device, start, watch)
+        self._second = second
         char_ns = 10 * NS_PER_S // setup.config.link.baud if isinstance(setup.config.link, SerialLink) else NS_PER_US
         limits = SamplingLimits.of_link(SAMPLED_AXES, UPLOAD_ELEMENTS, options.exchange_ns, char_ns)
         self._sampling = DeviceSampling(device, motors, limits)
         self._serial = serial
         self._options = options
-        # The level of the limit bits at rest: it depends on the configuration of the switches (L10906-10939).
-        self._open_switches: dict[str, int] = {}
+        # The level of the limit bits at rest, by motor: it depends on the configuration of the switches (L10906-10939).
+        self._open_switches: dict[int, int] = {}
         self._capabilities = self._compute_capabilities()
 
     # Connection
 
     async def configure(self) -> None:
         await require_uncoupled(self._device, self._motors, gantry=lambda letter: f"_GM{letter}")
-        await configure_controller(self._device, self._config, self._options, self._motors)
+        await configure_controller(self._device, self._config, self._options, self._all_motors)
+        for pair in self._pairs.values():
+            await gear_motors(self._device, pair)
         record = await self._device.read_record()
-        for name, index in self._motors.items():
+        for name, index in self._all_motors:
             letter, switches = AXIS_LETTERS[index], record.axes[index].switches
             operands = (f"_LF{letter}", f"_LR{letter}", f"_MT{letter}")
             (forward_free, reverse_free, motor_type), _ = await self._device.session.read_numbers(*operands)
             pressed_switches = (0 if forward_free else FORWARD_SWITCH) | (0 if reverse_free else REVERSE_SWITCH)
-            self._open_switches[name] = (switches ^ pressed_switches) & (FORWARD_SWITCH | REVERSE_SWITCH)
+            self._open_switches[index] = (switches ^ pressed_switches) & (FORWARD_SWITCH | REVERSE_SWITCH)
             (self._steppers.add if abs(motor_type) >= STEPPER_TYPE else self._steppers.discard)(name)
         await self._watch.learn_values()
 
@@ -143,17 +155,18 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
             disarm_ns=max(release_ns, DISARM_EXCHANGES * exchange_ns),
             stop_ns=round(ramp_s * NS_PER_S) + STOP_EXCHANGES * exchange_ns,
         )
-        context = None if 3 not in self.ORDERS or self._serial else self._context(costs)
+        no_paths = 3 not in self.ORDERS or self._serial or bool(self._pairs)
+        context = None if no_paths else self._context(costs)
         chunk_s, load_s = (0.0, 0.0) if context is None else find_chunk_times(context, self._options.tick_ns)
         return DriverCapabilities(
             start_classes=START_CLASSES,
-            orders=self.ORDERS,
+            orders=(2,) if self._pairs else self.ORDERS,
             independent_axes=False,
             costs=costs,
             chunk_s=chunk_s,
             chunk_load_s=load_s,
             chunk_triggers=None if context is None else find_chunk_triggers(context),
-            retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS else 0.0,
+            retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS and not self._pairs else 0.0,
             retarget_way="extend",
             jog_ramps=True,
         )
@@ -176,7 +189,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
 
     async def poll(self) -> ControllerReading:
         record, is_restarted = await self._device.poll_state()
-        axes = {name: self._axis_reading(name, record.axes[index]) for name, index in self._motors.items()}
+        axes = {name: self._read_axis(name, record) for name in self._motors}
         return ControllerReading(
             at_ns=(record.sent_ns + record.received_ns) // 2,
             axes=axes,
@@ -187,8 +200,13 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
             sampled=self._device.samples.find_sampling_interval(record.sent_ns, record.received_ns),
         )
 
-    def _axis_reading(self, name: str, axis: AxisRecord) -> AxisReading:
-        closed_switches = axis.switches ^ self._open_switches.get(name, axis.switches)
+    def _read_axis(self, name: str, record: DataRecord) -> AxisReading:
+        reading, pair = self._read_motor(name, self._motors[name], record), self._pairs.get(name)
+        return reading if pair is None else join_readings(reading, self._read_motor(name, pair.second, record))
+
+    def _read_motor(self, name: str, index: int, record: DataRecord) -> AxisReading:
+        axis = record.axes[index]
+        closed_switches = axis.switches ^ self._open_switches.get(index, axis.switches)
         return AxisReading(
             commanded_counts=axis.commanded,
             actual_counts=axis.actual,
@@ -210,6 +228,33 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
     @property
     def probe_ability(self) -> ProbeAbility:
         return find_ability(self._motors, LATCHES)
+
+    async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
+        """Axes of two motors come first, one after the other."""
+        single_axes = [name for name in axes if name not in self._pairs]
+        if len(single_axes) == len(axes):
+            return await super().home_axes(axes, found)
+        self._jogging.drop_jogs(axes)
+        stops = {index: self._device.stop_counts.stop_count(index) for _, index in self._find_motors(axes)}
+        failures: dict[str, Refusal] = {}
+        for pair in [self._pairs[name] for name in axes if name in self._pairs]:
+            refusal = await PairHoming(self._device, self._clock, pair, self._config.axes[pair.axis], stops).run()
+            if refusal is None:
+                found(pair.axis)
+            else:
+                failures[pair.axis] = refusal
+        return failures | await self._home_single(single_axes, stops, found)
+
+    async def _home_single(
+        self, axes: Sequence[str], stops: Mapping[int, int], found: Callable[[str], None]
+    ) -> dict[str, Refusal]:
+        """Home axes of one motor, unless they were stopped since their numbers of stops were `stops`."""
+        try:
+            for name in axes:
+                self._device.stop_counts.require_no_stop(name, self._motors[name], stops[self._motors[name]])
+            return dict(await super().home_axes(axes, found)) if axes else {}
+        except Refusal as refusal:
+            return dict.fromkeys(axes, refusal)
 
     async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
         require_encoder(axis, self._steppers)
@@ -238,6 +283,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
             axes=self._device.axes_count,
             begins_at_once=True,
             release_ns=RELEASE_NS,
+            geared=frozenset(self._pairs),
             beside_commands=needs.commands,
             beside_elements=needs.elements,
         )
@@ -275,6 +321,7 @@ class SMC4000Make:
     api_version = API_VERSION
     name = "smc4000"
     options_model: type[BaseModel] = YaskawaOptions
+    gears_motors = True
 
     def fleet_example(self, place: ExamplePlace) -> str:
         return _EXAMPLE.format(host=place.own_port + 20, port=place.own_port)
@@ -289,7 +336,9 @@ class SMC4000Make:
     def _find_problems(self, config: Controller) -> Iterator[str]:
         if isinstance(config.link, SerialLink) and config.link.baud not in BAUD_RATES:
             yield f"link.baud: {config.link.baud}; the serial port has {' or '.join(map(str, BAUD_RATES))}"
-        yield from find_model_problems(config, TERMINALS, validate_options(YaskawaOptions, config))
+        options = validate_options(YaskawaOptions, config)
+        yield from find_model_problems(config, TERMINALS, options)
+        yield from find_pair_problems(config, options)
 
     def create_driver(self, setup: DriverSetup) -> Driver:
         return SMC4000Driver(setup)

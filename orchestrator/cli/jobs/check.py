@@ -110,7 +110,7 @@ def describe_totals(job: "Job", forecast: "JobForecast", repeat: int = 1) -> str
 
 def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
     """Print every step with its duration and conditions, and the conditions of the job. commands: of each member."""
-    from orchestrator.monitor.path_words import describe_bound, describe_path
+    from orchestrator.monitor.path_words import describe_bounds, describe_path
 
     def line(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -121,8 +121,8 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
             line(f"      if {condition}")
         for text in [step.lines] * bool(step.lines) + ([] if step.path is None else describe_path(step.path)):
             line(f"      {text}")
-        for name, bound in step.bounds.items():
-            line(f"      {describe_bound(name, bound)}")
+        for text in describe_bounds(step):
+            line(f"      {text}")
         if commands:
             _print_commands(step, line)
     if forecast.conditions:

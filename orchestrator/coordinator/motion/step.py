@@ -37,6 +37,7 @@ from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import PathStop, StepReport
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.flying.path import FlightPath
+from orchestrator.plan.racks import bound_racks
 from orchestrator.plan.virtual_bound import bound_virtual_axes
 
 BRAKED = "braked"  # code of a path that was braked along it, because a chunk was not loaded in time
@@ -422,12 +423,14 @@ class MotionStep:
 def _make_report(
     fleet: Fleet, request: StepRequest, motion: PlannedMotion, failure: tuple[str, str] | None
 ) -> StepReport:
-    """The report of a step, with how far virtual axes may have been off their line. failure: what ended it, and why."""
+    """The report of a step, with how far axes may have been off their lines, and motors apart. failure: what ended
+    it, and why."""
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
     line = motion.planned.line
     update: dict[str, Any] = {
         "virtual": bound_virtual_axes(fleet, request.move, motion.agreement, line),
         "bounds": motion.planned.resolved.bounds,
+        "racks": bound_racks(fleet, motion.agreement.plan),
     }
     # In counts, and without a tolerance, the path that keeps curved axes on their line means nothing to a user.
     return report.model_copy(update=update if line is None else update | {"path": None})

@@ -18,6 +18,7 @@ from orchestrator.model.steps.probe import Probe
 from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed
+from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits
 
 SPARE_S = 5.0  # to begin, to come to rest, and to read
@@ -99,6 +100,7 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
         await view.require_info(controller),
     )
     require_no_play(step.axis, axis, "contact")
+    require_single_motor(step.axis, axis, "probe")
     ability = ProbeAbilities(info.make, info.probe, info.host_probe).require_ability(view.fleet, step)
     speed = find_probe_speed(step, axis)
     target = _find_target(context, step, axis, state)

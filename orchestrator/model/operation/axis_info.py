@@ -14,13 +14,13 @@ MAX_DIGITS = 12
 class AxisInfo:
     """One axis of a fleet.
 
-    name: `controller.axis`. make: of its controller; motor: its name there. unit: of all values here. resolution: of
-    one count; digits: decimals with which that is shown. least, most: where it may be sent, in user positions as of
-    now (the soft limits plus the offset); None: it has no soft limits, or is endless (`wrap`). velocity, acceleration,
-    jerk: limits, in its unit per second (², ³); jerk None: it is planned with trapezoids. wrap: the length of a turn.
-    referenced: whether its position counts from its reference. description: from the fleet file. retarget: how it gets
-    another target on the way, and the most time from a request until its set-points change; where several controllers
-    move together, they brake.
+    name: `controller.axis`. make: of its controller; motor: its name there, of two motors both. unit: of all values
+    here. resolution: of one count; digits: decimals with which that is shown. least, most: where it may be sent, in
+    user positions as of now (the soft limits plus the offset); None: it has no soft limits, or is endless (`wrap`).
+    velocity, acceleration, jerk: limits, in its unit per second (², ³); jerk None: it is planned with trapezoids. wrap:
+    the length of a turn. referenced: whether its position counts from its reference. description: from the fleet file.
+    retarget: how it gets another target on the way, and the most time from a request until its set-points change; where
+    several controllers move together, they brake.
     """
 
     name: str
@@ -51,7 +51,7 @@ def describe_axis(name: str, axis: Axis, axis_now: AxisState, info: ControllerIn
     return AxisInfo(
         name=name,
         make=info.make,
-        motor=axis.motors[0],
+        motor=", ".join(axis.motors),
         unit=axis.unit,
         kind=axis.kind,
         resolution=resolution,

@@ -10,6 +10,7 @@ from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.racks import bound_racks
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, MAX_INSTANTS, resolve_triggers
@@ -24,6 +25,10 @@ def plan_ways(state: ForecastState, at: ForecastContext, step: MotionOptions, wa
     except PlanError as error:
         state.add_problem(at, (), Refusal("plan", str(error)))
         return Span()
+    except Refusal as error:
+        state.add_problem(at, (), error)
+        return Span()
+    state.racks = bound_racks(state.fleet, plan)
     ways.plan = plan
     return Span(plan.duration_s, longest.duration_s if ways.bounded else None)
 

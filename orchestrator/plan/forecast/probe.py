@@ -14,6 +14,7 @@ from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed
+from orchestrator.plan.racks import require_single_motor
 
 
 def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Span:
@@ -27,6 +28,7 @@ def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Sp
         state.notes[f"{step.until} becomes {step.level} on the way"] = None
     try:
         require_no_play(step.axis, axis, "contact")
+        require_single_motor(step.axis, axis, "probe")
         speed = find_probe_speed(step, axis)
         overtravel = _find_overtravel(state, step, axis, speed)
     except Refusal as error:

@@ -9,7 +9,7 @@ from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
 from orchestrator.model.names import controller_of, is_position_name
-from orchestrator.model.report import PositionBound
+from orchestrator.model.report import PositionBound, RackBound
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.units import UnitError, parse_quantity
@@ -49,6 +49,7 @@ class ForecastState:
         self.conditions: dict[str, None] = {}
         self.notes: dict[str, None] = {}
         self.bounds: dict[str, PositionBound] = {}
+        self.racks: dict[str, RackBound] = {}
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None

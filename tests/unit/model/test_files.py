@@ -66,7 +66,34 @@ def test_examples_load() -> None:
             ", soft",
             "controllers.gantry.axes.x.limits: is missing",
         ),
-        ("[X]", "[X, X2]", "2 motors on one axis are not supported yet"),
+        (
+            "[X]",
+            "[X, X2]",
+            "axes.x.max_deviation: an axis of two motors needs max_deviation, how far they may be apart",
+        ),
+        ("[X],", "[X], square: 0.1,", "square applies between the motors of one axis, but this axis has one motor"),
+        *(
+            ("[X],", f"[X, X2], {fields},", expected)
+            for fields, expected in (
+                (
+                    "max_deviation: 1, may_rack: 1",
+                    "may_rack (1) must be above max_deviation and following_error together (1)",
+                ),
+                (
+                    "max_deviation: 1, following_error: 1",
+                    "may_rack (2) must be above max_deviation and following_error tog",
+                ),
+                (
+                    "max_deviation: 500 um, square: 1",
+                    "square (1) is beyond max_deviation (0.5): the beam would be skewed",
+                ),
+                (
+                    "max_deviation: 1, homing: {speed: 150}",
+                    "homing.speed (150) is too fast for may_rack (2): after a fault",
+                ),
+                ("max_deviation: 1 deg", "deg is a unit of angle"),
+            )
+        ),
         ("motors: [Y]", "motors: [X]", "motor X belongs to axis x and to axis y"),
         ("kind: rotary, ", "", "wrap and shortest_way need `kind: rotary`"),
         ("other.z]", "other.q]", "f.yaml:16: groups.table[1]: the fleet has no axis other.q; did you mean other.z?"),

@@ -22,6 +22,7 @@ from orchestrator.plan.curved_move import straighten
 from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.job import JobForecaster
 from orchestrator.plan.probes import ProbeAbilities
+from orchestrator.plan.racks import bound_racks
 from orchestrator.plan.virtual_bound import bound_virtual_axes
 
 REHEARSALS_AT_ONCE = 3
@@ -124,6 +125,7 @@ class JobRehearsal:
                 "most_s": forecast.most_s if is_line else duration_s,
                 "path": agreement.path,
                 "virtual": bound_virtual_axes(self._services.view.fleet, planned.request.move, agreement, planned.line),
+                "racks": bound_racks(self._services.view.fleet, agreement.plan),
                 "budget": agreement.budget.to_plain() if agreement.budget else None,
                 "commands": {member: proposal.commands for member, proposal in agreement.proposals.items()},
             }

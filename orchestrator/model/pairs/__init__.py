@@ -1,0 +1,1 @@
+"""Axes of two motors, which carry one beam."""
