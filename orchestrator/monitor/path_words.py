@@ -1,6 +1,6 @@
 """A planned path in a few lines."""
 
-from orchestrator.model.report import PathReport, PositionBound
+from orchestrator.model.report import PairBound, PathReport, PositionBound
 
 MAX_BINDING = 4  # limits that are named in one line
 
@@ -33,6 +33,11 @@ def _describe_binding(report: PathReport) -> str:
     shown_limits = [f"{binds} ({100 * spans[binds] / whole_s:.0f} %)" for binds in longest[:MAX_BINDING] if whole_s]
     more = len(longest) - len(shown_limits)
     return ", ".join(shown_limits) + (f" and {more} more" if more else "") if shown_limits else "nothing"
+
+
+def describe_pair(group: str, bound: PairBound) -> str:
+    """How far a pair may be racked by a fault: `beam: at most 0.83 mm apart after a single fault`."""
+    return f"{group}: at most {bound.most:.3g} {bound.unit} apart after a single fault"
 
 
 def describe_bound(axis: str, bound: PositionBound) -> str:

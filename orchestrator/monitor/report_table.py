@@ -9,7 +9,7 @@ from rich.text import Text
 from orchestrator.model.report import JobReport, ProbeReport, SkewInterval, StepReport, SyncBudget, TriggerReport
 from orchestrator.model.state import AxisEvidence
 from orchestrator.model.steps.numbers import name_step, number_step
-from orchestrator.monitor.path_words import describe_bound, describe_path
+from orchestrator.monitor.path_words import describe_bound, describe_pair, describe_path
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
 
@@ -161,6 +161,7 @@ def _describe_deviations(step: StepReport) -> list[str]:
         for name, bound in step.virtual.items()
     ]
     lines += [f"{name_step(step.index)}: {describe_bound(name, bound)}" for name, bound in step.bounds.items()]
+    lines += [f"{name_step(step.index)}: {describe_pair(name, bound)}" for name, bound in step.pairs.items()]
     lines += [f"{name_step(step.index)}: {_describe_triggers(trigger)}" for trigger in step.triggers]
     latch = step.latch
     if latch is not None:

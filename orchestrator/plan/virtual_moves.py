@@ -17,6 +17,8 @@ from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.move import Move
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.model.virtual_maps import VirtualMap
+from orchestrator.plan.pairs import find_pair_targets
 
 MotionT = TypeVar("MotionT", bound=Motion)
 
@@ -68,20 +70,40 @@ def find_virtual_targets(
         text = f"{group} of {len(virtual_map.real)} real axes is curved: its real axes would leave the curve on the way"
         raise Refusal("curved", text, "move its real axes")
     virtual_positions = None if positions is None else _map(virtual_map.to_virtual, positions)
-    targets: list[Fraction] = []
+    targets = _find_stated_targets(fleet, step, virtual_map, virtual_positions)
+    if targets is None:
+        return None
+    if (pair := fleet.virtual_axes.pairs.get(group)) is not None:
+        targets = find_pair_targets(pair, targets, virtual_positions)
+    if virtual_positions is not None:
+        stated = zip(targets, virtual_positions, strict=True)
+        targets = [position if target is None else target for target, position in stated]
+    known_targets = [target for target in targets if target is not None]
+    if len(known_targets) < len(targets):
+        return None
+    return dict(zip(virtual_map.real, _map(virtual_map.to_real, known_targets), strict=True))
+
+
+def _find_stated_targets(
+    fleet: Fleet, step: Move, virtual_map: VirtualMap, positions: Sequence[Fraction] | None
+) -> list[Fraction | None] | None:
+    """Where a step sends the virtual axes of a group, None for those that it does not name. positions: of all of them
+    now. None: that depends on where they stand, which is not known. Raises `Refusal`."""
+    targets: list[Fraction | None] = []
     for number, name in enumerate(virtual_map.virtual):
-        position = None if virtual_positions is None else virtual_positions[number]
+        target: Fraction | None = None
         if name in step.to:
-            targets.append(_parse_amount(fleet, name, step.to[name]))
-        elif position is None:
-            return None
-        else:
-            targets.append(position + (_parse_amount(fleet, name, step.by[name]) if name in step.by else 0))
-        if name in step.to or name in step.by:
-            beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, targets[-1])
+            target = _parse_amount(fleet, name, step.to[name])
+        elif name in step.by:
+            if positions is None:
+                return None
+            target = positions[number] + _parse_amount(fleet, name, step.by[name])
+        if target is not None:
+            beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, target)
             if beyond_limits is not None:
                 raise Refusal("soft-limit", beyond_limits, "change the target, or the soft limits in the fleet file")
-    return dict(zip(virtual_map.real, _map(virtual_map.to_real, targets), strict=True))
+        targets.append(target)
+    return targets
 
 
 def _map(convert: Callable[[Sequence[Fraction]], Sequence[Fraction]], values: Sequence[Fraction]) -> Sequence[Fraction]:

@@ -424,8 +424,13 @@ def _make_report(
 ) -> StepReport:
     """The report of a step, with how far virtual axes may have been off their line. failure: what ended it, and why."""
     report = make_step_report(request, motion.agreement, motion.start.state, motion.watch.reports, failure)
-    virtual_bounds = bound_virtual_axes(fleet, request.move, motion.agreement)
-    return report.model_copy(update={"virtual": virtual_bounds, "bounds": motion.planned.resolved.bounds})
+    planned_step = motion.planned
+    bounds = {
+        "virtual": bound_virtual_axes(fleet, request.move, motion.agreement),
+        "bounds": planned_step.resolved.bounds,
+        "pairs": planned_step.pairs,
+    }
+    return report.model_copy(update=bounds)
 
 
 def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:

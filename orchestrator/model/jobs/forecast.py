@@ -7,7 +7,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Model, Rational
 from orchestrator.model.compensation import Play
-from orchestrator.model.report import PathReport, PositionBound, VirtualBound
+from orchestrator.model.report import PairBound, PathReport, PositionBound, VirtualBound
 
 
 class AxisForecast(Model):
@@ -33,7 +33,7 @@ class AxisForecast(Model):
 class StepForecast(Model):
     """One step. least_s, most_s: its duration; most_s None: no bound is known. conditions: what only the world decides.
     virtual: how far virtual axes may be off their line; only in a dry run. bounds: how far axes with `backlash` or
-    `correction` may be from their targets.
+    `correction` may be from their targets. pairs: how far pairs may be racked after any single fault.
     lines: of a scan that flies, how fast, and how long a line takes; path: of its first line.
 
     commands: by controller, what it would be sent; only in a dry run. refused: why a controller would refuse it.
@@ -49,6 +49,7 @@ class StepForecast(Model):
     path: PathReport | None = None
     virtual: dict[str, VirtualBound] = Field(default={})
     bounds: dict[str, PositionBound] = Field(default={})
+    pairs: dict[str, PairBound] = Field(default={})
     lines: str = ""
     commands: dict[str, list[str]] = Field(default={})
 

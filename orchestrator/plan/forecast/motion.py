@@ -10,6 +10,7 @@ from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.pairs import bound_pairs
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.triggers import MAX_CHUNKED_INSTANTS, MAX_INSTANTS, resolve_triggers
@@ -25,6 +26,10 @@ def plan_ways(state: ForecastState, at: ForecastContext, step: MotionOptions, wa
         state.add_problem(at, (), Refusal("plan", str(error)))
         return Span()
     ways.plan = plan
+    try:
+        state.pairs = bound_pairs(state.fleet, plan, state.alone)
+    except Refusal as error:
+        state.add_problem(at, (), error)
     return Span(plan.duration_s, longest.duration_s if ways.bounded else None)
 
 

@@ -9,7 +9,7 @@ from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
 from orchestrator.model.names import controller_of, is_position_name
-from orchestrator.model.report import PositionBound
+from orchestrator.model.report import PairBound, PositionBound
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.units import UnitError, parse_quantity
@@ -37,18 +37,22 @@ class ForecastState:
         orders: Mapping[str, Order] | None = None,
         chunks: Mapping[str, ChunkAbility] | None = None,
         probes: Mapping[str, ProbeAbilities] | None = None,
+        alone: Mapping[str, float | None] | None = None,
     ) -> None:
         """axes: their states now; others are unknown. orders: of the profiles that each controller executes; chunks:
-        how it takes paths in chunks; probes: how it stops axes by inputs."""
+        how it takes paths in chunks; probes: how it stops axes by inputs; alone: for how long it goes on without its
+        adapter, see `make_fault_reach`."""
         self.fleet = fleet
         self.chunks = chunks or {}
         self.probes = probes or {}
+        self.alone = alone or {}
         self.orders = orders or {}
         self.axes: dict[str, AxisForecast] = dict(axes or {})
         self.problems: list[StepProblem] = []
         self.conditions: dict[str, None] = {}
         self.notes: dict[str, None] = {}
         self.bounds: dict[str, PositionBound] = {}
+        self.pairs: dict[str, PairBound] = {}
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
