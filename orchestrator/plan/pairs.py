@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.report import PairBound
 from orchestrator.model.steps.base import Step
@@ -103,6 +103,11 @@ def _require_room(fleet: Fleet, pair: Pair, reach: FaultReach, growth: float, sp
         raise Refusal("may-rack", text, f"{remedy}by {room:.3g} {pair.unit} at most at a time")
     fitting = floor_speed(reach.find_speed(room))
     raise Refusal("may-rack", text, f"move it at {fitting:g} {pair.unit}/s at most")
+
+
+def find_homing_speed(axis: Axis) -> float:
+    """The approach speed of an axis that searches for its reference, in its unit/s."""
+    return axis.limits.velocity / 10 if axis.homing.speed is None else axis.homing.speed
 
 
 def floor_speed(speed: float) -> float:

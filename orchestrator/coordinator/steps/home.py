@@ -99,7 +99,7 @@ class HomingSequence:
                 loss = guard.describe_loss()
                 if loss is not None:
                     await self._fleet.stop_members(list(run.busy), "decelerate", actor, loss)
-                    raise Refusal("permit", loss, "satisfy the permit, then home again")
+                    raise guard.make_refusal("home")
                 for task in [candidate for candidate in tasks if candidate.done()]:
                     self._take_reply(run, tasks.pop(task), task.result())
         finally:
