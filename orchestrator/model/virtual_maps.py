@@ -38,6 +38,24 @@ class Pair:
     max_deviation: Fraction
     may_rack: Fraction
 
+    @property
+    def jog_reach(self) -> Fraction:
+        """How far one jog goes: so far apart a controller without its link takes the beam at most, which goes on to the
+        end of its jog."""
+        return self.may_rack - self.max_deviation
+
+    def describe_rack(self, rack: float) -> str:
+        """That it is racked, in words. rack: the position of its second virtual axis."""
+        return (
+            f"{self.group} is racked: {' and '.join(self.real)} are {abs(rack):.3g} {self.unit} apart, and at most "
+            f"{float(self.max_deviation):g} are allowed (max_deviation)"
+        )
+
+    @property
+    def square_remedy(self) -> str:
+        """What to do when it is racked."""
+        return f"find out why; then square it: `tutti axis move {self.rack}=0`"
+
 
 def make_map(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> VirtualMap:
     """The map of group `name`. units: of its real axes. Raises `MapError`, `UnitError`."""

@@ -1,68 +1,18 @@
 """Pairs of axes that carry one beam: what may move them, and how far apart a fault may leave them."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
+from orchestrator.model.operation.pair_reach import FaultReach, find_size, floor_speed, make_fault_reach
 from orchestrator.model.report import PairBound
 from orchestrator.model.steps.base import Step
-from orchestrator.model.units import Unit, convert_units
 from orchestrator.model.virtual_maps import Pair
 from orchestrator.plan.step import StepPlan
 
-DETECTION_S = 1.0
-"""After any fault every member that can be reached has begun to decelerate within this time (invariant 3)."""
 SHARE = 1e-6  # of a limit: rounding to counts
-SHOWN_SHARE = 1e-3  # of a speed, by which the one that fits is rounded down
-
-
-@dataclass(frozen=True, slots=True)
-class FaultReach:
-    """How far the axes of a pair may come apart by one fault, in the pair's unit.
-
-    Before the fault both are within `max_deviation` of square: farther apart they are stopped, whatever the cause is
-    (start skew, end skew, path errors, an axis that lags). Let both move at v when the fault occurs. The axis that it
-    concerns stops at once in the worst case, without a ramp (its power is lost, its brake closes), and its way is 0
-    from then on. The other one goes on at v for a time T, and then by its ramp a, which takes it
-    v T + v² / (2 a) farther. So both come apart by at most that, in either direction, and by no more than the rest of
-    the way, behind which an axis stands anyhow.
-
-    T is what invariant 3 allows from the fault to the beginning of the ramp, polls, messages and the request to stop
-    included (`DETECTION_S`): a drive or its power, a host, the coordinator, an e-stop. A controller whose link is lost
-    cannot be stopped, and goes on until its own watchdog stops it (`alone_s`); without one (None), to the end of its
-    way. With both, T is the longer one.
-
-    ramp: the smaller acceleration of both axes, unit/s².
-    """
-
-    ramp: float
-    alone_s: float | None
-
-    def find_growth(self, speed: float, way: float = math.inf) -> float:
-        """How far both come apart at `speed` (unit/s), with `way` left."""
-        if self.alone_s is None:
-            return way if speed else 0.0
-        return min(way, speed * max(DETECTION_S, self.alone_s) + speed**2 / (2 * self.ramp))
-
-    def find_speed(self, growth: float) -> float:
-        """The highest speed at which both come apart by no more than `growth`, however long the way is."""
-        if self.alone_s is None:
-            return 0.0
-        wait_s = max(DETECTION_S, self.alone_s)
-        return self.ramp * (math.sqrt(wait_s**2 + 2 * growth / self.ramp) - wait_s)
-
-
-def make_fault_reach(fleet: Fleet, pair: Pair, alone: Mapping[str, float | None]) -> FaultReach:
-    """The reach of a fault of a pair. alone: for how long controllers go on without their adapters, s; those that are
-    not in it have not answered, and count as stopped by then."""
-    ramps = [fleet.axis(axis).limits.acceleration * _find_size(fleet, axis, pair.unit) for axis in pair.real]
-    times_s = [alone.get(controller_of(axis), DETECTION_S) for axis in pair.real]
-    known_s = [time_s for time_s in times_s if time_s is not None]
-    return FaultReach(min(ramps), max(known_s) if len(known_s) == len(times_s) else None)
 
 
 def bound_pairs(fleet: Fleet, plan: StepPlan, alone: Mapping[str, float | None]) -> dict[str, PairBound]:
@@ -75,7 +25,7 @@ def bound_pairs(fleet: Fleet, plan: StepPlan, alone: Mapping[str, float | None])
             continue
         speeds, ways = list[float](), list[float]()
         for axis, profile in profiles.items():
-            length = _find_size(fleet, axis, pair.unit) / abs(float(fleet.axis(axis).counts_per_unit))
+            length = find_size(fleet, axis, pair.unit) / abs(float(fleet.axis(axis).counts_per_unit))
             speeds.append(profile.peak_velocity * length)
             ways.append(abs(profile.end_counts - profile.start_counts) * length)
         reach = make_fault_reach(fleet, pair, alone)
@@ -101,26 +51,13 @@ def _require_room(fleet: Fleet, pair: Pair, reach: FaultReach, growth: float, sp
         lonely = [controller_of(axis) for axis in pair.real]
         remedy = f"give {' and '.join(lonely)} a watchdog that stops them without their links (`watchdog_ms`), or move "
         raise Refusal("may-rack", text, f"{remedy}by {room:.3g} {pair.unit} at most at a time")
-    fitting = floor_speed(reach.find_speed(room))
-    raise Refusal("may-rack", text, f"move it at {fitting:g} {pair.unit}/s at most")
+    fitting = f"{floor_speed(reach.find_speed(room)):g} {pair.unit}/s"
+    raise Refusal("may-rack", f"{text}; {fitting} is the highest speed for that", f"move it at {fitting} at most")
 
 
 def find_homing_speed(axis: Axis) -> float:
     """The approach speed of an axis that searches for its reference, in its unit/s."""
     return axis.limits.velocity / 10 if axis.homing.speed is None else axis.homing.speed
-
-
-def floor_speed(speed: float) -> float:
-    """A speed to show: three digits, rounded down so that it still fits."""
-    if not speed:
-        return 0.0
-    digit = 10.0 ** (math.floor(math.log10(speed)) - 2)
-    return math.floor(speed * (1 + 1e-12) / digit) * digit
-
-
-def _find_size(fleet: Fleet, axis: str, unit: Unit) -> float:
-    """The size of the unit of an axis in `unit`."""
-    return float(convert_units(Fraction(1), fleet.axis(axis).unit, unit, axis))
 
 
 # What may move them
@@ -139,9 +76,8 @@ def require_whole_pairs(fleet: Fleet, step: Step) -> None:
     for name in names:
         pair = pair_of.get(name)
         if pair is not None:
-            raise Refusal(
-                "pair", f"{name} is one of the pair {pair.group}, and does not move alone", _tell_middle(pair), controller_of(name)
-            )
+            text = f"{name} is one of the pair {pair.group}, and does not move alone"
+            raise Refusal("pair", text, f"name {pair.middle}, which moves both", controller_of(name))
 
 
 def _list_set_axes(step: Step) -> list[str]:
@@ -162,10 +98,6 @@ def _require_both(fleet: Fleet, step: Step) -> None:
             raise Refusal("pair", text, f"home {pair.middle}, which homes both", controller_of(axis))
 
 
-def _tell_middle(pair: Pair) -> str:
-    return f"name {pair.middle}, which moves both"
-
-
 def find_pair_targets(
     pair: Pair, targets: Sequence[Fraction | None], positions: Sequence[Fraction] | None
 ) -> list[Fraction | None]:
@@ -180,23 +112,10 @@ def find_pair_targets(
     here = positions[1]
     if middle is not None:
         if abs(here) > pair.max_deviation:
-            raise Refusal("racked", describe_rack(pair, float(here)), tell_square(pair))
+            raise Refusal("racked", pair.describe_rack(float(here)), pair.square_remedy)
         return [middle, Fraction(0)]
     assert rack is not None
     if abs(rack) > abs(here) or rack * here < 0:
         text = f"{pair.rack} is {float(here):.4g} {pair.unit}, and moves only towards 0, not to {float(rack):.4g}"
-        raise Refusal("pair", text, tell_square(pair))
+        raise Refusal("pair", text, pair.square_remedy)
     return [positions[0], rack]
-
-
-def describe_rack(pair: Pair, rack: float) -> str:
-    """That a pair is racked, in words."""
-    return (
-        f"{pair.group} is racked by {abs(rack):.3g} {pair.unit}, {' and '.join(pair.real)} are farther apart than "
-        f"max_deviation ({float(pair.max_deviation):g})"
-    )
-
-
-def tell_square(pair: Pair) -> str:
-    """What to do about a racked pair."""
-    return f"find out why; then square it: `tutti axis move {pair.rack}=0`"

@@ -9,7 +9,7 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.pair_state import PairState, observe_pair
 from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.virtual_maps import Pair
-from orchestrator.plan.pairs import find_homing_speed, tell_square
+from orchestrator.plan.pairs import find_homing_speed
 
 BEYOND_READINGS = 4
 """So many times in succession the best estimate is beyond `max_deviation`: then the pair is stopped although it might
@@ -93,7 +93,7 @@ class PairMonitor:
             text = text or self._describe_apart(pair, watch, states, observed_pair)
         if text is not None:
             is_counted = observed_pair is not None and observed_pair.known
-            remedy = tell_square(pair) if is_counted else f"find out why; then home {pair.middle} again"
+            remedy = pair.square_remedy if is_counted else f"find out why; then home {pair.middle} again"
             self._lose(pair, watch, PairLoss(text, remedy))
 
     def _follow(self, pair: Pair, watch: _PairWatch, states: dict[str, ControllerState]) -> None:

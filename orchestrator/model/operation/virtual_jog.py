@@ -38,7 +38,8 @@ class VirtualJog(Model):
     acceleration: of the common ramp, so that no real axis is asked for more than its own. off: how far each other
     virtual axis of the group may be off its position, in its unit, by a jog from rest to that speed and to rest; drift:
     by how much more per second. deviations: the `jog.deviation` of those that have one. low, high: how far it can go,
-    in both directions, until `low_by`, `high_by` is at its soft limit; None: without one.
+    in both directions, until `low_by`, `high_by` is at its soft limit; None: without one. reach: how far one jog goes,
+    of a pair; None: to these ends.
     """
 
     rates: list[float]
@@ -51,6 +52,7 @@ class VirtualJog(Model):
     high: float | None = None
     low_by: str = ""
     high_by: str = ""
+    reach: float | None = Field(default=None, exclude_if=lambda reach: reach is None)
 
 
 class RealJog(NamedTuple):

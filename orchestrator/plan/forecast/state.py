@@ -37,15 +37,14 @@ class ForecastState:
         orders: Mapping[str, Order] | None = None,
         chunks: Mapping[str, ChunkAbility] | None = None,
         probes: Mapping[str, ProbeAbilities] | None = None,
-        alone: Mapping[str, float | None] | None = None,
     ) -> None:
         """axes: their states now; others are unknown. orders: of the profiles that each controller executes; chunks:
-        how it takes paths in chunks; probes: how it stops axes by inputs; alone: for how long it goes on without its
-        adapter, see `make_fault_reach`."""
+        how it takes paths in chunks; probes: how it stops axes by inputs."""
         self.fleet = fleet
         self.chunks = chunks or {}
         self.probes = probes or {}
-        self.alone = alone or {}
+        self.alone: Mapping[str, float | None] = {}
+        """For how long controllers go on without their adapters, see `make_fault_reach`."""
         self.orders = orders or {}
         self.axes: dict[str, AxisForecast] = dict(axes or {})
         self.problems: list[StepProblem] = []

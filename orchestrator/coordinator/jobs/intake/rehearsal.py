@@ -53,7 +53,8 @@ class JobRehearsal:
                 orders[name], chunks[name] = max(info.orders), make_chunk_ability(info)
                 probes[name] = ProbeAbilities(info.make, info.probe, info.host_probe)
                 alone[name] = info.alone_s
-        forecaster = JobForecaster(view.fleet, axes, orders, chunks, probes, alone)
+        forecaster = JobForecaster(view.fleet, axes, orders, chunks, probes)
+        forecaster.alone = alone
         steps: list[StepForecast] = []
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):
