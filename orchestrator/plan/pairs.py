@@ -87,8 +87,6 @@ def _list_set_axes(step: Step) -> list[str]:
 
 def _require_both(fleet: Fleet, step: Step) -> None:
     """Both axes of a pair are homed together."""
-    if not step.named_axes:
-        return
     axes = set(step.find_axes(fleet))
     for pair in fleet.virtual_axes.pairs.values():
         searched_axes = axes & set(pair.real)
@@ -96,6 +94,23 @@ def _require_both(fleet: Fleet, step: Step) -> None:
             (axis,) = searched_axes
             text = f"{axis} is one of the pair {pair.group}, and is not homed alone"
             raise Refusal("pair", text, f"home {pair.middle}, which homes both", controller_of(axis))
+        if searched_axes:
+            _require_slow_homing(fleet, pair)
+
+
+def _require_slow_homing(fleet: Fleet, pair: Pair) -> None:
+    """Both search at one speed, at which a fault racks the beam by no more than it may be."""
+    speeds = [find_homing_speed(fleet.axis(axis)) * find_size(fleet, axis, pair.unit) for axis in pair.real]
+    shown_speeds = " and ".join(f"{axis} at {speed:g}" for axis, speed in zip(pair.real, speeds, strict=True))
+    if max(speeds) - min(speeds) > SHARE * max(speeds):
+        text = f"{pair.group}: {shown_speeds} {pair.unit}/s search for their references, and would come apart"
+        raise Refusal("pair", text, "give both one `homing: {speed}` (and `search_speed`) in the fleet file")
+    most = make_fault_reach(fleet, pair, {}).find_speed(float(pair.jog_reach))
+    if max(speeds) > most * (1 + SHARE):
+        fitting = f"{floor_speed(most):g} {pair.unit}/s"
+        text = f"{pair.group}: {shown_speeds} {pair.unit}/s search for their references, and a fault might rack the"
+        text += f" beam by more than it may be ({float(pair.may_rack):g}, `may_rack`); {fitting} is the highest speed"
+        raise Refusal("may-rack", text, f"`homing: {{speed: {fitting}}}` for both")
 
 
 def find_pair_targets(

@@ -29,7 +29,8 @@ def find_pair_jogs(fleet: Fleet, pair: Pair, reals: Sequence[RealJog], apart_s: 
     if not all(real.state.referenced for real in reals):
         return {middle_name: slow_jogs[middle_name]}
     here = virtual_map.observe([real.state.position for real in reals])[1]
-    inwards = _limit_inwards(slow_jogs[rack_name], virtual_map.observe([real.state.commanded for real in reals])[1])
+    target = virtual_map.observe([real.state.commanded for real in reals])[1]
+    inwards = _limit_inwards(slow_jogs[rack_name], pair.rack, target)
     if abs(here) > most:
         return {rack_name: inwards}
     return {middle_name: slow_jogs[middle_name], rack_name: inwards}
@@ -42,9 +43,7 @@ def _slow_down(jog: VirtualJog, fastest: float, reach: float) -> VirtualJog:
     return jog.model_copy(update={"speed": jog.speed * share, "off": off, "reach": reach})
 
 
-def _limit_inwards(jog: VirtualJog, rack: float) -> VirtualJog:
+def _limit_inwards(jog: VirtualJog, name: str, rack: float) -> VirtualJog:
     """A jog of `rack` that ends where the beam is square."""
     low, high = min(-rack, 0.0), max(-rack, 0.0)
-    return jog.model_copy(
-        update={"low": low, "high": high, "low_by": "a square beam", "high_by": "a square beam", "deviations": {}}
-    )
+    return jog.model_copy(update={"low": low, "high": high, "low_by": name, "high_by": name, "deviations": {}})
