@@ -263,6 +263,11 @@ class VirtualAxes:
         """By real axis, the pair that it is one of."""
         return {axis: pair for pair in self.pairs.values() for axis in pair.real}
 
+    def name_whole(self, axis: str) -> str:
+        """What commands name to home a real axis, or to jog it: of one of a pair, the virtual axis that moves both."""
+        pair = self.pair_of.get(axis)
+        return axis if pair is None else pair.middle
+
     @cached_property
     def groups_of(self) -> dict[str, list[str]]:
         """By controller, the groups that stand for axes of it."""

@@ -7,6 +7,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.operation.pair_reach import FaultReach, find_size, floor_speed, make_fault_reach
+from orchestrator.model.profile import Profile
 from orchestrator.model.report import PairBound
 from orchestrator.model.steps.base import Step
 from orchestrator.model.virtual_maps import Pair
@@ -29,18 +30,28 @@ def bound_pairs(fleet: Fleet, plan: StepPlan, alone: Mapping[str, float | None])
             speeds.append(profile.peak_velocity * length)
             ways.append(abs(profile.end_counts - profile.start_counts) * length)
         reach = make_fault_reach(fleet, pair, alone)
-        growth = reach.find_growth(max(speeds), max(ways))
-        begin = float(pair.max_deviation)
+        begin, growth = float(pair.max_deviation), reach.find_growth(max(speeds), max(ways))
         if len(profiles) == len(pair.real):
-            starts = [fleet.axis(axis).to_position(profile.start_counts) for axis, profile in profiles.items()]
-            rack = fleet.virtual_axes.maps[pair.group].to_virtual(starts)[1]
-            begin = max(begin, abs(float(rack)))
-        _require_room(fleet, pair, reach, growth, max(speeds))
+            racks = _find_racks(fleet, pair, list(profiles.values()))
+            begin = max(begin, racks[0])
+            # What brings them together cannot take them apart, wherever one of them stays.
+            growth = 0.0 if max(racks) <= racks[0] else growth
+        _require_room(pair, reach, growth, max(speeds))
         bounds[pair.group] = PairBound(most=begin + growth, unit=pair.unit)
     return bounds
 
 
-def _require_room(fleet: Fleet, pair: Pair, reach: FaultReach, growth: float, speed: float) -> None:
+def _find_racks(fleet: Fleet, pair: Pair, profiles: Sequence[Profile]) -> list[float]:
+    """How far the beam is racked with each axis at the begin or at the end of its way; first with both at the begin."""
+    virtual_map = fleet.virtual_axes.maps[pair.group]
+    ends = [
+        [fleet.axis(axis).to_position(counts) for counts in (profile.start_counts, profile.end_counts)]
+        for axis, profile in zip(pair.real, profiles, strict=True)
+    ]
+    return [abs(float(virtual_map.to_virtual([first, second])[1])) for first in ends[0] for second in ends[1]]
+
+
+def _require_room(pair: Pair, reach: FaultReach, growth: float, speed: float) -> None:
     room = float(pair.may_rack - pair.max_deviation)
     if growth <= room * (1 + SHARE):
         return

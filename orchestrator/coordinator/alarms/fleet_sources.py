@@ -143,7 +143,8 @@ class FleetAlarms:
             elif not on:
                 self._limits.pop(full, None)
             text = f"{full} is on its {axis.limit} limit switch"
-            action = f"jog it back: `tutti axis jog {full}`; check its soft limits and its reference"
+            name_whole = self._view.fleet.virtual_axes.name_whole(full)
+            action = f"jog it back: `tutti axis jog {name_whole}`; check its soft limits and its reference"
             self._conditions.report(AlarmCause("limit-switch", full, text, action), holds=bool(self._limits.get(full)))
 
     def _report_racked(self, controller: str) -> None:
