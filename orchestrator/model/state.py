@@ -321,7 +321,7 @@ class ControllerInfo(Model):
     )
     alone_s: float | None = Field(
         default=None,
-        exclude_if=lambda alone: alone is None,
+        exclude_if=lambda time_s: time_s is None,
         description="How long its axes go on in a step without its adapter, until its own watchdog stops them, s; left "
         "out: to the end of the step.",
     )

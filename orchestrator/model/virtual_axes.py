@@ -195,8 +195,7 @@ class VirtualGroup(Model):
             if is_needed and not is_given:
                 raise ValueError(f"`kind: {self.kind}` needs `{field}`")
         if self.offset and self.kind in ("energy", "code", "pair"):
-            remedy = "; give `square`" if self.kind == "pair" else ""
-            raise ValueError(f"`kind: {self.kind}` has no `offset`{remedy}")
+            raise ValueError(f"`kind: {self.kind}` has no `offset`")
         for field in ("matrix", "offset"):
             strangers = [name for name in getattr(self, field) or () if name not in self.axes]
             if strangers:

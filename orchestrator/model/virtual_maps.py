@@ -365,8 +365,20 @@ BISECTIONS = 10  # a smooth derivative changes by a thousandth of that then; num
 
 def find_virtual_problems(groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> list[Problem]:
     """What is wrong with virtual axes beside their names. find_axis: raises `ValueError` for an unknown name."""
+    nested_pairs = [problem for name in groups for problem in _find_nested_pairs(name, groups)]
+    if nested_pairs:
+        return nested_pairs
     problems = [problem for name in groups for problem in _find_problems(name, groups, find_axis)]
     return [*problems, *_find_shared_pairs(groups)]
+
+
+def _find_nested_pairs(name: str, groups: Mapping[str, VirtualGroup]) -> Iterator[Problem]:
+    """A pair of virtual axes, or virtual axes of a pair."""
+    inner = list_inner_groups(groups, name)
+    pair = next((owner for owner in (name, *inner) if groups[owner].pair is not None), None)
+    if pair is not None and inner:
+        text = "it is a pair, of two real axes" if pair == name else f"{pair} is a pair, which moves by its own axes"
+        yield Problem(("virtual", name, "of"), f"{text}; name real axes in `of`")
 
 
 def _find_shared_pairs(groups: Mapping[str, VirtualGroup]) -> Iterator[Problem]:
@@ -394,11 +406,6 @@ def _find_problems(
     double_axis = next((axis for axis in real_axes if real_axes.count(axis) > 1), None)
     if double_axis is not None:
         yield Problem(path, f"it stands for {double_axis} twice, also by virtual axes; name it once")
-        return
-    pair = next((owner for owner in (name, *inner) if groups[owner].pair is not None), None)
-    if pair is not None and inner:
-        text = "it is a pair, of two real axes" if pair == name else f"{pair} is a pair, which moves by its own axes"
-        yield Problem(path, f"{text}; name real axes in `of`")
         return
     try:
         axes = {axis: find_axis(axis) for axis in real_axes}

@@ -1,5 +1,7 @@
 """A planned path in a few lines."""
 
+from collections.abc import Mapping
+
 from orchestrator.model.report import PairBound, PathReport, PositionBound
 
 MAX_BINDING = 4  # limits that are named in one line
@@ -35,9 +37,11 @@ def _describe_binding(report: PathReport) -> str:
     return ", ".join(shown_limits) + (f" and {more} more" if more else "") if shown_limits else "nothing"
 
 
-def describe_pair(group: str, bound: PairBound) -> str:
-    """How far a pair may be racked by a fault: `beam: at most 0.83 mm apart after a single fault`."""
-    return f"{group}: at most {bound.most:.3g} {bound.unit} apart after a single fault"
+def describe_pairs(bounds: Mapping[str, PairBound]) -> list[str]:
+    """How far pairs may be racked by a fault: `beam: at most 0.83 mm apart after a single fault`. bounds: by group."""
+    return [
+        f"{group}: at most {bound.most:.3g} {bound.unit} apart after a single fault" for group, bound in bounds.items()
+    ]
 
 
 def describe_bound(axis: str, bound: PositionBound) -> str:

@@ -9,7 +9,7 @@ from rich.text import Text
 from orchestrator.model.report import JobReport, ProbeReport, SkewInterval, StepReport, SyncBudget, TriggerReport
 from orchestrator.model.state import AxisEvidence
 from orchestrator.model.steps.numbers import name_step, number_step
-from orchestrator.monitor.path_words import describe_bound, describe_pair, describe_path
+from orchestrator.monitor.path_words import describe_bound, describe_pairs, describe_path
 from orchestrator.monitor.tables import make_plain_table
 from orchestrator.monitor.times import format_time, localize_times
 
@@ -152,6 +152,11 @@ def _make_budget_rows(step: StepReport) -> list[list[str]]:
     return rows
 
 
+def _describe_bounds(step: StepReport) -> list[str]:
+    """How far axes may be from their targets, and the axes of pairs apart."""
+    return [*(describe_bound(name, bound) for name, bound in step.bounds.items()), *describe_pairs(step.pairs)]
+
+
 def _describe_deviations(step: StepReport) -> list[str]:
     """Describe a path with its bound, triggers, feed holds inside the step, and predicted end and path skew."""
     budget = step.budget
@@ -160,8 +165,7 @@ def _describe_deviations(step: StepReport) -> list[str]:
         f"{name_step(step.index)}: {name} is off its line by at most {bound.most:.3g} {bound.unit} on the way"
         for name, bound in step.virtual.items()
     ]
-    lines += [f"{name_step(step.index)}: {describe_bound(name, bound)}" for name, bound in step.bounds.items()]
-    lines += [f"{name_step(step.index)}: {describe_pair(name, bound)}" for name, bound in step.pairs.items()]
+    lines += [f"{name_step(step.index)}: {text}" for text in _describe_bounds(step)]
     lines += [f"{name_step(step.index)}: {_describe_triggers(trigger)}" for trigger in step.triggers]
     latch = step.latch
     if latch is not None:

@@ -135,13 +135,13 @@ def find_pair_targets(
         raise Refusal("pair", text, f"leave {pair.rack} out")
     if positions is None:
         return [middle, rack if middle is None else Fraction(0)]
-    here = positions[1]
+    rack_now = positions[1]
     if middle is not None:
-        if abs(here) > pair.max_deviation:
-            raise Refusal("racked", pair.describe_rack(float(here)), pair.square_remedy)
+        if abs(rack_now) > pair.max_deviation:
+            raise Refusal("racked", pair.describe_rack(float(rack_now)), pair.square_remedy)
         return [middle, Fraction(0)]
     assert rack is not None
-    if abs(rack) > abs(here) or rack * here < 0:
-        text = f"{pair.rack} is {float(here):.4g} {pair.unit}, and moves only towards 0, not to {float(rack):.4g}"
+    if abs(rack) > abs(rack_now) or rack * rack_now < 0:
+        text = f"{pair.rack} is {float(rack_now):.4g} {pair.unit}, and moves only towards 0, not to {float(rack):.4g}"
         raise Refusal("pair", text, pair.square_remedy)
     return [positions[0], rack]

@@ -76,8 +76,8 @@ def find_virtual_targets(
     if (pair := fleet.virtual_axes.pairs.get(group)) is not None:
         targets = find_pair_targets(pair, targets, virtual_positions)
     if virtual_positions is not None:
-        stated = zip(targets, virtual_positions, strict=True)
-        targets = [position if target is None else target for target, position in stated]
+        target_pairs = zip(targets, virtual_positions, strict=True)
+        targets = [position if target is None else target for target, position in target_pairs]
     known_targets = [target for target in targets if target is not None]
     if len(known_targets) < len(targets):
         return None

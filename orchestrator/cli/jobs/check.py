@@ -110,7 +110,7 @@ def describe_totals(job: "Job", forecast: "JobForecast", repeat: int = 1) -> str
 
 def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
     """Print every step with its duration and conditions, and the conditions of the job. commands: of each member."""
-    from orchestrator.monitor.path_words import describe_bound, describe_pair, describe_path
+    from orchestrator.monitor.path_words import describe_bound, describe_pairs, describe_path
 
     def line(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -123,8 +123,8 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
             line(f"      {text}")
         for name, bound in step.bounds.items():
             line(f"      {describe_bound(name, bound)}")
-        for name, pair_bound in step.pairs.items():
-            line(f"      {describe_pair(name, pair_bound)}")
+        for text in describe_pairs(step.pairs):
+            line(f"      {text}")
         if commands:
             _print_commands(step, line)
     if forecast.conditions:

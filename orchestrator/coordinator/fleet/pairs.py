@@ -41,6 +41,12 @@ class _PairWatch:
     losses: int = 0
     loss: PairLoss | None = None
 
+    def find_limit(self, observed: PairState) -> float:
+        """How far the pair may be apart while it moves: farther where it was racked at rest, so that it can be
+        squared."""
+        rest_rack = abs(self.rest) if observed.known and self.rest is not None else 0.0
+        return observed.max_deviation + (rest_rack if rest_rack > observed.max_deviation else 0.0)
+
 
 class PairMonitor:
     """Looks at a pair with every state of one of its controllers that arrives.
@@ -105,12 +111,12 @@ class PairMonitor:
             assert ends is not None, "the pair was observed"
             read_ns = (ends.earliest_ns + ends.latest_ns) // 2
             if name in watch.last and watch.base is not None:
-                then_ns, then = watch.last[name]
+                last_ns, last_state = watch.last[name]
                 config = self._view.fleet.axis(name)
-                fastest = max(abs(then.velocity), abs(state.velocity), find_homing_speed(config))
-                seconds = max(read_ns - then_ns, 0) / NS_PER_S
-                change = state.position - then.position
-                jump = change - (then.velocity + state.velocity) / 2 * seconds
+                fastest = max(abs(last_state.velocity), abs(state.velocity), find_homing_speed(config))
+                seconds = max(read_ns - last_ns, 0) / NS_PER_S
+                change = state.position - last_state.position
+                jump = change - (last_state.velocity + state.velocity) / 2 * seconds
                 if abs(jump) > fastest * seconds + abs(config.to_length(ROUNDED_COUNTS)):
                     watch.base += jump * factor
             watch.last[name] = read_ns, state
@@ -125,20 +131,18 @@ class PairMonitor:
         if not any(axis.moving for axis in axes):
             watch.rest, watch.beyond = (observed.deviation if observed.known else None), 0
             return None
-        limit, base = observed.max_deviation, 0.0 if observed.known else watch.base
-        if observed.known and watch.rest is not None and abs(watch.rest) > limit:
-            limit += abs(watch.rest)
+        base = 0.0 if observed.known else watch.base
+        limit = watch.find_limit(observed)
         watch.beyond = watch.beyond + 1 if abs(observed.deviation - base) > limit else 0
         if not observed.is_beyond(limit, base) and watch.beyond < BEYOND_READINGS:
             return None
         places = " and ".join(
             f"{name} at {axis.position:.4g} {axis.unit}" for name, axis in zip(pair.real, axes, strict=True)
         )
-        apart = abs(observed.deviation - base)
-        since = "" if observed.known else " since they began to search for their references"
+        since_text = "" if observed.known else " since they began to search for their references"
         return (
-            f"{pair.group}: {places} came {apart:.3g} {pair.unit} apart{since}; at most {limit:.3g} are allowed "
-            "(max_deviation)"
+            f"{pair.group}: {places} came {abs(observed.deviation - base):.3g} {pair.unit} apart{since_text}; at most "
+            f"{limit:.3g} are allowed (max_deviation)"
         )
 
     def _lose(self, pair: Pair, watch: _PairWatch, loss: PairLoss) -> None:

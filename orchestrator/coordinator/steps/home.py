@@ -57,10 +57,11 @@ class _HomingRun:
         ready = [axis for axis in ready if self.partners.get(axis, axis) in ready]
         single_axes = [axis for axis in ready if axis in self.loners]
         group_axes = [axis for axis in ready if axis not in self.loners]
-        first = single_axes[:1]
-        return group_axes or (
-            [] if self.busy else first + [self.partners[axis] for axis in first if axis in self.partners]
-        )
+        return group_axes or ([] if self.busy else self._join_partner(single_axes[:1]))
+
+    def _join_partner(self, axes: list[str]) -> list[str]:
+        """Axes with those that are pairs with them."""
+        return [*axes, *(self.partners[axis] for axis in axes if axis in self.partners)]
 
 
 class HomingSequence:

@@ -28,10 +28,10 @@ def find_pair_jogs(fleet: Fleet, pair: Pair, reals: Sequence[RealJog], apart_s: 
     slow_jogs = {name: _slow_down(jog, fastest, float(pair.jog_reach)) for name, jog in jogs.items()}
     if not all(real.state.referenced for real in reals):
         return {middle_name: slow_jogs[middle_name]}
-    here = virtual_map.observe([real.state.position for real in reals])[1]
+    rack_now = virtual_map.observe([real.state.position for real in reals])[1]
     target = virtual_map.observe([real.state.commanded for real in reals])[1]
     inwards = _limit_inwards(slow_jogs[rack_name], pair.rack, target)
-    if abs(here) > most:
+    if abs(rack_now) > most:
         return {rack_name: inwards}
     return {middle_name: slow_jogs[middle_name], rack_name: inwards}
 

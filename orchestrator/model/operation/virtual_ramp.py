@@ -167,9 +167,9 @@ class VirtualRamp:
         way = None if way is None else abs(way)
         if jog.reach is None:
             return way, end
-        gone = math.copysign(1.0, velocity) * self._gone.get(axis, 0.0)
-        left = max(jog.reach - gone, 0.0)
-        return (way, end) if way is not None and way < left else (left, "")
+        gone_way = math.copysign(1.0, velocity) * self._gone.get(axis, 0.0)
+        way_left = max(jog.reach - gone_way, 0.0)
+        return (way, end) if way is not None and way < way_left else (way_left, "")
 
     def _require_deviations(self) -> None:
         """Refuse to go on where another axis might be off its position by more than its `jog.deviation`, also once all

@@ -76,16 +76,13 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
             absent_controllers.append(controller)
         else:
             axes[name] = state, state.axes[axis]
-    jogs = dict[str, VirtualJog]()
+    jogs, pair_state = dict[str, VirtualJog](), None
     observed_axes, obstacle = dict[str, VirtualAxisState](), f"{', '.join(absent_controllers[:1])} is offline"
     if not absent_controllers:
         observed_axes, reason = _observe_inside(virtual_map, units, list(axes.values()))
         obstacle = _find_obstacle(axes) or reason
         jogs = _observe_jogs(group, fleet, axes)
-    pair = fleet.virtual_axes.pairs.get(group)
-    pair_state = None if pair is None or absent_controllers else observe_pair(fleet, pair, states)
-    if pair is not None and pair_state is not None and pair_state.is_racked:
-        obstacle = obstacle or f"{pair.describe_rack(pair_state.deviation)}; {pair.square_remedy}"
+        pair_state = _observe_pair(group, fleet, states)
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
     return VirtualState(
         group=group,
@@ -95,10 +92,24 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
         moving=any(axis.moving for _, axis in axes.values()),
         enabled=not absent_controllers and all(axis.enabled for _, axis in axes.values()),
         referenced=not absent_controllers and all(axis.referenced for _, axis in axes.values()),
-        obstacle=obstacle,
+        obstacle=_describe_rack(group, fleet, pair_state, obstacle),
         fleet_ns=max(instants, default=None),
         pair=pair_state,
     )
+
+
+def _observe_pair(group: str, fleet: Fleet, states: Mapping[str, ControllerState]) -> PairState | None:
+    """How far the axes of a group are apart, if it is a pair."""
+    pair = fleet.virtual_axes.pairs.get(group)
+    return None if pair is None else observe_pair(fleet, pair, states)
+
+
+def _describe_rack(group: str, fleet: Fleet, pair_state: PairState | None, obstacle: str) -> str:
+    """That a pair is racked, and what to do, unless there is another obstacle; empty: there is none."""
+    if obstacle or pair_state is None or not pair_state.is_racked:
+        return obstacle
+    pair = fleet.virtual_axes.pairs[group]
+    return f"{pair.describe_rack(pair_state.deviation)}; {pair.square_remedy}"
 
 
 def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str:

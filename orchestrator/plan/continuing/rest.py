@@ -162,10 +162,10 @@ def _join_pairs(fleet: Fleet, way: list[AxisWay]) -> list[AxisWay]:
             continue
         virtual_map = fleet.virtual_axes.maps[pair.group]
         ends = ([parts[axis].here for axis in pair.real], [parts[axis].to for axis in pair.real])
-        here, to = (virtual_map.observe(positions)[0] for positions in ends)
+        begin, end = (virtual_map.observe(positions)[0] for positions in ends)
         way = [
             *(part for part in way if part.axis not in parts),
-            AxisWay(axis=pair.middle, unit=pair.unit, here=here, to=to),
+            AxisWay(axis=pair.middle, unit=pair.unit, here=begin, to=end),
         ]
     return way
 
