@@ -14,6 +14,8 @@ from cluster.worlds import EXAMPLES, changed, job, outcome, run_fleet
 from orchestrator.campaign.faults import FAULTS, FaultInjector
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.pairs import PairMonitor
 from orchestrator.coordinator.motion import targets
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -221,13 +223,13 @@ def test_a_fault_in_a_jog_racks_the_beam_by_no_more_than_it_may_be(fault: str, m
 # The watch
 
 
-def test_an_axis_that_lags_in_a_move_stops_both_and_fails_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
+def halve(*args: Any) -> Any:
     """A defect sends the lift half of its way."""
+    real_targets = find_virtual_targets(*args)
+    return real_targets and {**real_targets, "lift.y": real_targets["lift.y"] / 2}
 
-    def halve(*args: Any) -> Any:
-        real_targets = find_virtual_targets(*args)
-        return real_targets and {**real_targets, "lift.y": real_targets["lift.y"] / 2}
 
+def test_an_axis_that_lags_in_a_move_stops_both_and_fails_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, job(f"[{PREPARE}]"))
         monkeypatch.setattr(targets, "find_virtual_targets", halve)
@@ -345,3 +347,38 @@ def test_a_controller_without_a_watchdog_limits_the_way() -> None:
         assert (await outcome(fleet, job("[{do: move, by: {beam.y: 0.7}, speed: 3 mm/s}]"))).state == "done"
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+# Mutations: without one of its parts the watch is missed by these checks
+
+
+def test_without_the_watch_an_axis_that_lags_racks_the_beam(monkeypatch: pytest.MonkeyPatch) -> None:
+    def ignore_loss(*_: Any) -> None:
+        return None
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job(f"[{PREPARE}]"))
+        monkeypatch.setattr(targets, "find_virtual_targets", halve)
+        async with watched(fleet) as watch:
+            await outcome(fleet, job("[{do: move, by: {beam.y: 1.5}, speed: 0.4 mm/s}]"))
+        assert watch.most > MAX_DEVIATION + 0.1
+
+    monkeypatch.setattr(PairMonitor, "_lose", ignore_loss)
+    run_fleet(main, beam_fleet())
+
+
+def test_without_the_stop_of_the_other_axis_a_fault_racks_the_beam_farther(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def stop_none(*_: Any) -> None:
+        return None
+
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, job(f"[{PREPARE}]"))
+        monkeypatch.setattr(FleetAccess, "stop_members", stop_none)
+        async with watched(fleet) as watch:
+            await fleet.make_client().submit(job(f"[{MOVE}]"))
+            await asyncio.sleep(1.5)
+            await break_now(fleet, "power-off", "lift", 1)
+            await asyncio.sleep(4)
+        assert watch.most > MAY_RACK
+
+    run_fleet(main, two_hosts())
