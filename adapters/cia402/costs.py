@@ -62,11 +62,18 @@ def step_costs(options: Cia402Options, bitrate: int, drives: int, ramp_s: float,
     )
 
 
-def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabilities:
-    """What a drive supports. period_ms: of the positions that it follows; None: it follows none."""
+def make_capabilities(costs: StepCosts, period_ms: int | None, watchdog_ms: int | None) -> DriverCapabilities:
+    """What a drive supports. period_ms: of the positions that it follows; None: it follows none. watchdog_ms: after
+    which it stops without this computer; None: it does not."""
+    alone_s = None if watchdog_ms is None else watchdog_ms / 1000
     if period_ms is None:
         return DriverCapabilities(
-            start_classes=("sync",), orders=(2,), independent_axes=False, costs=costs, jog_ramps=True
+            start_classes=("sync",),
+            orders=(2,),
+            independent_axes=False,
+            costs=costs,
+            jog_ramps=True,
+            alone_s=alone_s,
         )
     return DriverCapabilities(
         start_classes=("sync",),
@@ -78,4 +85,5 @@ def make_capabilities(costs: StepCosts, period_ms: int | None) -> DriverCapabili
         chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS, shows=True),
         retarget_s=RETARGET_PERIODS * period_ms / 1000,
         jog_ramps=True,
+        alone_s=alone_s,
     )

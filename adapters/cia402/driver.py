@@ -171,7 +171,8 @@ class Cia402Driver(
 
     @property
     def capabilities(self) -> DriverCapabilities:
-        return make_capabilities(self._step_costs(self._ramp_s), self._options.period_ms if self._streams else None)
+        options, costs = self._options, self._step_costs(self._ramp_s)
+        return make_capabilities(costs, options.period_ms if self._streams else None, options.watchdog_ms)
 
     async def poll(self) -> ControllerReading:
         """Return the state that the drive sends unsolicited; nothing is queried."""

@@ -211,6 +211,7 @@ class ControllerCommands:
     async def _handle_jog(self, request: JogRequest) -> Reply:
         self._status.require_known(request.velocities)
         self._components.leases.require_lease(request.holder, request.velocities)
+        self._components.leases.require_groups(request.velocities, request.groups)
         self._components.jogging.check_sequence(request)
         if any(request.velocities.values()):
             self._fence.require_no_estop()

@@ -78,6 +78,8 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         steps=steps, withdrawal=withdrawal, settling=settling, surveillance=surveillance, events=events, tasks=tasks
     )
     present = PresentMotion(context, steps, fence, leases, status)
+    jogging = JogControl(driver, clock, status, tasks, timer)
+    jogging.find_reach = leases.find_reach
     return Components(
         remembered=remembered,
         fence=fence,
@@ -98,7 +100,7 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         samples=SampleCollection(context, status, steps),
         triggers=TriggerCollection(context, status, steps),
         surveillance=surveillance,
-        jogging=JogControl(driver, clock, status, tasks, timer),
+        jogging=jogging,
         motors=MotorControl(context, status, settling, polling),
         referencing=AxisReferencing(driver, settling, status, publisher, polling),
         probing=AxisProbing(context, status, polling),

@@ -21,6 +21,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, Reply
+from orchestrator.model.names import controller_of
 from orchestrator.model.operation.virtual_jog import STEP_S
 from orchestrator.model.operation.virtual_ramp import VirtualRamp
 
@@ -35,12 +36,14 @@ _LEASE_OVER = ("not-leased", "leased")
 
 @dataclass(frozen=True, slots=True)
 class _JogOrder:
-    """Velocities by axis (unit/s), whether they renew earlier ones, and their validity and timeout."""
+    """Velocities by axis (unit/s), whether they renew earlier ones, and their validity and timeout. groups: of virtual
+    axes that they move."""
 
     velocities: Mapping[str, float]
     renew: bool = False
     valid_ms: int = VALID_MS
     timeout_s: float = ANSWER_S
+    groups: Sequence[str] = ()
 
 
 class ManualControl:
@@ -228,8 +231,9 @@ class ManualControl:
         if not self._ramp.is_moving:
             velocities = dict.fromkeys({**self._velocities, **velocities}, 0.0)
         self._velocities = dict(velocities)
+        groups = list(dict.fromkeys(map(controller_of, self._ramp.wanted)))
         try:
-            await self._request_jogs(_JogOrder(velocities, was_moving, valid_ms, valid_ms / 1000))
+            await self._request_jogs(_JogOrder(velocities, was_moving, valid_ms, valid_ms / 1000, groups))
         except Refusal:
             with contextlib.suppress(Refusal):
                 await self._halt()
@@ -282,6 +286,7 @@ class ManualControl:
                         holder=self.holder,
                         seq=self._seq,
                         velocities={name: order.velocities[f"{controller}.{name}"] for name in names},
+                        groups=list(order.groups),
                         renew=order.renew,
                         valid_ms=order.valid_ms,
                     ),

@@ -19,6 +19,8 @@ from orchestrator.coordinator.fleet.certificates import CertificateEnds
 from orchestrator.coordinator.fleet.lease_states import LeaseUser
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.manual import ManualLeases
+from orchestrator.coordinator.fleet.pair_stops import PairStops
+from orchestrator.coordinator.fleet.pairs import PairMonitor
 from orchestrator.coordinator.fleet.permits import PermitMonitor
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import MemberRequests
@@ -66,7 +68,8 @@ class Coordinator:
         self._log.fleet_ns = lambda: self.leadership.fleet_now_ns() if self.leadership.epoch else None
         self._view = FleetView(fleet, bus, keys, clock, self._log)
         requests = MemberRequests(bus, keys, self.leadership, environment.new_id, self._view)
-        permits = PermitMonitor(self._view, clock)
+        pairs = PairMonitor(self._view, clock)
+        permits = PermitMonitor(self._view, clock, pairs)
         certificates = CertificateEnds(self._view, clock, environment.certificate)
         access = self._fleet = FleetAccess(
             view=self._view,
@@ -77,6 +80,7 @@ class Coordinator:
             log=self._log,
             tasks=tasks,
         )
+        PairStops(access, pairs)
         self._leases = LeaseRegistry(access, bus, keys)
         self._positions = PositionBook(access, environment.journal, self._execute)
         publisher = StepPublisher(bus, keys)

@@ -121,6 +121,9 @@ class AlarmRules(Model):
     )
     estop: EstopRule = Field(default_factory=EstopRule)
     limit_switch: LimitRule = Field(default_factory=LimitRule)
+    racked: AlarmRule = Field(
+        default_factory=AlarmRule, description="The axes of a pair are farther apart than `max_deviation`."
+    )
     clock_bound: ClockRule = Field(default_factory=ClockRule)
     budget: BudgetRule = Field(default_factory=BudgetRule)
     link_errors: LinkRule = Field(default_factory=LinkRule)

@@ -12,6 +12,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.names import is_position_name, split_name
 from orchestrator.model.numbers import name_odd_sign
 from orchestrator.model.problems import Problem
+from orchestrator.model.virtual_axes import list_axes
 
 Place = tuple[str | int, ...]
 EACH = "*"
@@ -88,8 +89,9 @@ def collect_names(plain: Mapping[str, Any]) -> DefinedNames:
         names.controllers.append(str(controller))
     for kind, collection in (("axes", names.axes), ("inputs", names.inputs), ("outputs", names.outputs)):
         collection += [f"{path[1]}.{path[3]}" for path, _ in select(plain, "controllers", EACH, kind, EACH)]
-    names.virtual_groups.extend(str(path[1]) for path, _ in select(plain, "virtual", EACH))
-    names.virtual.extend(f"{path[1]}.{path[3]}" for path, _ in select(plain, "virtual", EACH, "axes", EACH))
+    for (_, group), axes in select(plain, "virtual", EACH):
+        names.virtual_groups.append(str(group))
+        names.virtual.extend(f"{group}.{axis}" for axis in list_axes(axes))
     names.frames.extend(str(path[1]) for path, _ in select(plain, "frames", EACH))
     names.groups.extend(str(path[1]) for path, _ in select(plain, "groups", EACH))
     names.positions.extend(str(path[1]) for path, _ in select(plain, "positions", EACH))

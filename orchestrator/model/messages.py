@@ -505,15 +505,25 @@ class AxesRequest(FencedRequest):
     axes: list[str]
 
 
+class PairLease(Model):
+    """How an axis of a pair is jogged. by: the virtual axis that moves both. reach: how far one jog goes, in the axis's
+    unit: if the link of one is lost, it goes on to that end, and its partner is stopped."""
+
+    by: str = Field(max_length=140)
+    reach: float = Field(gt=0)
+
+
 class LeaseRequest(AxesRequest):
     """Only `holder` may move these axes, for `ttl_ms` or until the lease is renewed; 0 ends it.
 
     What the holder moves when its lease ends is stopped. holder: of a job, its id. reason: why it is ended.
     acquisition: increases with each acquisition of axes, so that a late renewal does not revive a lease that has ended.
     session: the session of a command that a person waits for; the lease ends when its signs of life are missing.
+    pairs: of axes that are one of a pair, how they are jogged.
     """
 
     holder: Label
+    pairs: dict[Id, PairLease] = Field(default={}, max_length=64)
     acquisition: Int53 = 0
     session: Label = ""
     reason: Sentence = ""
@@ -579,12 +589,14 @@ class JogRequest(Request):
     holder.
 
     seq: increases with each request of a holder; an older one that arrives late is refused. renew: continue motion that
-    was requested before; an axis that has been stopped meanwhile stays stopped.
+    was requested before; an axis that has been stopped meanwhile stays stopped. groups: of virtual axes that the jog
+    moves: an axis of a pair is jogged with its group only.
     """
 
     holder: Label
     seq: Int53
     velocities: dict[str, float] = Field(min_length=1)
+    groups: list[Id] = Field(default=[], max_length=64)
     renew: bool = False
     valid_ms: int = Field(default=200, ge=20, le=200)
 

@@ -139,6 +139,14 @@ class VirtualBound(Model):
     unit: Unit
 
 
+class PairBound(Model):
+    """How far the two axes of a pair may be apart after any single fault while a step moves them, less `square`, in the
+    unit of the pair: how far the beam is racked then, at most."""
+
+    most: float
+    unit: Unit
+
+
 class PositionBound(Model):
     """How far an axis may be from its target once it rests there, in its unit, by what the fleet file states of it:
     `most`, the sum of the other terms. rounding: to whole counts. table: the uncertainty of its table of errors. play:
@@ -524,6 +532,9 @@ class StepReport(Model):
         default={},
         exclude_if=lambda racks: not racks,
         description="Of axes of two motors: how far these may be apart on the way.",
+    )
+    pairs: dict[str, PairBound] = Field(
+        default={}, description="Of a move of a pair: how far it may be racked after any single fault."
     )
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
 

@@ -332,6 +332,12 @@ class ControllerInfo(Model):
         exclude_if=lambda ability: ability is None,
         description="How its host stops an axis by an input; left out: its axes cannot be jogged.",
     )
+    alone_s: float | None = Field(
+        default=None,
+        exclude_if=lambda time_s: time_s is None,
+        description="How long its axes go on in a step without its adapter, until its own watchdog stops them, s; left "
+        "out: to the end of the step.",
+    )
     jog_ramps: bool = Field(
         default=False,
         exclude_if=lambda is_able: not is_able,

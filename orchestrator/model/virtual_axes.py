@@ -1,6 +1,7 @@
 """Virtual axes in a fleet file: coordinates that people think in, each group of which stands for as many real axes."""
 
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self, TypeGuard, cast
 
 from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
@@ -19,8 +20,11 @@ FORMS: dict[str, tuple[str, ...]] = {
     "sine_bar": ("angle",),
     "energy": ("energy", "exit"),
 }
-"""The virtual axes of each named form, in order. `energy` may be without the last one."""
-Kind = Literal["linear", "slit", "jacks", "rotation", "sine_bar", "energy", "code"]
+"""The virtual axes of each named form, in order. `energy` may be without the last one; those of `pair` are named in the
+file."""
+RACK = "rack"
+"""The second virtual axis of a pair, unless the file names it."""
+Kind = Literal["linear", "slit", "jacks", "rotation", "sine_bar", "energy", "code", "pair"]
 _FIELDS: dict[str, tuple[Kind, ...]] = {
     "matrix": ("linear",),
     "places": ("jacks",),
@@ -29,9 +33,21 @@ _FIELDS: dict[str, tuple[Kind, ...]] = {
     "spacing": ("energy",),
     "kinematics": ("code",),
     "parameters": ("code",),
+    "pair": ("pair",),
 }
 """The kinds that have a field."""
 _OPTIONAL = ("angle", "parameters")
+
+
+def list_axes(group: Any) -> list[str]:
+    """The names of the axes of a group, as a file gives it, with the one that a pair need not name."""
+    axes = cast(Mapping[str, Any], group).get("axes") if isinstance(group, Mapping) else None
+    names = [str(name) for name in cast(Mapping[str, Any], axes)] if isinstance(axes, Mapping) else []
+    return [*names, RACK] if _is_pair(group) and len(names) == 1 and names != [RACK] else names
+
+
+def _is_pair(group: Any) -> TypeGuard[Mapping[str, Any]]:
+    return isinstance(group, Mapping) and cast(Mapping[str, Any], group).get("pair") is not None
 
 
 class VirtualJogSettings(Model):
@@ -79,6 +95,17 @@ class VirtualAxis(Model):
         return self
 
 
+class PairSettings(Model):
+    """How far two axes that carry one beam may be apart, in a unit of their kind. What counts is their difference,
+    first - second, less `square`."""
+
+    max_deviation: Quantity = Field(description="Farther apart than this, both are stopped.")
+    may_rack: Quantity = Field(
+        description="How far apart the machine stands without damage: limits the speed, by what a fault may do."
+    )
+    square: Quantity = Field(default=0, description="First - second where the beam is square, by their references.")
+
+
 class VirtualGroup(Model):
     """Virtual axes that stand for as many real ones: `linear` by a matrix, by one of the named forms, or by `code`.
 
@@ -93,6 +120,8 @@ class VirtualGroup(Model):
     theta = real + `angle`. With a second axis, the distance of two parallel crystals: exit = 2 distance cos theta, by
     which the beam is shifted.
     `code`: by the entry point `kinematics` of an installed package, with its `parameters`.
+    `pair`: two axes that carry one beam, of which none moves alone: their middle, with a name of the file's, and `rack`
+    = first - second - square, which moves only towards 0.
     """
 
     kind: Kind = Field(default="linear", description="How virtual positions follow from real ones.")
@@ -125,6 +154,22 @@ class VirtualGroup(Model):
         default={}, max_length=100, description="With `code`: what its code is given."
     )
 
+    pair: PairSettings | None = Field(default=None, description="With `pair`: how far both may be apart.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_pair(cls, data: Any) -> Any:
+        """`pair` says the kind, and its second axis has the unit of the first one."""
+        if not _is_pair(data):
+            return data
+        group = {"kind": "pair", **data}
+        axes, names = group.get("axes"), list_axes(data)
+        if isinstance(axes, Mapping) and len(names) > len(cast(Mapping[str, Any], axes)):
+            first = cast(Mapping[str, Any], axes)[names[0]]
+            unit = cast(Mapping[str, Any], first).get("unit") if isinstance(first, Mapping) else None
+            group["axes"] = {names[0]: first, RACK: {"unit": unit, "description": "first - second - square"}}
+        return group
+
     @model_validator(mode="after")
     def _check_form(self) -> Self:
         repetitions = [name for name in self.of if self.of.count(name) > 1]
@@ -149,7 +194,7 @@ class VirtualGroup(Model):
             is_needed = self.kind in kinds and not (field in _OPTIONAL and self.kind != "rotation")
             if is_needed and not is_given:
                 raise ValueError(f"`kind: {self.kind}` needs `{field}`")
-        if self.offset and self.kind in ("energy", "code"):
+        if self.offset and self.kind in ("energy", "code", "pair"):
             raise ValueError(f"`kind: {self.kind}` has no `offset`")
         for field in ("matrix", "offset"):
             strangers = [name for name in getattr(self, field) or () if name not in self.axes]
@@ -180,6 +225,33 @@ class VirtualGroup(Model):
             value = getattr(self, field)
             if value is not None and not parse_quantity(value, Unit.MM, field) > 0:
                 raise ValueError(f"`{field}` is {value}; it must be above 0")
+        return self
+
+    @model_validator(mode="after")
+    def _check_pair(self) -> Self:
+        if self.pair is None:
+            return self
+        if len(self.of) != 2:
+            raise ValueError(f"a pair has two real axes; `of` names {len(self.of)}")
+        middle, rack = self.order
+        unit, rack_unit = self.axes[middle].unit, self.axes[rack].unit
+        if unit != rack_unit:
+            raise ValueError(f"{middle} is in {unit}, and {rack} in {rack_unit}; give both one unit")
+        if self.axes[rack].soft_limits is not None:
+            raise ValueError(f"{rack} has no `soft_limits`: `max_deviation` limits it")
+        most, may_rack, square = (
+            parse_quantity(getattr(self.pair, field), unit, field) for field in PairSettings.model_fields
+        )
+        if not 0 < most < may_rack:
+            raise ValueError(
+                f"max_deviation ({self.pair.max_deviation}) must be above 0 and below may_rack ({self.pair.may_rack}): "
+                "both are stopped before the beam is racked too far"
+            )
+        if abs(square) > most:
+            raise ValueError(
+                f"square ({self.pair.square}) is beyond max_deviation ({self.pair.max_deviation}): after homing the "
+                "beam would be racked by it; mount the switches nearer to square"
+            )
         return self
 
     @property

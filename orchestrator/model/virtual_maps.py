@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import islice, pairwise, product
@@ -20,6 +21,42 @@ from orchestrator.model.virtual_axes import VirtualAxis, VirtualGroup
 VirtualMap = LinearMap | CurvedMap
 
 
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two real axes that carry one beam. middle, rack: its virtual axes, `group.axis`. real: both, in order. Lengths
+    are in `unit`, that of both virtual axes.
+
+    max_deviation: farther from `rack` = 0 than this, both are stopped. may_rack: how far the beam may be racked by a
+    fault.
+    """
+
+    group: str
+    middle: str
+    rack: str
+    real: tuple[str, str]
+    unit: Unit
+    max_deviation: Fraction
+    may_rack: Fraction
+
+    @property
+    def jog_reach(self) -> Fraction:
+        """How far one jog goes: so far apart a controller without its link takes the beam at most, which goes on to the
+        end of its jog."""
+        return self.may_rack - self.max_deviation
+
+    def describe_rack(self, rack: float) -> str:
+        """That it is racked, in words. rack: the position of its second virtual axis."""
+        return (
+            f"{self.group} is racked: {' and '.join(self.real)} are {abs(rack):.3g} {self.unit} apart, and at most "
+            f"{float(self.max_deviation):g} are allowed (max_deviation)"
+        )
+
+    @property
+    def square_remedy(self) -> str:
+        """What to do when it is racked."""
+        return f"find out why; then square it: `tutti axis move {self.rack}=0`"
+
+
 def make_map(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> VirtualMap:
     """The map of group `name`. units: of its real axes. Raises `MapError`, `UnitError`."""
     if group.kind in _CURVED:
@@ -28,9 +65,10 @@ def make_map(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> Virtu
     if group.matrix is not None:
         matrix: Matrix = tuple(tuple(group.matrix[axis]) for axis in group.order)
     else:
-        # The forms are in mm and rad.
-        sizes = [convert_units(Fraction(1), units[axis], Unit.MM, axis) for axis in group.of]
-        virtual_sizes = [_find_size(axis, group.axes[axis].unit) for axis in group.order]
+        # The forms are in mm and rad, but for a pair, which may be of any axes of one kind.
+        base = virtual_units[0] if group.pair is not None else Unit.MM
+        sizes = [convert_units(Fraction(1), units[axis], base, axis) for axis in group.of]
+        virtual_sizes = [_find_size(axis, group.axes[axis].unit, base) for axis in group.order]
         matrix = tuple(
             tuple(factor * real / size for factor, real in zip(row, sizes, strict=True))
             for row, size in zip(_LINEAR[group.kind](group), virtual_sizes, strict=True)
@@ -41,6 +79,8 @@ def make_map(name: str, group: VirtualGroup, units: Mapping[str, Unit]) -> Virtu
     offsets = [
         parse_quantity(group.offset.get(axis, 0), unit) for axis, unit in zip(group.order, virtual_units, strict=True)
     ]
+    if group.pair is not None:
+        offsets[1] = -parse_quantity(group.pair.square, virtual_units[1])
     virtual = tuple(f"{name}.{axis}" for axis in group.order)
     return LinearMap(tuple(group.of), virtual, matrix, invert(matrix), tuple(offsets))
 
@@ -52,15 +92,21 @@ def _explain_singular(condition: float, field: str) -> str:
     )
 
 
-def _find_size(axis: str, unit: Unit) -> Fraction:
-    """The size of the unit of a virtual axis in mm; in rad for the slopes of a table."""
-    return convert_units(Fraction(1), unit, Unit.RAD if axis in ("pitch", "roll") else Unit.MM, axis)
+def _find_size(axis: str, unit: Unit, base: Unit) -> Fraction:
+    """The size of the unit of a virtual axis in `base`; in rad for the slopes of a table."""
+    return convert_units(Fraction(1), unit, Unit.RAD if axis in ("pitch", "roll") else base, axis)
 
 
 def _make_slit(group: VirtualGroup) -> Matrix:
     del group
     half = Fraction(1, 2)
     return (Fraction(1), Fraction(-1)), (half, half)
+
+
+def _make_pair(group: VirtualGroup) -> Matrix:
+    """The middle of both, and their difference."""
+    difference, middle = _make_slit(group)
+    return middle, difference
 
 
 def _make_jacks(group: VirtualGroup) -> Matrix:
@@ -83,6 +129,7 @@ _LINEAR: dict[str, Callable[[VirtualGroup], Matrix]] = {
     "slit": _make_slit,
     "jacks": _make_jacks,
     "rotation": _make_rotation,
+    "pair": _make_pair,
 }
 
 
@@ -187,7 +234,7 @@ class VirtualAxes:
                 *map(self.unit_of, virtual_map.virtual),
                 *(self._find_axis(axis).unit for axis in virtual_map.real),
             }
-            if isinstance(virtual_map, LinearMap) and len(units) == 1:
+            if isinstance(virtual_map, LinearMap) and len(units) == 1 and name not in self.pairs:
                 frames[name] = FrameSpec(
                     axes=list(virtual_map.real),
                     coordinates=[split_name(axis)[1] for axis in virtual_map.virtual],
@@ -196,6 +243,30 @@ class VirtualAxes:
                     offset=[float(position) for position in virtual_map.to_real([Fraction(0)] * len(virtual_map.real))],
                 )
         return frames
+
+    @cached_property
+    def pairs(self) -> dict[str, Pair]:
+        """The groups that are pairs."""
+        pairs: dict[str, Pair] = {}
+        for name, group in self._groups.items():
+            if group.pair is not None:
+                middle, rack = (f"{name}.{axis}" for axis in group.order)
+                unit = group.axes[group.order[0]].unit
+                most, may_rack = (
+                    parse_quantity(value, unit) for value in (group.pair.max_deviation, group.pair.may_rack)
+                )
+                pairs[name] = Pair(name, middle, rack, (group.of[0], group.of[1]), unit, most, may_rack)
+        return pairs
+
+    @cached_property
+    def pair_of(self) -> dict[str, Pair]:
+        """By real axis, the pair that it is one of."""
+        return {axis: pair for pair in self.pairs.values() for axis in pair.real}
+
+    def name_whole(self, axis: str) -> str:
+        """What commands name to home a real axis, or to jog it: of one of a pair, the virtual axis that moves both."""
+        pair = self.pair_of.get(axis)
+        return axis if pair is None else pair.middle
 
     @cached_property
     def groups_of(self) -> dict[str, list[str]]:
@@ -294,7 +365,30 @@ BISECTIONS = 10  # a smooth derivative changes by a thousandth of that then; num
 
 def find_virtual_problems(groups: Mapping[str, VirtualGroup], find_axis: Callable[[str], RealAxis]) -> list[Problem]:
     """What is wrong with virtual axes beside their names. find_axis: raises `ValueError` for an unknown name."""
-    return [problem for name in groups for problem in _find_problems(name, groups, find_axis)]
+    nested_pairs = [problem for name in groups for problem in _find_nested_pairs(name, groups)]
+    if nested_pairs:
+        return nested_pairs
+    problems = [problem for name in groups for problem in _find_problems(name, groups, find_axis)]
+    return [*problems, *_find_shared_pairs(groups)]
+
+
+def _find_nested_pairs(name: str, groups: Mapping[str, VirtualGroup]) -> Iterator[Problem]:
+    """A pair of virtual axes, or virtual axes of a pair."""
+    inner = list_inner_groups(groups, name)
+    pair = next((owner for owner in (name, *inner) if groups[owner].pair is not None), None)
+    if pair is not None and inner:
+        text = "it is a pair, of two real axes" if pair == name else f"{pair} is a pair, which moves by its own axes"
+        yield Problem(("virtual", name, "of"), f"{text}; name real axes in `of`")
+
+
+def _find_shared_pairs(groups: Mapping[str, VirtualGroup]) -> Iterator[Problem]:
+    """A real axis of a pair that another group has too, whose moves would take it away from its partner."""
+    for name, group in groups.items():
+        for pair, paired_group in groups.items():
+            shared_axis = next((axis for axis in group.of if axis in paired_group.of), None)
+            if paired_group.pair is not None and pair != name and shared_axis is not None:
+                text = f"{shared_axis} is one of the pair {pair}, and does not move without the other; take it out of"
+                yield Problem(("virtual", name, "of"), f"{text} `of`", shared_axis)
 
 
 def _find_problems(

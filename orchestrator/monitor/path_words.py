@@ -1,7 +1,7 @@
 """A planned path in a few lines."""
 
 from orchestrator.model.jobs.forecast import StepForecast
-from orchestrator.model.report import PathReport, PositionBound, RackBound, StepReport
+from orchestrator.model.report import PairBound, PathReport, PositionBound, RackBound, StepReport
 
 MAX_BINDING = 4  # limits that are named in one line
 
@@ -36,6 +36,11 @@ def _describe_binding(report: PathReport) -> str:
     return ", ".join(shown_limits) + (f" and {more} more" if more else "") if shown_limits else "nothing"
 
 
+def _describe_pair(group: str, bound: PairBound) -> str:
+    """How far a pair may be racked: `beam: at most 0.83 mm apart after a single fault`."""
+    return f"{group}: at most {bound.most:.3g} {bound.unit} apart after a single fault"
+
+
 def _describe_bound(axis: str, bound: PositionBound) -> str:
     """The bound of an axis with its causes: `gantry.x ends within 0.0015 mm of its target (…)`."""
     causes = {"rounding": bound.rounding, "table": bound.table, "play": bound.play}
@@ -52,6 +57,7 @@ def _describe_rack(axis: str, rack: RackBound) -> str:
 
 
 def describe_bounds(step: StepReport | StepForecast) -> list[str]:
-    """How far the axes of a step may be from their targets, and the motors of an axis apart."""
+    """How far the axes of a step may be from their targets, and motors or axes that carry one beam apart."""
     lines = [_describe_bound(name, bound) for name, bound in step.bounds.items()]
-    return lines + [_describe_rack(name, rack) for name, rack in step.racks.items()]
+    lines += [_describe_rack(name, rack) for name, rack in step.racks.items()]
+    return lines + [_describe_pair(name, pair) for name, pair in step.pairs.items()]

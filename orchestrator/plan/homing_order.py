@@ -19,11 +19,22 @@ def homing_order(fleet: Fleet, axes: list[str] | None) -> HomingOrder:
     """The given axes in the given order; else the fleet's `home_order`, followed by all axes that are not in it."""
     seen_axes, entries = set[str](), list[list[str]]()
     for entry in fleet.home_order if axes is None else axes:
-        fresh = [axis for axis in fleet.expand_name(entry) if axis not in seen_axes]
+        fresh = [axis for axis in _with_partners(fleet, fleet.expand_name(entry)) if axis not in seen_axes]
         seen_axes.update(fresh)
         if fresh:
             entries.append(fresh)
     return HomingOrder(entries, [axis for axis in fleet.axis_names if axis not in seen_axes] if axes is None else [])
+
+
+def find_partners(fleet: Fleet) -> dict[str, str]:
+    """By axis of a pair, the other one: both search at the same time."""
+    pairs = [pair.real for pair in fleet.virtual_axes.pairs.values()]
+    return {axis: partner for pair in pairs for axis, partner in (pair, pair[::-1])}
+
+
+def _with_partners(fleet: Fleet, axes: list[str]) -> list[str]:
+    partners = find_partners(fleet)
+    return list(dict.fromkeys(name for axis in axes for name in (axis, partners.get(axis, axis))))
 
 
 def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
@@ -36,6 +47,10 @@ def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
     for entry in [*order.entries, order.loners]:
         for axis in entry:
             waits[axis] = earlier_axes | set(fleet.axis(axis).homing.after)
+        for pair in fleet.virtual_axes.pairs.values():
+            if set(pair.real) <= set(entry):
+                both_waits = set[str]().union(*(waits[axis] for axis in pair.real))
+                waits |= dict.fromkeys(pair.real, both_waits)
         earlier_axes = earlier_axes | set(entry)
     waits_left = dict(waits)
     while free := [axis for axis, predecessors in waits_left.items() if not predecessors & waits_left.keys()]:

@@ -16,6 +16,8 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.model.virtual_maps import VirtualMap
+from orchestrator.plan.pairs import find_pair_targets
 
 
 def find_virtual_names(fleet: Fleet, step: Step) -> list[str]:
@@ -88,20 +90,40 @@ def find_virtual_way(fleet: Fleet, step: Move, group: str, positions: Sequence[F
     """As `find_virtual_targets`, with both ends of the way in virtual axes."""
     virtual_map = fleet.virtual_axes.maps[group]
     virtual_positions = None if positions is None else _map(virtual_map.to_virtual, positions)
-    targets: list[Fraction] = []
+    targets = _find_stated_targets(fleet, step, virtual_map, virtual_positions)
+    if targets is None:
+        return None
+    if (pair := fleet.virtual_axes.pairs.get(group)) is not None:
+        targets = find_pair_targets(pair, targets, virtual_positions)
+    if virtual_positions is not None:
+        target_pairs = zip(targets, virtual_positions, strict=True)
+        targets = [position if target is None else target for target, position in target_pairs]
+    known_targets = [target for target in targets if target is not None]
+    if len(known_targets) < len(targets):
+        return None
+    return VirtualWay(virtual_positions or (), known_targets, _map(virtual_map.to_real, known_targets))
+
+
+def _find_stated_targets(
+    fleet: Fleet, step: Move, virtual_map: VirtualMap, positions: Sequence[Fraction] | None
+) -> list[Fraction | None] | None:
+    """Where a step sends the virtual axes of a group, None for those that it does not name. positions: of all of them
+    now. None: that depends on where they stand, which is not known. Raises `Refusal`."""
+    targets: list[Fraction | None] = []
     for number, name in enumerate(virtual_map.virtual):
-        position = None if virtual_positions is None else virtual_positions[number]
+        target: Fraction | None = None
         if name in step.to:
-            targets.append(_parse_amount(fleet, name, step.to[name]))
-        elif position is None:
-            return None
-        else:
-            targets.append(position + (_parse_amount(fleet, name, step.by[name]) if name in step.by else 0))
-        if name in step.to or name in step.by:
-            beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, targets[-1])
+            target = _parse_amount(fleet, name, step.to[name])
+        elif name in step.by:
+            if positions is None:
+                return None
+            target = positions[number] + _parse_amount(fleet, name, step.by[name])
+        if target is not None:
+            beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, target)
             if beyond_limits is not None:
                 raise Refusal("soft-limit", beyond_limits, "change the target, or the soft limits in the fleet file")
-    return VirtualWay(virtual_positions or (), targets, _map(virtual_map.to_real, targets))
+        targets.append(target)
+    return targets
 
 
 def _map(convert: Callable[[Sequence[Fraction]], Sequence[Fraction]], values: Sequence[Fraction]) -> Sequence[Fraction]:

@@ -3,7 +3,7 @@ renewal the axis stops."""
 
 import asyncio
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -30,13 +30,15 @@ class _AxisJog:
 
     velocity: unit/s, of the last command that the controller has accepted.
     wanted: unit/s, of the last command that was sent.
-    accepted_ns: when the controller accepted a command."""
+    accepted_ns: when the controller accepted a command.
+    begin: counts where it began, from which its reach counts."""
 
     holder: str
     until_ns: int
     velocity: float = 0.0
     wanted: float = 0.0
     accepted_ns: int | None = None
+    begin: int | None = None
 
 
 class JogControl:
@@ -60,6 +62,8 @@ class JogControl:
         self._jogs: dict[str, _AxisJog] = {}
         self._end_reasons: dict[str, str] = {}
         self._last_seq: dict[str, int] = {}
+        self.find_reach: Callable[[str], float | None] = lambda axis: None
+        """How far one jog of an axis goes, in its unit; None: to its soft limits."""
 
     # Requests of the lease holder
 
@@ -114,7 +118,7 @@ class JogControl:
         async with self._command_lock:
             try:
                 if self._jogs.get(axis) is jog:
-                    await self._require_manual().jog_axis(axis, self._make_jog_move(axis, velocity))
+                    await self._require_manual().jog_axis(axis, self._make_jog_move(axis, velocity, jog))
                     jog.velocity, jog.accepted_ns = velocity, self._clock.now_ns()
             except BaseException as error:
                 self._revert_jog(axis, jog)
@@ -136,7 +140,7 @@ class JogControl:
         if jog.velocity == 0:
             self._drop_jog(axis, jog, "the jog could not begin")
 
-    def _make_jog_move(self, name: str, velocity: float) -> JogMove:
+    def _make_jog_move(self, name: str, velocity: float, jog: _AxisJog) -> JogMove:
         """Return the move for the driver after all checks. Raises `Refusal`."""
         condition, axis = self._status, self._status.config.axes[name]
         reading = condition.require_online()
@@ -156,6 +160,11 @@ class JogControl:
         if limit in ("both", "forward" if counts_s > 0 else "reverse"):
             raise Refusal("limit", f"axis {name} is on its {limit} limit switch", "jog in the other direction")
         end = self._end_counts(name, axis, counts_s, reading)
+        reach = self.find_reach(name)
+        if reach is not None:
+            jog.begin = axis_reading.commanded_counts if jog.begin is None else jog.begin
+            reach_counts = round(reach * abs(float(axis.counts_per_unit)))
+            end = _find_nearer_end(name, axis_reading.commanded_counts, counts_s, (end, jog.begin, reach_counts))
         return JogMove(counts_s, axis.limits.acceleration * float(axis.scale), end)
 
     def _end_counts(self, name: str, axis: Axis, counts_s: float, reading: ControllerReading) -> int | None:
@@ -242,3 +251,15 @@ class JogControl:
             del self._jogs[axis]
             self._status.jogging.discard(axis)
             self._end_reasons[axis] = reason
+
+
+def _find_nearer_end(name: str, here: int, counts_s: float, ends: tuple[int | None, int, int]) -> int:
+    """Where a jog ends: at its soft limit, or its reach from where it began. ends: the soft limit, the beginning, the
+    reach, in counts. Raises `Refusal` at the end of its reach."""
+    limit, begin, reach = ends
+    farthest = begin + reach if counts_s > 0 else begin - reach
+    if (farthest - here) * counts_s <= 0:
+        raise Refusal("jog-reach", f"axis {name} has gone as far as one jog of its pair goes", "jog again")
+    if limit is None:
+        return farthest
+    return min(limit, farthest) if counts_s > 0 else max(limit, farthest)

@@ -33,6 +33,7 @@ def make_info(context: ControllerContext, identity: ControllerIdentity | None) -
         chunk_load_s=capabilities.chunk_load_s,
         chunk_triggers=capabilities.chunk_triggers,
         retarget=capabilities.retarget,
+        alone_s=capabilities.alone_s,
         jog_ramps=capabilities.jog_ramps,
         probe=driver.probe_ability if isinstance(driver, ProbeDriver) else None,
         host_probe=find_host_ability(driver, config),

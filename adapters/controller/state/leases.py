@@ -2,13 +2,14 @@
 renewed."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from adapters.controller.state.context import ControllerContext
 from orchestrator.clock.base import NS_PER_MS, ClockTimer
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import LeaseRequest
+from orchestrator.model.messages import LeaseRequest, PairLease
+from orchestrator.model.names import controller_of
 
 HOLDERS_REMEMBERED = 64  # holders
 _EVER = 2**53  # above the number of any acquisition
@@ -16,13 +17,15 @@ _EVER = 2**53  # above the number of any acquisition
 
 @dataclass(frozen=True, slots=True)
 class _AxisLease:
-    """session, since_ns: the session that it ends with (empty: none), and when it was granted first."""
+    """session, since_ns: the session that it ends with (empty: none), and when it was granted first. pair: how it is
+    jogged, if it is one of a pair."""
 
     holder: str
     actor: str
     until_ns: int
     session: str
     since_ns: int
+    pair: PairLease | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +90,9 @@ class MotionLeases:
         for axis in request.axes:
             lease = self._leases.get(axis)
             since_ns = now_ns if lease is None else lease.since_ns
-            self._leases[axis] = _AxisLease(request.holder, request.actor, until_ns, request.session, since_ns)
+            self._leases[axis] = _AxisLease(
+                request.holder, request.actor, until_ns, request.session, since_ns, request.pairs.get(axis)
+            )
         self._expire_leases()
 
     def require_lease(self, holder: str, axes: Iterable[str]) -> None:
@@ -104,6 +109,19 @@ class MotionLeases:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
                 )
+
+    def require_groups(self, velocities: Mapping[str, float], groups: Collection[str]) -> None:
+        """Raise `Refusal` for a jog of one axis of a pair by itself. groups: of virtual axes that the jog moves."""
+        for axis, velocity in velocities.items():
+            pair = self._leases[axis].pair if velocity and axis in self._leases else None
+            if pair is not None and controller_of(pair.by) not in groups:
+                text = f"axis {axis} is one of the pair {controller_of(pair.by)}, and does not move alone"
+                raise Refusal("pair", text, f"jog {pair.by}, which moves both")
+
+    def find_reach(self, axis: str) -> float | None:
+        """How far one jog of an axis goes, in its unit; None: to its soft limits."""
+        lease = self._leases.get(axis)
+        return None if lease is None or lease.pair is None else lease.pair.reach
 
     def end_all(self, reason: str) -> None:
         """End all leases: there is a new leader, which numbers its leases from the beginning, or none."""

@@ -39,6 +39,7 @@ from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.slots import SampleMover
 from adapters.yaskawa.common.watch import SMC2000_WATCHED, SettingsWatch, require_uncoupled
+from adapters.yaskawa.common.watchdog import find_alone_s
 from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.shapes.model import SMC2000
 from adapters.yaskawa.smc2000 import program as smc2000_program
@@ -186,6 +187,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], ProbeDriver, SharedLineDriver):
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S,
             retarget_way="extend",
             jog_ramps=True,
+            alone_s=find_alone_s(self._device, self._options),
         )
 
     def _settings_ns(self) -> int:

@@ -39,6 +39,7 @@ from adapters.yaskawa.common.sampling import DeviceSampling, SamplingLimits
 from adapters.yaskawa.common.settings import configure_controller
 from adapters.yaskawa.common.start import SampleStart
 from adapters.yaskawa.common.watch import SETTINGS_AT_ONCE, SMC4000_WATCHED, SettingsWatch, require_uncoupled
+from adapters.yaskawa.common.watchdog import find_alone_s
 from adapters.yaskawa.language.dialect import motor_indices
 from adapters.yaskawa.pairs.checks import find_pair_problems
 from adapters.yaskawa.pairs.gearing import find_pairs, gear_motors, join_readings
@@ -169,6 +170,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS and not self._pairs else 0.0,
             retarget_way="extend",
             jog_ramps=True,
+            alone_s=find_alone_s(self._device, self._options),
         )
 
     def _settings_ns(self) -> int:

@@ -10,11 +10,12 @@ from orchestrator.coordinator.fleet.view import SLOW_REMEDY, FleetView
 from orchestrator.model.names import controller_of
 from orchestrator.model.numbers import format_ns
 from orchestrator.model.operation.alarms import MAX_SUBJECT, AlarmCause, AlarmRecord
+from orchestrator.model.operation.pair_state import observe_pair
 from orchestrator.model.state import ControllerEvent, ControllerState, FaultReport
 
 MAX_FAULTS = 20  # of one controller that count
 MAX_CODE = 60
-KINDS = ("disconnected", "fault", "limit-switch", "clock-bound", "link-errors", "following-error", "budget")
+KINDS = ("disconnected", "fault", "limit-switch", "racked", "clock-bound", "link-errors", "following-error", "budget")
 _STARTING = "starting"  # an adapter that has not reached its controller yet
 
 
@@ -52,6 +53,7 @@ class FleetAlarms:
     def take_state(self, state: ControllerState) -> None:
         """Compare a state with the one before; a listener of the view."""
         controller = state.controller
+        self._report_racked(controller)
         bound_ns = 0 if state.clock is None else state.clock.bound_ns
         axes = state.axes.items()
         signature = _Signature(
@@ -141,8 +143,24 @@ class FleetAlarms:
             elif not on:
                 self._limits.pop(full, None)
             text = f"{full} is on its {axis.limit} limit switch"
-            action = f"jog it back: `tutti axis jog {full}`; check its soft limits and its reference"
+            name_whole = self._view.fleet.virtual_axes.name_whole(full)
+            action = f"jog it back: `tutti axis jog {name_whole}`; check its soft limits and its reference"
             self._conditions.report(AlarmCause("limit-switch", full, text, action), holds=bool(self._limits.get(full)))
+
+    def _report_racked(self, controller: str) -> None:
+        """Of the pairs of a controller, also at rest."""
+        fleet = self._view.fleet
+        for group in fleet.virtual_axes.groups_of.get(controller, ()):
+            pair = fleet.virtual_axes.pairs.get(group)
+            if pair is None:
+                continue
+            members = [controller_of(axis) for axis in pair.real]
+            states = {name: state for name in members if (state := self._view.last_state(name)) is not None}
+            observed_pair = observe_pair(fleet, pair, states)
+            if observed_pair is not None:
+                text = pair.describe_rack(observed_pair.deviation)
+                cause = AlarmCause("racked", "+".join(pair.real), text, pair.square_remedy)
+                self._conditions.report(cause, holds=observed_pair.is_racked)
 
     def _report_clock(self, controller: str, bound_ns: int, *, wide: bool) -> None:
         text = f"the clock of {controller} is known to {format_ns(bound_ns)} only"

@@ -11,9 +11,10 @@ from orchestrator.clock.owner import wait_for_first
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import group_by_controller
-from orchestrator.model.messages import LeaseReply, LeaseRequest
+from orchestrator.model.fleet import Fleet, group_by_controller
+from orchestrator.model.messages import LeaseReply, LeaseRequest, PairLease
 from orchestrator.model.names import controller_of
+from orchestrator.model.units import convert_units
 
 ANSWER_S = 2.0
 TRIES = 2  # within it, to acquire a lease; a renewal is followed by the next one anyhow
@@ -229,6 +230,7 @@ class LeaseRegistry:
             controller: LeaseRequest(
                 **self._fleet.requests.request_fields(held.actor),
                 axes=names,
+                pairs=_find_pairs(self._fleet.view.fleet, controller, names),
                 holder=held.holder,
                 acquisition=held.acquisition,
                 session=held.session,
@@ -272,3 +274,14 @@ class LeaseRegistry:
 
 def _is_unanswered(reply: LeaseReply | None) -> bool:
     return reply is None or (reply.refused is not None and reply.refused.code == "no-answer")
+
+
+def _find_pairs(fleet: Fleet, controller: str, names: Iterable[str]) -> dict[str, PairLease]:
+    """How those of the axes of a controller are jogged that are one of a pair."""
+    pairs: dict[str, PairLease] = {}
+    for name in names:
+        pair = fleet.virtual_axes.pair_of.get(f"{controller}.{name}")
+        if pair is not None:
+            reach = convert_units(pair.jog_reach, pair.unit, fleet.axis(f"{controller}.{name}").unit, name)
+            pairs[name] = PairLease(by=pair.middle, reach=float(reach))
+    return pairs

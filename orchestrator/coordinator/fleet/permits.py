@@ -4,6 +4,7 @@ motion."""
 from collections.abc import Callable, Iterable
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.coordinator.fleet.pairs import PairLoss, PairMonitor
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Permit
@@ -15,8 +16,10 @@ from orchestrator.model.state import ControllerState
 class PermitMonitor:
     """Evaluates the permits of the fleet file with every state that arrives."""
 
-    def __init__(self, view: FleetView, clock: Clock) -> None:
+    def __init__(self, view: FleetView, clock: Clock, pairs: PairMonitor) -> None:
+        """pairs: a pair that must stop counts as a loss, for all that moves its axes."""
         self._view = view
+        self._pairs = pairs
         self._clock = clock
         self._since_ns: dict[str, int | None] = {}
         self._losses: dict[str, int] = {}
@@ -24,9 +27,10 @@ class PermitMonitor:
         self.on_change: Callable[[], None] = _ignore_change
         """Called when a permit is lost or holds again."""
         view.add_state_listener(self._take_state)
+        pairs.add_loss_listener(lambda pair, loss: self._notify_listeners())
 
     def add_loss_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` when a permit is lost; the result removes the listener."""
+        """Call `listener` when a permit or a pair is lost; the result removes the listener."""
         self._listeners.append(listener)
         return lambda: self._listeners.remove(listener)
 
@@ -77,7 +81,8 @@ class PermitMonitor:
 
     def watch_losses(self, axes: Iterable[str]) -> "PermitWatch":
         """Watch the permits of `axes` for losses from now on."""
-        return PermitWatch(self, tuple(axes), self.count_losses(axes))
+        axes = tuple(axes)
+        return PermitWatch(self, self._pairs, axes, self.count_losses(axes), self._pairs.count_losses(axes))
 
     def count_losses(self, axes: Iterable[str]) -> int:
         """The number of times that permits of `axes` have been lost since the start; a flicker counts too."""
@@ -118,8 +123,11 @@ class PermitMonitor:
             if holds != was_held:
                 self.on_change()
         if is_lost:
-            for listener in list(self._listeners):
-                listener()
+            self._notify_listeners()
+
+    def _notify_listeners(self) -> None:
+        for listener in list(self._listeners):
+            listener()
 
 
 def _ignore_change() -> None:
@@ -127,12 +135,16 @@ def _ignore_change() -> None:
 
 
 class PermitWatch:
-    """Reports whether permits have been lost since it was made."""
+    """Reports whether permits, or pairs of axes, have been lost since it was made."""
 
-    def __init__(self, permits: PermitMonitor, axes: tuple[str, ...], losses: int) -> None:
+    def __init__(
+        self, permits: PermitMonitor, pairs: PairMonitor, axes: tuple[str, ...], losses: int, pair_losses: int
+    ) -> None:
         self._permits = permits
+        self._pairs = pairs
         self._axes = axes
         self._losses = losses
+        self._pair_losses = pair_losses
 
     def describe_loss(self) -> str | None:
         """A description of what was lost, also if it holds again; None if all have held."""
@@ -141,7 +153,19 @@ class PermitWatch:
             return broken_permit
         if self._permits.count_losses(self._axes) != self._losses:
             return "a permit was lost for a moment"
-        return None
+        loss = self._find_pair_loss()
+        return None if loss is None else loss.text
+
+    def make_refusal(self, activity: str) -> Refusal:
+        """The refusal of what was lost. activity: what to do again then, in words."""
+        loss, text = self._find_pair_loss(), self.describe_loss() or ""
+        if loss is not None and loss.text == text:
+            return Refusal("pair", text, f"{loss.remedy}, then {activity} again")
+        return Refusal("permit", text, f"satisfy the permit, then {activity} again")
+
+    def _find_pair_loss(self) -> PairLoss | None:
+        is_lost = self._pairs.count_losses(self._axes) != self._pair_losses
+        return self._pairs.find_last_loss(self._axes) if is_lost else None
 
     def require_held(self) -> None:
         """Raise `Refusal` unless all have held."""

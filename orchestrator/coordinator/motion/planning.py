@@ -16,12 +16,14 @@ from orchestrator.model.fleet import TriggerWire
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import find_long_paths
 from orchestrator.model.names import controller_of
+from orchestrator.model.report import PairBound
 from orchestrator.model.state import AxisState, ControllerInfo, ControllerState, StartWish
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.plan.curved_move import CurvedMove, plan_curved_move
 from orchestrator.plan.flying.path import FlightPath, place_triggers, plan_flight_step
+from orchestrator.plan.pairs import bound_pairs, require_whole_pairs
 from orchestrator.plan.path_course import ChunkPlan
 from orchestrator.plan.path_step import PlannedPath, plan_path_step
 from orchestrator.plan.shape import PlanError
@@ -91,7 +93,7 @@ class PlannedStep:
     ahead of their motors there. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
     motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. elapsed_ns: how long
-    it was moved along before. triggers: of the step.
+    it was moved along before. triggers: of the step. pairs: how far pairs may be racked after any single fault.
     """
 
     request: StepRequest
@@ -106,6 +108,7 @@ class PlannedStep:
     rate: float = 1.0
     elapsed_ns: int = 0
     triggers: Sequence[ResolvedTrigger] = ()
+    pairs: Mapping[str, PairBound] = field(default_factory=dict[str, PairBound])
 
     @property
     def line(self) -> CurvedLine | None:
@@ -217,6 +220,7 @@ async def _plan_from(
     instances: Mapping[str, str],
 ) -> PlannedStep:
     move = request.move
+    require_whole_pairs(context.fleet, move)
     if move.triggers and goal:
         # Some of them have happened, and positions are counted from where the axis started.
         text = "a step with triggers cannot be continued after a feed hold"
@@ -240,7 +244,8 @@ async def _plan_from(
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
     exact, plays = resolved_move.exact, resolved_move.plays
-    return PlannedStep(request, resolved_move, plan, instances, exact, plays, triggers=triggers)
+    pairs = bound_pairs(context.fleet, plan, {name: info.alone_s for name, info in context.infos.items()})
+    return PlannedStep(request, resolved_move, plan, instances, exact, plays, triggers=triggers, pairs=pairs)
 
 
 async def _query_controller(

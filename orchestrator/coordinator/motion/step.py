@@ -431,6 +431,7 @@ def _make_report(
         "virtual": bound_virtual_axes(fleet, request.move, motion.agreement, line),
         "bounds": motion.planned.resolved.bounds,
         "racks": bound_racks(fleet, motion.agreement.plan),
+        "pairs": motion.planned.pairs,
     }
     # In counts, and without a tolerance, the path that keeps curved axes on their line means nothing to a user.
     return report.model_copy(update=update if line is None else update | {"path": None})

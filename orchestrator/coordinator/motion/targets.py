@@ -116,7 +116,7 @@ def _iterate_targets(step: Move, context: AxisContext, goal: Mapping[str, Fracti
         if name in virtual_names:
             continue
         axis, state = context.fleet.axis(name), context.states[name]
-        _require_ready(name, state, controller_of(name))
+        _require_ready(context.fleet, name, state)
         position_here = context.find_position(name)
         try:
             amount = parse_quantity(value, axis.unit)
@@ -138,7 +138,7 @@ def _iterate_virtual(step: Move, context: AxisContext, goal: Mapping[str, Fracti
     for group in group_virtual(context.fleet, step):
         names = context.fleet.virtual_axes.maps[group].real
         for name in names:
-            _require_ready(name, context.states[name], controller_of(name))
+            _require_ready(context.fleet, name, context.states[name])
         positions = [context.find_position(name) + context.states[name].offset for name in names]
         targets = find_virtual_targets(context.fleet, step, group, positions)
         assert targets is not None, "all positions are known"
@@ -152,7 +152,7 @@ def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
     starts: list[PathStart] = []
     for name in step.axes:
         axis, state, controller = context.fleet.axis(name), context.states[name], controller_of(name)
-        _require_ready(name, state, controller)
+        _require_ready(context.fleet, name, state)
         position_here = context.find_position(name)
         order = max(context.infos[controller].orders)
         starts.append(
@@ -169,10 +169,11 @@ def make_path_starts(step: FollowPath, context: AxisContext) -> list[PathStart]:
     return starts
 
 
-def _require_ready(name: str, state: AxisState, controller: str) -> None:
+def _require_ready(fleet: Fleet, name: str, state: AxisState) -> None:
+    controller = controller_of(name)
     if not state.enabled:
         remedy = f"enable it before: a step `do: enable`, or `tutti axis enable {name}`"
         raise Refusal("not-enabled", f"axis {name} is not enabled", remedy, controller)
     if not state.referenced:
-        remedy = f"home it before: a step `do: home`, or `tutti axis home {name}`"
+        remedy = f"home it before: a step `do: home`, or `tutti axis home {fleet.virtual_axes.name_whole(name)}`"
         raise Refusal(NOT_REFERENCED, f"axis {name} is not referenced", remedy, controller)

@@ -13,18 +13,20 @@ from orchestrator.model.messages import HomeReply, HomeRequest, RefusalDetails
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import ControllerState
 from orchestrator.model.steps.home import Home
-from orchestrator.plan.homing_order import find_prerequisites, homing_order
+from orchestrator.plan.homing_order import find_partners, find_prerequisites, homing_order
 from orchestrator.plan.step import ExactTargets
 
 
 @dataclass(slots=True)
 class _HomingRun:
-    """One homing in progress. busy: controllers with axes that are searching for their reference now."""
+    """One homing in progress. busy: controllers with axes that are searching for their reference now. partners: by axis
+    of a pair, the other one, which begins at the same time."""
 
     holder: str
     actor: str
     waits: dict[str, set[str]]
     loners: list[str]
+    partners: Mapping[str, str]
     homed: list[str] = field(default_factory=list[str])
     failed: dict[str, RefusalDetails] = field(default_factory=dict[str, RefusalDetails])
     busy: dict[str, list[str]] = field(default_factory=dict[str, list[str]])
@@ -52,9 +54,14 @@ class _HomingRun:
             for axis, predecessors in self.waits.items()
             if axis not in started_axes and controller_of(axis) not in self.busy and predecessors <= set(self.homed)
         ]
+        ready = [axis for axis in ready if self.partners.get(axis, axis) in ready]
         single_axes = [axis for axis in ready if axis in self.loners]
         group_axes = [axis for axis in ready if axis not in self.loners]
-        return group_axes or ([] if self.busy else single_axes[:1])
+        return group_axes or ([] if self.busy else self._join_partner(single_axes[:1]))
+
+    def _join_partner(self, axes: list[str]) -> list[str]:
+        """Axes with those that are pairs with them."""
+        return [*axes, *(self.partners[axis] for axis in axes if axis in self.partners)]
 
 
 class HomingSequence:
@@ -70,7 +77,7 @@ class HomingSequence:
         fleet = self._fleet.view.fleet
         order = homing_order(fleet, axes)
         waits = find_prerequisites(fleet, order)
-        run = _HomingRun(holder, actor, waits, order.loners)
+        run = _HomingRun(holder, actor, waits, order.loners, find_partners(fleet))
         for axis in [
             predecessor
             for predecessors in waits.values()
@@ -99,7 +106,7 @@ class HomingSequence:
                 loss = guard.describe_loss()
                 if loss is not None:
                     await self._fleet.stop_members(list(run.busy), "decelerate", actor, loss)
-                    raise Refusal("permit", loss, "satisfy the permit, then home again")
+                    raise guard.make_refusal("home")
                 for task in [candidate for candidate in tasks if candidate.done()]:
                     self._take_reply(run, tasks.pop(task), task.result())
         finally:

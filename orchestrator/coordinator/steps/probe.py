@@ -156,7 +156,7 @@ async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeRepl
                 loss_text = guard.describe_loss()
                 if loss_text is not None:
                     await fleet.stop_members([controller], "decelerate", context.actor, loss_text)
-                    raise Refusal("permit", loss_text, "satisfy the permit, then probe again")
+                    raise guard.make_refusal("probe")
             return answer.result()
     finally:
         unlisten()

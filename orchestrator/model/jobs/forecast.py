@@ -7,7 +7,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Model, Rational
 from orchestrator.model.compensation import Play
-from orchestrator.model.report import PathReport, PositionBound, RackBound, VirtualBound
+from orchestrator.model.report import PairBound, PathReport, PositionBound, RackBound, VirtualBound
 
 
 class AxisForecast(Model):
@@ -33,7 +33,8 @@ class AxisForecast(Model):
 class StepForecast(Model):
     """One step. least_s, most_s: its duration; most_s None: no bound is known. conditions: what only the world decides.
     virtual: how far virtual axes may be off their line; only in a dry run. bounds: how far axes with `backlash` or
-    `correction` may be from their targets. racks: how far the motors of axes of two may be apart.
+    `correction` may be from their targets. racks: how far the motors of axes of two may be apart; pairs: how far pairs
+    may be racked after any single fault.
     lines: of a scan that flies, how fast, and how long a line takes; path: of its first line.
 
     commands: by controller, what it would be sent; only in a dry run. refused: why a controller would refuse it.
@@ -50,6 +51,7 @@ class StepForecast(Model):
     virtual: dict[str, VirtualBound] = Field(default={})
     bounds: dict[str, PositionBound] = Field(default={})
     racks: dict[str, RackBound] = Field(default={}, exclude_if=lambda racks: not racks)
+    pairs: dict[str, PairBound] = Field(default={})
     lines: str = ""
     commands: dict[str, list[str]] = Field(default={})
 

@@ -40,7 +40,7 @@ class VirtualJog(Model):
     virtual axis of the group may be off its position, in its unit, by a jog from rest to that speed and to rest; play:
     by how much more because of play and errors of real axes; drift: by how much more per second. deviations: the
     `jog.deviation` of those that have one. low, high: how far it can go, in both directions, until `low_by`, `high_by`
-    is at its soft limit; None: without one.
+    is at its soft limit; None: without one. reach: how far one jog goes, of a pair; None: to these ends.
     """
 
     rates: list[float]
@@ -54,6 +54,7 @@ class VirtualJog(Model):
     high: float | None = None
     low_by: str = ""
     high_by: str = ""
+    reach: float | None = Field(default=None, exclude_if=lambda reach: reach is None)
 
 
 class RealJog(NamedTuple):

@@ -33,6 +33,7 @@ class VirtualRamp:
     present: dict[str, float] = field(default_factory=dict[str, float])
     is_settled: bool = True
     _varied: dict[str, float] = field(default_factory=dict[str, float])  # sum of all changes since rest
+    _gone: dict[str, float] = field(default_factory=dict[str, float])  # since rest
     _moving_s: float = 0.0
 
     @property
@@ -68,7 +69,7 @@ class VirtualRamp:
 
     def clear(self) -> None:
         """Forget all: the real axes were stopped."""
-        self.wanted, self.present, self._varied, self._moving_s = {}, {}, {}, 0.0
+        self.wanted, self.present, self._varied, self._gone, self._moving_s = {}, {}, {}, {}, 0.0
 
     def step(self, elapsed_s: float) -> dict[str, float]:
         """The velocities of the real axes for the next `elapsed_s` at most, unit/s, by `controller.axis`; 0 for all of
@@ -83,6 +84,8 @@ class VirtualRamp:
             if velocity != self.present.get(axis, 0.0)
         )
         begin_velocities = self.present
+        for axis, velocity in begin_velocities.items():
+            self._gone[axis] = self._gone.get(axis, 0.0) + velocity * elapsed_s
         self._moving_s = self._moving_s + elapsed_s if self.is_moving else 0.0
         share = self._find_share(needed_s, elapsed_s) if self._is_ramped(goal) else 1.0
         self.is_settled = is_last and share == 1.0
@@ -92,7 +95,7 @@ class VirtualRamp:
         for axis, velocity in self.present.items():
             self._varied[axis] = self._varied.get(axis, 0.0) + abs(velocity - begin_velocities.get(axis, 0.0))
         if not self.is_moving:
-            self._varied = {}
+            self._varied, self._gone = {}, {}
         elif any(self.wanted.values()):
             self._require_deviations()
         return self.find_real(self.present)
@@ -128,7 +131,7 @@ class VirtualRamp:
             return jog
         if state.axes and name not in state.axes:
             raise Refusal("unknown-axis", f"{state.group} has the axes {', '.join(state.axes)}", "see `tutti status`")
-        if state.axes:
+        if state.axes and state.pair is None:
             text = (
                 f"axis {axis} cannot be jogged: its group is curved, and a jog of {', '.join(state.of)} would leave it"
             )
@@ -152,11 +155,22 @@ class VirtualRamp:
         if not velocity:
             return
         jog = self._require_jog(axis)
-        way, limit_name = (jog.high, jog.high_by) if velocity > 0 else (jog.low, jog.low_by)
-        if way is not None and self._find_limited_speed(jog, abs(way)) < SLOWEST_SHARE * abs(velocity):
-            raise Refusal(
-                "soft-limit", f"axis {axis} is at the soft limit of {limit_name}", "jog in the other direction"
-            )
+        way, end = self._find_way(axis, jog, velocity)
+        if way is None or self._find_limited_speed(jog, way) >= SLOWEST_SHARE * abs(velocity):
+            return
+        if not end:
+            raise Refusal("jog-reach", f"axis {axis} has gone as far as one jog of it goes", "jog again")
+        raise Refusal("soft-limit", f"axis {axis} is at the soft limit of {end}", "jog in the other direction")
+
+    def _find_way(self, axis: str, jog: VirtualJog, velocity: float) -> tuple[float | None, str]:
+        """How far an axis may go on, and what is at its soft limit there; empty: the reach of the jog ends there."""
+        way, end = (jog.high, jog.high_by) if velocity > 0 else (jog.low, jog.low_by)
+        way = None if way is None else abs(way)
+        if jog.reach is None:
+            return way, end
+        gone_way = math.copysign(1.0, velocity) * self._gone.get(axis, 0.0)
+        way_left = max(jog.reach - gone_way, 0.0)
+        return (way, end) if way is not None and way < way_left else (way_left, "")
 
     def _require_deviations(self) -> None:
         """Refuse to go on where another axis might be off its position by more than its `jog.deviation`, also once all
@@ -185,9 +199,9 @@ class VirtualRamp:
                 continue
             self._require_way(axis, velocity)
             jog = self._require_jog(axis)
-            way = jog.high if velocity > 0 else jog.low
+            way, _ = self._find_way(axis, jog, velocity)
             if way is not None:
-                load += abs(velocity) / self._find_limited_speed(jog, abs(way))
+                load += abs(velocity) / self._find_limited_speed(jog, way)
         return {axis: velocity / max(1.0, load) for axis, velocity in velocities.items()}
 
     def _find_limited_speed(self, jog: VirtualJog, way: float) -> float:

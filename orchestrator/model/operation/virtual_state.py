@@ -10,6 +10,8 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.linear_map import MapError, Rows
 from orchestrator.model.messages import Reply
 from orchestrator.model.names import split_name
+from orchestrator.model.operation.pair_jog import find_pair_jogs
+from orchestrator.model.operation.pair_state import PairState, observe_pair
 from orchestrator.model.operation.virtual_jog import TAKE_S, RealJog, VirtualJog, find_jogs
 from orchestrator.model.state import AxisState, ControllerState
 from orchestrator.model.virtual_maps import VirtualMap
@@ -37,7 +39,8 @@ class VirtualState(Model):
     """The state of a group of virtual axes: published by the coordinator with each state of its real axes.
 
     jogs: how its axes are jogged now; without those that cannot be. referenced, enabled: of all its real axes.
-    obstacle: why it cannot be moved, with the real axis that is the cause; empty: it can. Without a state of every
+    obstacle: why it cannot be moved, with the real axis that is the cause; empty: it can. pair: of a pair, how far its
+    axes are apart. Without a state of every
     controller, and outside the domain of its map, it has no axes.
     """
 
@@ -51,6 +54,7 @@ class VirtualState(Model):
     referenced: bool
     obstacle: str
     fleet_ns: Int53 | None
+    pair: PairState | None = Field(default=None, exclude_if=lambda pair: pair is None)
 
 
 class VirtualStates(Reply):
@@ -72,12 +76,13 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
             absent_controllers.append(controller)
         else:
             axes[name] = state, state.axes[axis]
-    jogs = dict[str, VirtualJog]()
+    jogs, pair_state = dict[str, VirtualJog](), None
     observed_axes, obstacle = dict[str, VirtualAxisState](), f"{', '.join(absent_controllers[:1])} is offline"
     if not absent_controllers:
         observed_axes, reason = _observe_inside(virtual_map, units, list(axes.values()))
         obstacle = _find_obstacle(axes) or reason
         jogs = _observe_jogs(group, fleet, axes)
+        pair_state = _observe_pair(group, fleet, states)
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
     return VirtualState(
         group=group,
@@ -87,9 +92,24 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
         moving=any(axis.moving for _, axis in axes.values()),
         enabled=not absent_controllers and all(axis.enabled for _, axis in axes.values()),
         referenced=not absent_controllers and all(axis.referenced for _, axis in axes.values()),
-        obstacle=obstacle,
+        obstacle=_describe_rack(group, fleet, pair_state, obstacle),
         fleet_ns=max(instants, default=None),
+        pair=pair_state,
     )
+
+
+def _observe_pair(group: str, fleet: Fleet, states: Mapping[str, ControllerState]) -> PairState | None:
+    """How far the axes of a group are apart, if it is a pair."""
+    pair = fleet.virtual_axes.pairs.get(group)
+    return None if pair is None else observe_pair(fleet, pair, states)
+
+
+def _describe_rack(group: str, fleet: Fleet, pair_state: PairState | None, obstacle: str) -> str:
+    """That a pair is racked, and what to do, unless there is another obstacle; empty: there is none."""
+    if obstacle or pair_state is None or not pair_state.is_racked:
+        return obstacle
+    pair = fleet.virtual_axes.pairs[group]
+    return f"{pair.describe_rack(pair_state.deviation)}; {pair.square_remedy}"
 
 
 def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str:
@@ -120,7 +140,10 @@ def _observe_jogs(
     ]
     reals = [RealJog(name, fleet.axis(name), axis) for name, (_, axis) in axes.items()]
     apart_s = TAKE_S + max(polls_ns, default=0) / NS_PER_S
+    pair = fleet.virtual_axes.pairs.get(group)
     try:
+        if pair is not None:
+            return find_pair_jogs(fleet, pair, reals, apart_s)
         return find_jogs(fleet.virtual_axes.maps[group], fleet.virtual[group].axes, reals, apart_s)
     except MapError:
         return {}

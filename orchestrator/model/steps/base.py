@@ -79,6 +79,8 @@ class Step(ScriptModel):
     """Whether it finds the references of its axes."""
     probes: ClassVar[bool] = False
     """Whether it moves an axis until an input changes."""
+    sets_positions: ClassVar[bool] = False
+    """Whether it counts its axes anew, where they stand."""
     plans_long: ClassVar[bool] = False
     """Whether its plan can take so long that heartbeats must go on meanwhile."""
     follows_path: ClassVar[bool] = False

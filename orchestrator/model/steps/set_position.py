@@ -13,6 +13,8 @@ from orchestrator.model.units import AxisQuantity, Quantity
 class SetPosition(Step):
     """Set the current position of axes to the given user positions; null removes an axis's offset. Nothing moves."""
 
+    sets_positions: ClassVar[bool] = True
+
     do: Literal["set-position"] = "set-position"
     axes: dict[str, AxisQuantity | None] = Field(default={}, description="User positions by axis.")
     measured: dict[str, MeasuredTarget] = MEASURED

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.rest import AxisWay, JobRest
 from orchestrator.model.names import controller_of
@@ -145,11 +146,28 @@ def find_way(ended: EndedJob, targets: Mapping[str, Fraction]) -> list[AxisWay]:
             raise Refusal("offline", text, "check its power and cable", controller_of(name))
         if axis_now.referenced is False:
             text = f"{name} has lost its reference, so that its way back is not known"
-            raise Refusal("not-referenced", text, f"home it first: `tutti axis home {name}`", controller_of(name))
+            name_whole = ended.fleet.virtual_axes.name_whole(name)
+            raise Refusal("not-referenced", text, f"home it first: `tutti axis home {name_whole}`", controller_of(name))
         present_position = axis_now.motor + axis_now.offset
         is_elsewhere = is_elsewhere or abs(target - present_position) * abs(axis.counts_per_unit) > 1
         way.append(AxisWay(axis=name, unit=Unit(axis.unit), here=float(present_position), to=float(target)))
-    return way if is_elsewhere else []
+    return _join_pairs(ended.fleet, way) if is_elsewhere else []
+
+
+def _join_pairs(fleet: Fleet, way: list[AxisWay]) -> list[AxisWay]:
+    """The way with the middles of pairs in the place of their axes, which do not move alone."""
+    for pair in fleet.virtual_axes.pairs.values():
+        parts = {part.axis: part for part in way if part.axis in pair.real}
+        if len(parts) < len(pair.real):
+            continue
+        virtual_map = fleet.virtual_axes.maps[pair.group]
+        ends = ([parts[axis].here for axis in pair.real], [parts[axis].to for axis in pair.real])
+        begin, end = (virtual_map.observe(positions)[0] for positions in ends)
+        way = [
+            *(part for part in way if part.axis not in parts),
+            AxisWay(axis=pair.middle, unit=pair.unit, here=begin, to=end),
+        ]
+    return way
 
 
 def make_move(job: Job, way: Sequence[AxisWay]) -> Job | None:

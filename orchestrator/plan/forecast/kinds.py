@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from orchestrator.model.errors import Refusal
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.home import Home
@@ -32,6 +33,7 @@ from orchestrator.plan.forecast.scan import forecast_scan
 from orchestrator.plan.forecast.set_position import forecast_set_position
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.pairs import require_whole_pairs
 
 
 def _forecast_repeat(state: ForecastState, at: ForecastContext, step: Repeat) -> Span:
@@ -63,4 +65,9 @@ FORECASTERS: Mapping[type[Step], Callable[[ForecastState, ForecastContext, Any],
 
 def forecast_step(state: ForecastState, at: ForecastContext, step: Step) -> Span:
     """Run one step forward, without those inside it."""
+    try:
+        require_whole_pairs(state.fleet, step)
+    except Refusal as error:
+        state.add_problem(at, (), error)
+        return Span()
     return FORECASTERS[type(step)](state, at, step)

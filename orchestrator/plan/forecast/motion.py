@@ -10,6 +10,7 @@ from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.pairs import bound_pairs
 from orchestrator.plan.racks import bound_racks
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import plan_motion
@@ -30,6 +31,10 @@ def plan_ways(state: ForecastState, at: ForecastContext, step: MotionOptions, wa
         return Span()
     state.racks = bound_racks(state.fleet, plan)
     ways.plan = plan
+    try:
+        state.pairs = bound_pairs(state.fleet, plan, state.alone)
+    except Refusal as error:
+        state.add_problem(at, (), error)
     return Span(plan.duration_s, longest.duration_s if ways.bounded else None)
 
 

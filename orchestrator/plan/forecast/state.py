@@ -9,7 +9,7 @@ from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.fleet_names import suggest_name
 from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
 from orchestrator.model.names import controller_of, is_position_name
-from orchestrator.model.report import PositionBound, RackBound
+from orchestrator.model.report import PairBound, PositionBound, RackBound
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.units import UnitError, parse_quantity
@@ -43,6 +43,8 @@ class ForecastState:
         self.fleet = fleet
         self.chunks = chunks or {}
         self.probes = probes or {}
+        self.alone: Mapping[str, float | None] = {}
+        """For how long controllers go on without their adapters, see `make_fault_reach`."""
         self.orders = orders or {}
         self.axes: dict[str, AxisForecast] = dict(axes or {})
         self.problems: list[StepProblem] = []
@@ -50,6 +52,7 @@ class ForecastState:
         self.notes: dict[str, None] = {}
         self.bounds: dict[str, PositionBound] = {}
         self.racks: dict[str, RackBound] = {}
+        self.pairs: dict[str, PairBound] = {}
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None

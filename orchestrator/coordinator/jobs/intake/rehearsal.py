@@ -46,13 +46,16 @@ class JobRehearsal:
         orders: dict[str, Literal[2, 3]] = {}
         chunks: dict[str, ChunkAbility] = {}
         probes: dict[str, ProbeAbilities] = {}
+        alone_times: dict[str, float | None] = {}
         for name in view.fleet.controllers:
             # A controller that does not answer is planned by the fleet file.
             with suppress(BusError):
                 info = await view.query_info(name)
                 orders[name], chunks[name] = max(info.orders), make_chunk_ability(info)
                 probes[name] = ProbeAbilities(info.make, info.probe, info.host_probe)
+                alone_times[name] = info.alone_s
         forecaster = JobForecaster(view.fleet, axes, orders, chunks, probes)
+        forecaster.alone = alone_times
         steps: list[StepForecast] = []
         rehearsals: list[Awaitable[StepForecast]] = []
         for number, step in enumerate(self._services.positions.make_resolver().resolve_steps(request.job.steps)):

@@ -158,8 +158,9 @@ class WorldConditions:
             axis for axis in sorted(referenced) if not (axis_now := self._find_axis(axis)) or not axis_now.referenced
         ]
         if lost_axes:
+            names = dict.fromkeys(map(self._view.fleet.virtual_axes.name_whole, lost_axes))
             return Obstacle(
-                "not-referenced", _join(lost_axes, "not referenced"), f"home: `tutti axis home {' '.join(lost_axes)}`"
+                "not-referenced", _join(lost_axes, "not referenced"), f"home: `tutti axis home {' '.join(names)}`"
             )
         return None
 
