@@ -21,7 +21,6 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.jobs.service import AcquireAxes, AxesAcquired, ReleaseAxes
 from orchestrator.model.messages import JogRequest, Reply
-from orchestrator.model.names import controller_of
 from orchestrator.model.operation.virtual_jog import STEP_S
 from orchestrator.model.operation.virtual_ramp import VirtualRamp
 
@@ -134,7 +133,6 @@ class ManualControl:
             await self._follow_ramp(valid_ms)
             return
         self._velocities.update(velocities)
-        self._is_broken_off = False
         await self._send_velocities(_JogOrder(velocities, valid_ms=valid_ms, timeout_s=JOG_TIMEOUT_S))
 
     async def renew_jog(self, velocities: Mapping[str, float] | None = None, valid_ms: int = VALID_MS) -> None:
@@ -169,7 +167,6 @@ class ManualControl:
             await self._send_step(VALID_MS)
             return
         self._velocities.update(velocities)
-        self._is_broken_off &= renew
         await self._request_jogs(_JogOrder(velocities, renew=renew, timeout_s=JOG_TIMEOUT_S))
 
     async def stop(self) -> None:
@@ -231,9 +228,8 @@ class ManualControl:
         if not self._ramp.is_moving:
             velocities = dict.fromkeys({**self._velocities, **velocities}, 0.0)
         self._velocities = dict(velocities)
-        groups = list(dict.fromkeys(map(controller_of, self._ramp.wanted)))
         try:
-            await self._request_jogs(_JogOrder(velocities, was_moving, valid_ms, valid_ms / 1000, groups))
+            await self._request_jogs(_JogOrder(velocities, was_moving, valid_ms, valid_ms / 1000, self._ramp.groups))
         except Refusal:
             with contextlib.suppress(Refusal):
                 await self._halt()
@@ -260,6 +256,7 @@ class ManualControl:
     async def _request_jogs(self, order: _JogOrder) -> None:
         if self.lost is not None:
             raise self.lost
+        self._is_broken_off &= order.renew
         requests = self._start_requests(order)
         errors = [error for error in await asyncio.gather(*requests, return_exceptions=True) if error is not None]
         if not errors:

@@ -41,6 +41,11 @@ class VirtualRamp:
         """Whether a velocity has been sent that is not 0."""
         return any(self.present.values())
 
+    @property
+    def groups(self) -> list[str]:
+        """The groups of the virtual axes."""
+        return list(dict.fromkeys(split_name(axis)[0] for axis in self.wanted))
+
     def request(self, velocities: Mapping[str, float]) -> None:
         """Want velocities from now on. Raises `Refusal`: codes `no-jog`, `too-fast`, `soft-limit`."""
         goal = {**self.wanted, **velocities}

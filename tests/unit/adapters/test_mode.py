@@ -383,5 +383,6 @@ def test_a_jogged_controller_is_polled_whatever_else_is_requested_of_it(by_hand:
         _status=condition,
         _steps=SimpleNamespace(quiet_until_ns=lambda _: 7),
         _context=SimpleNamespace(clock=SimpleNamespace(now_ns=lambda: 0)),
+        _pairs=SimpleNamespace(has_pairs=False),
     )
     assert StatePolling._quiet_until_ns(cast(StatePolling, unit)) == until_ns
