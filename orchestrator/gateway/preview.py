@@ -96,7 +96,7 @@ def _find_motion(fleet: Fleet, place: StepPlace, scan: Scan) -> Step:
         raise Refusal("not-drawn", "points that were sent as a table are not drawn")
     if scan.fly is not None:
         return plan_lines(scan, fleet).make_move(place.point)
-    units = [fleet.axis(name).unit for name in scan.axis_names]
+    units = [fleet.unit_of(name) for name in scan.axis_names]
     position = scan.grid.find_position(place.point, units)
     return scan.make_move(dict(zip(scan.axis_names, map(float, position), strict=True)))
 

@@ -382,3 +382,15 @@ def test_without_the_stop_of_the_other_axis_a_fault_racks_the_beam_farther(monke
         assert watch.most > MAY_RACK
 
     run_fleet(main, two_hosts())
+
+
+def test_a_scan_of_a_pair_stops_square_at_each_point() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        scan = "{do: scan, axes: {beam.y: {from: 0.5, to: 1.5, points: 3}}, speed: 0.6 mm/s}"
+        report = await outcome(fleet, job(f"[{PREPARE}, {scan}]"))
+        assert report.state == "done", report.reason
+        state = (await fleet.make_client().virtual_states())["beam"]
+        assert state.axes["y"].position == pytest.approx(1.5, abs=COUNT_MM)
+        assert abs(state.axes["rack"].position) <= 2 * COUNT_MM
+
+    run_fleet(main, beam_fleet())

@@ -215,3 +215,51 @@ def test_the_state_of_axes_of_virtual_axes_comes_from_the_real_ones() -> None:
         assert plan is not None and {"virtual axes outer", "virtual axes slit"} <= set(plan.parts)
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+# Scans from point to point
+
+
+def test_virtual_axes_are_scanned_from_point_to_point() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        client = fleet.make_client()
+        axes = "{table.pitch: {from: -1 mrad, to: 1 mrad, points: 3}, slit.gap: {values: [2, 4]}}"
+        scan = f"{{do: scan, axes: {axes}, at_each: [{{do: dwell, duration: 0.2 s}}]}}"
+        dry_run = await client.dry_run(job(f"[{PREPARE}, {{do: move, to: {{slit.centre: 1}}}}, {scan}]"))
+        planned = dry_run.steps[-1]
+        assert planned.most_s is not None
+        report = await outcome(fleet, job(f"[{PREPARE}, {{do: move, to: {{slit.centre: 1}}}}, {scan}]"))
+        assert report.state == "done", report.reason
+        step = report.steps[-1]
+        assert step.scan is not None and step.scan.points == step.scan.done == 6
+        assert step.actual_s is not None and step.actual_s > planned.least_s
+        rows = await client.load_points(report.job_id)
+        targets = [(row.target["table.pitch"], row.target["slit.gap"]) for row in rows]
+        assert targets == [(-1, 2), (-1, 4), (0, 2), (0, 4), (1, 2), (1, 4)]
+        for row in rows:
+            for name, target in row.target.items():
+                assert row.measured[name] == pytest.approx(target, abs=0.01), name
+        # What the scan does not name stays.
+        _, centre = read_truth(fleet, "slit")
+        assert float(centre) == pytest.approx(1, abs=COUNT_MM)
+
+    run_fleet(main, table_fleet())
+
+
+@pytest.mark.parametrize(
+    ("scan", "text"),
+    [
+        ("axes: {slit.gap: {from: 2, to: 4, points: 3}}, fly: {duration: 20 ms}", "only real axes fly"),
+        ("axes: {slit.gap: {from: 2, to: 200, points: 3}}", "soft limits"),
+        ("axes: {slit.gap: {values: [2, 4]}, front.upper: {values: [1, 2]}}", "would be moved by"),
+        ("axes: {slit.gap: {values: [2 mrad, 4 mrad]}}", "mrad is a unit of angle"),
+        ("axes: {slit.gap: {values: [2, 4]}, front.q: {values: [1, 2]}}", "front.q"),
+    ],
+)
+def test_what_a_scan_of_virtual_axes_does_not_allow_is_refused(scan: str, text: str) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        with pytest.raises(Refusal) as caught:
+            await fleet.make_client().submit(job(f"[{PREPARE}, {{do: scan, {scan}}}]"))
+        assert text in caught.value.text, caught.value.text
+
+    run_fleet(main, table_fleet())

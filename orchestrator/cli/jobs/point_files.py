@@ -202,6 +202,8 @@ async def _find_scan_units(tutti: "Tutti", entry: "QueueEntry", step: int | None
 
 
 async def _find_units(tutti: "Tutti", named: Sequence[str]) -> dict[str, str]:
-    """The axes that names stand for, each with its unit."""
+    """The axes that names stand for, each with its unit; a virtual axis stands for itself."""
     names = await tutti.list_names()
-    return {axis: names.axes[axis].value for name in named for axis in names.expand_name(name)}
+    units = names.axes | names.virtual
+    axes = (axis for name in named for axis in ([name] if name in names.virtual else names.expand_name(name)))
+    return {axis: units[axis].value for axis in axes}

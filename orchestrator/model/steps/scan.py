@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
 from orchestrator.model.steps.base import InnerSteps, MotionOptions, Step, TargetResolver
 from orchestrator.model.steps.dwell import Dwell
@@ -230,6 +231,9 @@ class Scan(MotionOptions, ScanPoints):
     @property
     def named_axes(self) -> list[str]:
         return self.axis_names
+
+    def find_axes(self, fleet: Fleet) -> list[str]:
+        return fleet.find_real_axes(self.axis_names)
 
     @property
     def absolute_axes(self) -> list[str]:

@@ -102,6 +102,9 @@ def _find_point(ended: EndedJob, place: StepPlace, scan: Scan) -> dict[str, Frac
     point was not recorded."""
     number, record = place.point or 0, ended.point
     names = scan.axis_names
+    if virtual_names := find_virtual_names(ended.fleet, scan):
+        text = f"{scan.describe()} depends on where the real axes of {', '.join(virtual_names)} stood"
+        raise Refusal("relative", text, "move them to where it began, then `tutti job retry` from its step")
     units = [Unit(ended.fleet.axis(name).unit) for name in names]
     if record is not None and (record.step, record.point) == (place.first, number + 1):
         return {name: Fraction(str(value)) for name, value in record.target.items()}

@@ -14,14 +14,18 @@ from orchestrator.plan.forecast.motion import plan_ways
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
+from orchestrator.plan.forecast.virtual_scan import forecast_virtual_scan
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.targets import make_axis_move
+from orchestrator.plan.virtual_moves import find_virtual_names
 
 
 def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span:
     """Run the ways between the points of a scan forward, by their kinds; of one that flies between the ends of its
     lines, and its first line."""
+    if find_virtual_names(state.fleet, step):
+        return forecast_virtual_scan(state, at, step)
     axes = _find_axes(state, at, step)
     if axes is None:
         return Span()

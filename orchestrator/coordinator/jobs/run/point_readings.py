@@ -6,7 +6,8 @@ from fractions import Fraction
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.fleet import Axis
-from orchestrator.model.names import split_name
+from orchestrator.model.linear_map import MapError
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import AxisState, ControllerState
 
 LOOK_NS, LAST_LOOKS = 5 * NS_PER_MS, 10
@@ -26,7 +27,7 @@ class PointReadings:
     def begin_point(self, target: Mapping[str, float]) -> None:
         """The axes have reached a point. target: their positions, in their units."""
         self._target, self._found = target, dict.fromkeys(target)
-        for controller in {split_name(axis)[0] for axis in target}:
+        for controller in {controller_of(axis) for axis in self._view.fleet.find_real_axes(list(target))}:
             state = self._view.last_state(controller)
             if state is not None:
                 self._take_state(state)
@@ -47,12 +48,40 @@ class PointReadings:
         self._unlisten()
 
     def _take_state(self, state: ControllerState) -> None:
+        fleet = self._view.fleet
         for axis, position in self._target.items():
             controller, name = split_name(axis)
-            if controller == state.controller and name in state.axes and state.mode != "offline":
+            if axis in fleet.names.virtual:
+                if controller in fleet.virtual_axes.groups_of.get(state.controller, ()):
+                    self._take_virtual(axis, position)
+            elif controller == state.controller and name in state.axes and state.mode != "offline":
                 axis_now = state.axes[name]
-                if _stands_at(self._view.fleet.axis(axis), axis_now, position):
+                if _stands_at(fleet.axis(axis), axis_now, position):
                     self._found[axis] = axis_now.position
+
+    def _take_virtual(self, axis: str, position: float) -> None:
+        """Read a virtual axis where all its real ones are at rest, and have it at the point."""
+        fleet, group = self._view.fleet, controller_of(axis)
+        virtual_map = fleet.virtual_axes.maps[group]
+        axes: list[AxisState] = []
+        for name in virtual_map.real:
+            controller, axis_name = split_name(name)
+            state = self._view.last_state(controller)
+            if state is None or state.mode == "offline" or self._view.is_silent(controller):
+                return
+            axes.append(state.axes[axis_name])
+        if any(state.moving or state.homing for state in axes):
+            return
+        number, positions = virtual_map.virtual.index(axis), [state.position for state in axes]
+        try:
+            row = virtual_map.find_rows(positions)[number]
+            target = virtual_map.observe([state.commanded for state in axes])[number]
+            found_position = virtual_map.observe(positions)[number]
+        except MapError:
+            return
+        lengths = (abs(fleet.axis(name).to_length(TOLERANCE_COUNTS)) for name in virtual_map.real)
+        if abs(target - position) <= sum(abs(factor) * length for factor, length in zip(row, lengths, strict=True)):
+            self._found[axis] = found_position
 
 
 def _stands_at(axis: Axis, now: AxisState, position: float) -> bool:

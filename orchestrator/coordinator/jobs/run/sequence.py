@@ -131,7 +131,7 @@ class StepSequence:
         return self._readers[id(scan)][1]
 
     def _make_reader(self, scan: Scan) -> PointReader:
-        units = [self._fleet.axis(name).unit for name in scan.axis_names]
+        units = [self._fleet.unit_of(name) for name in scan.axis_names]
         table = scan.points
         if table is None:
             return _GridReader(scan.grid, units)
