@@ -19,6 +19,7 @@ from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.operation.virtual_ramp import VirtualRamp
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 COUNT_MM = 1 / 2000
@@ -261,3 +262,24 @@ def test_a_make_that_rests_for_each_speed_is_refused_by_name() -> None:
                 await manual.jog({"pair.u": 0.1})
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+def test_without_the_common_ramp_the_others_leave_the_stated_deviation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mutation: all of a speed is sent at once, and each real axis has its own ramp to it."""
+    monkeypatch.setattr(VirtualRamp, "_find_share", lambda *_: 1.0)
+
+    async def main(fleet: VirtualFleet) -> None:
+        client = await prepare(fleet)
+        stated = (await client.virtual_states())["table"].jogs["height"]
+        watch = TableWatch(fleet)
+        async with client.manual_control(["table.height"]) as manual:
+            await manual.jog({"table.height": 1.5})
+            await hold(fleet, manual, 0.5)
+            await manual.stop()
+            await asyncio.sleep(0.5)
+        seconds = (watch.rest_ns - watch.seen[0].at_ns) / NS_PER_S
+        assert watch.off("pitch") > stated.off["pitch"] + stated.drift["pitch"] * seconds
+
+    slow = table_fleet().to_plain()
+    slow["controllers"]["left"]["axes"]["jack"]["limits"]["acceleration"] = 2
+    run_fleet(main, Fleet.model_validate(slow))
