@@ -51,7 +51,7 @@ async def measure_errors(fleet: VirtualFleet, moves: int) -> list[float]:
     return errors
 
 
-@pytest.mark.parametrize("moves", [40, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("moves", [16, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_an_axis_is_at_its_targets_by_truth_in_moves_to_and_fro(moves: int) -> None:
     """Play of 20 µm and pitch errors of ±15 µm, at 1 µm a count."""
 

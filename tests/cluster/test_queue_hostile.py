@@ -145,7 +145,7 @@ def mutated(draw: Random, good: dict[str, Any]) -> bytes:
     return data
 
 
-MUTATIONS = pytest.mark.parametrize("count", [6, pytest.param(25, marks=pytest.mark.nightly)])
+MUTATIONS = pytest.mark.parametrize("count", [4, pytest.param(25, marks=pytest.mark.nightly)])
 
 
 async def ask(fleet: VirtualFleet, key: str, payload: bytes) -> None:
