@@ -51,7 +51,7 @@ def forecast(steps: str, ready: str = READY) -> JobForecast:
             "{do: move, to: {slit.gap: 1}, triggers: [{output: front.lamp, of: slit.gap, every: 1 mm, pulse: 1 ms}]}",
             "slit.gap is a virtual axis, and triggers count positions of real ones",
         ),
-        ("{do: scan, axes: {slit.gap: {values: [1, 2, 3]}}}", "slit.gap is a virtual axis"),
+        ("{do: scan, axes: {slit.gap: {from: 1, to: 3, points: 3}}, fly: {duration: 9 ms}}", "only real axes fly"),
     ],
 )
 def test_what_virtual_axes_cannot_do_is_refused_by_name(step: str, text: str) -> None:
