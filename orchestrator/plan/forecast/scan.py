@@ -22,10 +22,14 @@ from orchestrator.plan.virtual_moves import find_virtual_names
 
 
 def forecast_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span:
+    """Run a scan forward."""
+    forecast = forecast_virtual_scan if find_virtual_names(state.fleet, step) else _forecast_real_scan
+    return forecast(state, at, step)
+
+
+def _forecast_real_scan(state: ForecastState, at: ForecastContext, step: Scan) -> Span:
     """Run the ways between the points of a scan forward, by their kinds; of one that flies between the ends of its
     lines, and its first line."""
-    if find_virtual_names(state.fleet, step):
-        return forecast_virtual_scan(state, at, step)
     axes = _find_axes(state, at, step)
     if axes is None:
         return Span()
