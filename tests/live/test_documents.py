@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -69,7 +68,7 @@ def commands(page: Path) -> list[str]:
 def programs(page: Path) -> list[str]:
     """The `python` blocks of a page that are whole programs, each as a command."""
     return [
-        f"cd {tempfile.gettempdir()}; python - <<'PROGRAM'\n{block}PROGRAM\n"
+        f"cd /tmp/; python - <<'PROGRAM'\n{block}PROGRAM\n"
         for block in read_blocks(page, "python")
         if block.startswith(("from ", "import "))
     ]
@@ -109,6 +108,10 @@ def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
         pytest.skip("needs the command curl")
     script = script.replace("tcp/127.0.0.1:7447", fleet.endpoint)
     script = script.replace("127.0.0.1:8080", find_gateway(fleet))
+    # Both halves of the pages run at the same time, and some name the same file there.
+    own_folder = fleet.folder / "tmp"
+    own_folder.mkdir(exist_ok=True)
+    script = script.replace("/tmp/", f"{own_folder}/")
     # The fleet is where `tutti up` without --state would have put it.
     state_home = fleet.folder / "state-home"
     place = state_home / "tutti" / "demo"
