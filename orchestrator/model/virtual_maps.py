@@ -277,6 +277,10 @@ class VirtualAxes:
                 groups.setdefault(controller, []).append(name)
         return groups
 
+    def find_pairs(self, controller: str) -> list[Pair]:
+        """The pairs with an axis of a controller."""
+        return [self.pairs[group] for group in self.groups_of.get(controller, ()) if group in self.pairs]
+
     def find(self, name: str) -> VirtualAxis:
         """The virtual axis `group.axis`, which exists."""
         group, axis = split_name(name)

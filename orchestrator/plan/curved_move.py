@@ -27,7 +27,7 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.tree import as_move
 from orchestrator.model.units import Quantity, Unit
 from orchestrator.plan.path_profiles import Array
-from orchestrator.plan.path_step import PathStart, PlannedPath, make_moves, plan_path_step
+from orchestrator.plan.path_step import PathStart, PlannedPath, describe_jerk_remedy, make_moves, plan_path_step
 from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import limit_speeds
@@ -219,9 +219,7 @@ def _require_path_makes(step: CurvedMove, starts: Sequence[PathStart]) -> None:
             raise Refusal("not-compensated", text, "move its real axes", owner)
         if start.order < 3:
             text = f"{step.group} is curved, and {start.name} cannot follow the curve: its controller executes moves "
-            remedy = "move its real axes"
-            if start.axis.limits.jerk is None:
-                remedy += "; if its make can follow positions (CiA 402, SMC-4000, SMC-2000), add `jerk` to its limits"
+            remedy = f"move its real axes{describe_jerk_remedy(start.axis)}"
             raise Refusal("curved", text + "from rest to rest only", remedy, owner)
 
 

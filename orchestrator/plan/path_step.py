@@ -343,12 +343,16 @@ def _require_orders(starts: Iterable[PathStart]) -> None:
     """Raise `Refusal` for an axis that moves, and whose controller executes trapezoids only."""
     for start in starts:
         if start.order < 3:
-            remedy = "leave the axis out of the path, and move it before or after"
-            if start.axis.limits.jerk is None:
-                remedy += "; if its make can follow positions (CiA 402, SMC-4000, SMC-2000), add `jerk` to its limits"
             raise Refusal(
                 "path-class",
                 f"axis {start.name}: its controller executes moves from rest to rest only, and cannot follow a path",
-                remedy,
+                f"leave the axis out of the path, and move it before or after{describe_jerk_remedy(start.axis)}",
                 controller_of(start.name),
             )
+
+
+def describe_jerk_remedy(axis: Axis) -> str:
+    """What may let an axis follow positions, behind another remedy; empty if its limits have a jerk already."""
+    if axis.limits.jerk is not None:
+        return ""
+    return "; if its make can follow positions (CiA 402, SMC-4000, SMC-2000), add `jerk` to its limits"

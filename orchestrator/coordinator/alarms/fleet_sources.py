@@ -150,10 +150,7 @@ class FleetAlarms:
     def _report_racked(self, controller: str) -> None:
         """Of the pairs of a controller, also at rest."""
         fleet = self._view.fleet
-        for group in fleet.virtual_axes.groups_of.get(controller, ()):
-            pair = fleet.virtual_axes.pairs.get(group)
-            if pair is None:
-                continue
+        for pair in fleet.virtual_axes.find_pairs(controller):
             members = [controller_of(axis) for axis in pair.real]
             states = {name: state for name in members if (state := self._view.last_state(name)) is not None}
             observed_pair = observe_pair(fleet, pair, states)

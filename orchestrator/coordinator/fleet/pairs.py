@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.view import FleetView, find_answering_states
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.pair_state import PairState, observe_pair
 from orchestrator.model.state import AxisState, ControllerState
@@ -82,17 +82,12 @@ class PairMonitor:
         return [self._watches[group] for group in groups if group in self._watches]
 
     def _take_state(self, state: ControllerState) -> None:
-        for pair in self._view.fleet.virtual_axes.pairs.values():
-            if state.controller in map(controller_of, pair.real):
-                self._look(pair)
+        for pair in self._view.fleet.virtual_axes.find_pairs(state.controller):
+            self._look(pair)
 
     def _look(self, pair: Pair) -> None:
         watch = self._watches.setdefault(pair.group, _PairWatch())
-        states = {
-            name: state
-            for name in dict.fromkeys(map(controller_of, pair.real))
-            if (state := self._view.last_state(name)) is not None and not self._view.is_silent(name)
-        }
+        states = find_answering_states(self._view, pair.real)
         text, observed_pair = _describe_lost(pair, states), observe_pair(self._view.fleet, pair, states)
         if observed_pair is not None:
             self._follow(pair, watch, states)

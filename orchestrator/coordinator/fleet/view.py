@@ -14,7 +14,7 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.start_limit import SLOW_NS
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.names import split_name
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import (
     AxisState,
@@ -292,3 +292,12 @@ class FleetView:
                 event.instance != self._last_event.get(controller, ("", 0))[0]
             ):
                 self._deliver_event(event)
+
+
+def find_answering_states(view: FleetView, axes: Iterable[str]) -> dict[str, ControllerState]:
+    """The last states of the controllers of axes, without those that have been silent for too long."""
+    return {
+        name: state
+        for name in dict.fromkeys(map(controller_of, axes))
+        if (state := view.last_state(name)) is not None and not view.is_silent(name)
+    }

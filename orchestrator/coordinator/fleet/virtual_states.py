@@ -2,9 +2,8 @@
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.view import FleetView, find_answering_states
 from orchestrator.model.messages import Request
-from orchestrator.model.names import controller_of
 from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates, observe_group
 from orchestrator.model.state import ControllerState
 
@@ -32,11 +31,5 @@ class VirtualObserver:
 
     def _observe(self, group: str) -> VirtualState:
         fleet = self._view.fleet
-        names = dict.fromkeys(map(controller_of, fleet.virtual_axes.maps[group].real))
-        # What has not come for too long says nothing of now.
-        states = {
-            name: state
-            for name in names
-            if (state := self._view.last_state(name)) is not None and not self._view.is_silent(name)
-        }
+        states = find_answering_states(self._view, fleet.virtual_axes.maps[group].real)
         return observe_group(group, fleet, states)

@@ -1,6 +1,7 @@
 """The forecast of a path."""
 
 from collections.abc import Mapping
+from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
@@ -13,7 +14,7 @@ from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import ForecastMotion
 from orchestrator.plan.path.errors import PathRefusal
-from orchestrator.plan.path_step import PathStart, find_start, plan_path_step
+from orchestrator.plan.path_step import PathStart, PlannedPath, find_start, plan_path_step
 from orchestrator.plan.shape import PlanError
 
 
@@ -42,6 +43,11 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         state.lose_positions(at, axes)
         return Span()
     _note_bare_speed(state, step)
+    return take_path(state, at, step, path)
+
+
+def take_path(state: ForecastState, at: ForecastContext, step: FollowPath, path: PlannedPath) -> Span:
+    """Move the axes of a planned path to its end."""
     for name, (end, _) in path.exact.items():
         state.axes[name] = state.find_state(at, name).model_copy(update={"motor": end, "known": True})
     state.motion = ForecastMotion(path.moves, path.exact, path.plan, path)
@@ -78,15 +84,11 @@ def _find_starts(
             position_text = value if step.frame is None else f"{float(point):.6g} {axis.unit}"
             state.notes[f"{name} stands at {position_text} when the path begins"] = None
             motor_here = point - state_before.offset
-        order = state.orders.get(controller_of(name), 3)
-        starts.append(
-            PathStart(
-                name=name,
-                axis=axis,
-                here=motor_here,
-                start_counts=axis.to_counts(motor_here),
-                offset=state_before.offset,
-                order=order,
-            )
-        )
+        starts.append(make_path_start(state, name, motor_here, state_before.offset))
     return starts
+
+
+def make_path_start(state: ForecastState, name: str, motor: Fraction, offset: Fraction) -> PathStart:
+    """The start of an axis of a path at a motor position."""
+    axis = state.fleet.axis(name)
+    return PathStart(name, axis, motor, axis.to_counts(motor), offset, state.orders.get(controller_of(name), 3))
