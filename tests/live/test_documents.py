@@ -111,7 +111,7 @@ def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
     # Both halves of the pages run at the same time, and some name the same file there.
     own_folder = fleet.folder / "tmp"
     own_folder.mkdir(exist_ok=True)
-    script = script.replace("/tmp/", f"{own_folder}/")
+    script = re.sub(r"/tmp\b", str(own_folder), script)
     # The fleet is where `tutti up` without --state would have put it.
     state_home = fleet.folder / "state-home"
     place = state_home / "tutti" / "demo"
@@ -120,7 +120,12 @@ def test_the_commands_of_a_page_work(fleet: RunningFleet, page: str) -> None:
         place.symlink_to(fleet.state)
     wait_until(lambda: is_idle(fleet), "the jobs of the page before have ended")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "TUTTI_CONNECT": fleet.endpoint, "XDG_STATE_HOME": str(state_home)}
+    environment = os.environ | {
+        "PATH": path,
+        "TMPDIR": str(own_folder),
+        "TUTTI_CONNECT": fleet.endpoint,
+        "XDG_STATE_HOME": str(state_home),
+    }
     done = subprocess.run(
         ["bash", "-x", "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PAGE_S
     )
