@@ -160,7 +160,7 @@ check: $(DEV)/.stamp
 	$(DEV)/bin/lint-imports
 	$(DEV)/bin/basedpyright
 	$(DEV)/bin/basedpyright -p tests
-	$(DEV)/bin/pytest -m structure tests/unit/project
+	$(DEV)/bin/pytest -m structure tests/unit/project tests/unit/client
 
 figures: $(DEV)/.stamp
 	$(DEV)/bin/python tools/figures.py

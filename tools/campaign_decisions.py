@@ -14,7 +14,7 @@ from typing import Any
 from unittest.mock import patch
 
 from orchestrator.campaign.invariants import InvariantChecker
-from orchestrator.campaign.recorder import BusRecorder
+from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.campaign.runs import run_seed
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 

@@ -65,6 +65,8 @@ class ProbeMotion:
         node = self._node
         sign = 1 if move.end_counts >= node.demand else -1
         begun_ns = node.clock.now_ns()
+        # A jog counts stops from its own begin on.
+        self._require_no_stop(stops)
         await self._manual.start_jog(JogMove(sign * move.speed_counts_s, move.ramp_counts_s2, move.end_counts))
         bit, level = point_bit(move.point.number), move.level
         while True:

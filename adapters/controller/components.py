@@ -103,5 +103,5 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
         jogging=jogging,
         motors=MotorControl(context, status, settling, polling),
         referencing=AxisReferencing(driver, settling, status, publisher, polling),
-        probing=AxisProbing(context, status, polling),
+        probing=AxisProbing(context, status, polling, settling),
     )

@@ -45,6 +45,7 @@ class SearchCommands:
         self._components.fence.require_no_estop()
 
     async def _search(self, name: str, search: Awaitable[R]) -> R:
+        self._components.timer.wake_up()  # from now on it is polled at the rate of motion
         try:
             return await search
         except (LinkClosed, LinkRefused, ControllerFault) as error:

@@ -98,10 +98,12 @@ class Smc30ManualMotion:
                         "not-stopping", f"axis {self._name} does not stop", "stop it at the controller", self._name
                     )
                 await unit.wait_for_stops()
+            if condition:
+                # Loaded and verified in two turns: in one, a longer program would make the adapter silent for too long.
+                async with unit.exclusive_turn():
+                    await self._load_run(move, stop_count, condition)
             async with unit.exclusive_turn():
-                bounds, counts = axis_bounds(self._axis), await unit.require_ready()
-                wanted_run = replace(_make_run(self._name, move, bounds, counts, stop_count), condition=condition)
-                await unit.load_program(wanted_run.program_lines, stop_count)
+                wanted_run = await self._load_run(move, stop_count, condition)
                 self._require_free()
                 await unit.require_not_restarted("loaded with its jog", "jog it again; its counter was reset")
                 self.run, self._wanted, self.accepted_ns = wanted_run, move, None
@@ -109,6 +111,15 @@ class Smc30ManualMotion:
             self.accepted_ns = answer.at_ns
             self.began_ns = answer.at_ns + len(wanted_run.program_lines) * self._options.line_us * NS_PER_US
             unit.limit = "none"
+
+    async def _load_run(self, move: JogMove, stops: int, condition: str) -> ManualRun:
+        """Load the program of a jog from where the axis stands; one that is loaded already is verified. Raises
+        `Refusal`."""
+        unit = self._unit
+        bounds, counts = axis_bounds(self._axis), await unit.require_ready()
+        run = replace(_make_run(self._name, move, bounds, counts, stops), condition=condition)
+        await unit.load_program(run.program_lines, stops)
+        return run
 
     def _require_free(self) -> None:
         if self._busy():

@@ -52,6 +52,8 @@ class InputProbe:
             raise Refusal("probe-input", text, "invert the signal, or let the computer stop it: `by: host`")
         sign = 1 if move.end_counts >= await unit.require_ready() else -1
         begun_ns = self._clock.now_ns()
+        # A jog counts stops from its own begin on.
+        unit.session.require_no_stop(stops)
         try:
             await self._manual.start_jog(
                 JogMove(sign * move.speed_counts_s, move.ramp_counts_s2, move.end_counts), f"N{number}{number}.91"

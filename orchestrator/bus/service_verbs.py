@@ -159,6 +159,9 @@ def _describe_shelving(request: ShelveAlarm) -> str:
     return f"{request.alarm_id} " + ("no longer" if request.for_s is None else f"for {request.for_s:g} s")
 
 
+NOT_LEADER = "this coordinator is no longer the leader; send the request again"
+"""The error of a coordinator that has been overtaken: a client sends its request to the leader."""
+
 SERVICE_VERBS: dict[str, ServiceVerb] = {
     "submit": ServiceVerb(SubmitJob, JobSubmitted, "proposer", subject=_describe_submission),
     "dry-run": ServiceVerb(DryRun, DryRunDone, "proposer", reads=True),

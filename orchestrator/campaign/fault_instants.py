@@ -5,7 +5,7 @@ from random import Random
 
 from orchestrator.campaign.fleets import find_traits
 from orchestrator.campaign.flown_scans import find_flight_ns
-from orchestrator.campaign.recorder import BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest, Stage
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
@@ -28,6 +28,7 @@ _REQUEST_WINDOWS_NS: dict[Stage, tuple[str, int]] = {
 """The request of a stage, and the window of the fault from when it is sent."""
 # a controller that verifies its position, and does not move
 _VERIFIED_HOMING_NS = 250 * NS_PER_MS
+PROBE_SHARE = 0.6  # of the time of a probe that touches nothing: most are touched later
 HOMING_SHARE = 0.4  # of the expected homing time: within it nearly all axes are still homing
 
 _Window = tuple[int, int]
@@ -66,6 +67,8 @@ class FaultInstants:
         if _is_of_stage(request, stage):
             if stage == "home":
                 return now_ns, now_ns + self._expected_homing_ns(request.member)
+            if stage == "probe":
+                return now_ns, now_ns + round(PROBE_SHARE * self._expected_probe_ns(request))
             if stage == "arm":
                 return now_ns, now_ns + self._expected_arming_ns(request.member)
             if stage in _FAULT_WINDOWS_NS:
@@ -86,7 +89,7 @@ class FaultInstants:
         t0_ns = self._find_t0_ns(request)
         if stage == "fire":
             return min(now_ns, t0_ns), t0_ns + FIRE_WINDOW_NS
-        if stage in ("motion", "trigger", "virtual"):
+        if stage in ("motion", "trigger", "virtual", "pair"):
             return t0_ns + _MOTION_WINDOW_NS[0], t0_ns + _MOTION_WINDOW_NS[1]
         return None
 
@@ -124,6 +127,13 @@ class FaultInstants:
             if axis.homing.method == "default"
         )
         return round(HOMING_SHARE * (shortest_ns + max(ways_s, default=0.0) * NS_PER_S))
+
+    def _expected_probe_ns(self, request: RecordedRequest) -> int:
+        """Return how long a probe takes that touches nothing."""
+        (axis_name,) = request.fields["axes"]
+        label = f"{request.member}.{axis_name}"
+        way = self._fleet.axis(label).to_unit(request.fields["end_counts"]) - self._find_positions()[label]
+        return round(abs(way) / request.fields["speed"] * NS_PER_S)
 
     def _expected_arming_ns(self, member: str) -> int:
         """Return the duration of the member's last arming; before the first one, a tenth of the limit that it

@@ -5,3 +5,8 @@ TRIGGER_OUTPUT, TRIGGER_NUMBER = "flash", 3
 TRIGGER_PERIOD = "40 ms"
 VIRTUAL_GROUP = "table"
 """The virtual axes of a fleet that has some: one for each controller, of its first axis."""
+TOUCH_INPUT = "touch"
+"""The input that stops an axis that probes."""
+PROBE_NAME = "edge"
+PAIR_GROUP = "beam"
+"""The pair of a fleet that has one."""

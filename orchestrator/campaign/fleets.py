@@ -1,11 +1,14 @@
 """Fleets of the fault campaign: controllers of random makes, with varied crystals, links, hosts and trigger wires."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from random import Random
 from typing import Any
 
 from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT
-from orchestrator.campaign.recorder import Stage
+from orchestrator.campaign.pairs import PAIR_HOMING, PAIR_MAKES, add_pair
+from orchestrator.campaign.probes import TOUCHES, add_touch_inputs
+from orchestrator.campaign.recording.recorder import Stage
+from orchestrator.campaign.virtual_moves import add_virtual_axes
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime import simulated_fleets as makes
 from orchestrator.runtime.example_fleet import load_example
@@ -33,9 +36,14 @@ STAGE_MAKES: dict[Stage, tuple[str, ...]] = {
     "trigger": (TRIGGER_MAKE,),
     "at-once": AT_ONCE_MAKES,
     "flying": (PATH_MAKE, "cia402"),
+    "pair": PAIR_MAKES,
+    "probe": tuple(TOUCHES),
 }
 """The makes that can reach a stage, where not all can."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
+
+HOME_ANYWHERE = (HOME_AT_CURRENT_POSITION, *PAIR_HOMING)
+"""Homing methods whose reference depends on where the axis stands."""
 
 # Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.
 _POLL_RATES = {"idle_hz": 1.25, "moving_hz": 5.0}
@@ -131,6 +139,18 @@ def _draft_other(make: str, number: int) -> FleetDraft:
         link["device"] = f"/dev/ttyUSB{50 + number}"
     config = {name: plain[name] for name in ("adapter", "options", "simulate") if name in plain}
     return {f"g{number}": {**config, "link": link, "axes": {first: axis}}}
+
+
+def make_stage_fleet(seed: int, wanted: Sequence[str], stages: Collection[Stage]) -> Fleet:
+    """Draw a fleet with at least one controller of each make in `wanted`, and with what jobs of `stages` need."""
+    makes_of_stage = PAIR_MAKES if "pair" in stages else ()
+    has_paths = "chunk" in stages or "flying" in stages
+    fleet = make_campaign_fleet(seed, [*wanted, *makes_of_stage], paths=has_paths)
+    if "virtual" in stages:
+        fleet = add_virtual_axes(fleet, seed)
+    if "pair" in stages:
+        fleet = add_pair(fleet)
+    return add_touch_inputs(fleet) if "probe" in stages else fleet
 
 
 def make_campaign_fleet(seed: int, wanted: Sequence[str], *, paths: bool = False) -> Fleet:

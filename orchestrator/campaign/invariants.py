@@ -2,14 +2,16 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from orchestrator.campaign.contact_checks import ContactChecker
 from orchestrator.campaign.faults import FaultKind
-from orchestrator.campaign.fleets import HOME_AT_CURRENT_POSITION, find_traits
+from orchestrator.campaign.fleets import HOME_ANYWHERE, find_traits
 from orchestrator.campaign.flight_checks import FlightChecker
 from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.campaign.job_ends import check_end, check_live_job
 from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.motion_checks import MotionChecker
-from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
+from orchestrator.campaign.rack_checks import RackChecker
+from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
 from orchestrator.campaign.start_checks import AtOnceChecker, find_outlasted
 from orchestrator.campaign.triggers import TriggerChecker
@@ -27,7 +29,7 @@ HOMING_SPREAD_COUNTS = 2  # largest difference between two homings of one axis
 class InvariantChecker:
     """Checks one fleet. Violations are collected in `violations`."""
 
-    def __init__(self, fleet: VirtualFleet, recorder: BusRecorder) -> None:
+    def __init__(self, fleet: VirtualFleet, recorder: BusRecorder, seed: int = 0) -> None:
         self.violations: list[str] = []
         self._fleet = fleet
         self._recorder = recorder
@@ -42,6 +44,8 @@ class InvariantChecker:
         self._triggers = TriggerChecker(fleet, self._records, self.add_violation)
         self._flights = FlightChecker(fleet, recorder.rows, self._records, self.add_violation)
         self._virtual_lines = VirtualLineChecker(fleet, self._records, self.add_violation)
+        self._racks = RackChecker(fleet, self._records, self.add_violation)
+        self._contacts = ContactChecker(fleet, seed, self._records, self.add_violation)
         self._motions = MotionChecker(fleet, recorder, self._records, self._untrusted, self.add_violation)
 
     def add_violation(self, invariant: str, text: str) -> None:
@@ -50,14 +54,21 @@ class InvariantChecker:
     # During a run
 
     def watch_axes(self, phase: CampaignPhase) -> None:
-        """Watch the true motions of axes that fly, and of virtual axes, in a phase's jobs from now on."""
+        """Watch the true motions of axes that fly, of virtual axes and of pairs in a phase's jobs from now on."""
         self._flights.watch(phase)
         self._virtual_lines.watch(phase)
+        self._racks.watch()
 
     def end_watching(self) -> None:
         """Watch no more."""
         self._flights.end()
         self._virtual_lines.end()
+        self._racks.end()
+
+    def note_request(self, request: RecordedRequest) -> None:
+        """Check a request to a member when it is sent and when it is answered, and bring about what it runs into."""
+        self.starts.check_request(request)
+        self._contacts.note_request(request)
 
     def check_velocities(self, now_ns: int) -> None:
         """Check invariant 5 for moving axes: velocity, and its growth."""
@@ -87,8 +98,8 @@ class InvariantChecker:
         for name, state in states.items():
             for axis_name, axis in self._whole_fleet.controllers[name].axes.items():
                 axis_state, label = state.axes[axis_name], f"{name}.{axis_name}"
-                # Some axes take their current position as reference when they are homed.
-                anywhere = axis.homing.method == HOME_AT_CURRENT_POSITION or name in self._position_lost
+                # Some axes take their current position, or the nearest index, as reference when they are homed.
+                anywhere = axis.homing.method in HOME_ANYWHERE or name in self._position_lost
                 if state.mode == "offline" or not axis_state.referenced or anywhere:
                     continue
                 origin = self._fleet.controllers[name].physical_position(axis.motors[0]) - axis_state.commanded_counts
@@ -127,6 +138,8 @@ class InvariantChecker:
                 self.add_violation("3", f"{name} is not at rest after the end of all jobs")
         self._flights.check_phase(phase, self._triggers.rises, self._untrusted)
         self._virtual_lines.check_phase(phase, reports, self._untrusted)
+        self._racks.check_phase(phase, steps, reports)
+        self._contacts.check_phase(phase, steps, self._untrusted)
         self._triggers.check_phase(phase, steps, reports, self._untrusted)
         for job_id, report in reports.items():
             for step in report.steps if report is not None else []:

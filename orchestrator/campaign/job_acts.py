@@ -4,7 +4,7 @@ from collections.abc import Collection
 from contextlib import suppress
 from random import Random
 
-from orchestrator.campaign.recorder import Stage
+from orchestrator.campaign.recording.recorder import Stage
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.owner import TaskOwner

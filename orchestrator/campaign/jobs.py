@@ -9,6 +9,8 @@ from typing import Any, Literal, NamedTuple
 from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD
 from orchestrator.campaign.fleets import PATH_MAKE, find_traits
 from orchestrator.campaign.flown_scans import draw_flown_scan
+from orchestrator.campaign.pairs import find_paired_controllers, move_pairs_as_one
+from orchestrator.campaign.probes import draw_probe
 from orchestrator.campaign.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.jobs.job import Job
@@ -33,11 +35,14 @@ ARMED_TIMEOUT = "30 s"  # of a step that waits armed
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
-MainKind = Literal["move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight", "virtual"]
+MainKind = Literal[
+    "move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight", "virtual", "pair", "probe"
+]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
 several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
 once. live: a live job whose program asks for a chain. armed: its move waits
-armed for a request. flight: a scan that flies. virtual: its move is one of virtual axes."""
+armed for a request. flight: a scan that flies. virtual: its move is one of virtual axes. pair: its move is that of a
+pair. probe: `member` probes, and goes back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +56,19 @@ class JobOrder:
     asked_steps: tuple[Step, ...] = ()
 
 
-def make_job(name: str, steps: list[dict[str, Any]]) -> Job:
-    """Return a job with a loose end skew limit.
+def make_job(fleet: Fleet, name: str, steps: Sequence[dict[str, Any]]) -> Job:
+    """Return a job with a loose end skew limit; the axes of a pair are named by the pair.
 
     After a failed job an axis may have only a short distance to go while others move for seconds, and its controller
     may not support so low a speed: it may end that much earlier."""
     plain = {"schema": "tutti.job/1", "name": name, "max_start_skew": "150 ms", "max_end_skew": "7 s"}
-    return Job.model_validate({**plain, "steps": steps})
+    return Job.model_validate({**plain, "steps": move_pairs_as_one(fleet, steps)})
 
 
-def make_preparation(axes: list[str], homing: list[str]) -> Job:
+def make_preparation(fleet: Fleet, axes: list[str], homing: list[str]) -> Job:
     """Return a job that enables axes, and homes some of them."""
     steps: list[dict[str, Any]] = [{"do": "enable", "axes": axes}]
-    return make_job("prepare", steps + ([{"do": "home", "axes": homing}] if homing else []))
+    return make_job(fleet, "prepare", steps + ([{"do": "home", "axes": homing}] if homing else []))
 
 
 def draw_orders(
@@ -85,8 +90,10 @@ def draw_orders(
     if kind == "home":
         first = [{"do": "home", "axes": [member]}]
         all_positions |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
-    if kind == "at-once":
+    if kind in ("at-once", "probe"):
         main = [member]
+    elif kind == "pair":
+        main = find_paired_controllers(fleet)
     elif kind in ("path", "flight"):
         main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
     elif kind == "virtual":
@@ -122,12 +129,21 @@ def _draw_main(
     if kind == "path":
         return _draw_path("main", axes, draw)
     if kind == "flight":
-        return make_job("main", [draw_flown_scan(axes.fleet, axes.controllers, member, axes.positions, draw)])
+        return make_job(
+            axes.fleet, "main", [draw_flown_scan(axes.fleet, axes.controllers, member, axes.positions, draw)]
+        )
     if kind in ("chain", "at-once", "live"):
         return _draw_chain("main", axes, member, draw, alone=kind == "at-once")
     if kind == "virtual":
         targets = draw_virtual_targets(axes.fleet, axes.positions, draw)
-        return make_job("main", [{"do": "move", "to": targets, "speed": VIRTUAL_SPEED}])
+        return make_job(axes.fleet, "main", [{"do": "move", "to": targets, "speed": VIRTUAL_SPEED}])
+    if kind == "probe":
+        return make_job(axes.fleet, "main", draw_probe(axes.fleet, member, axes.positions, draw))
+    if kind == "pair":
+        targets = _draw_targets(axes.fleet, axes.controllers, axes.positions, draw)
+        axes.positions.update(targets)
+        paired_targets = {name: targets[name] for name in axes.fleet.virtual_axes.pair_of}
+        return make_job(axes.fleet, "main", [{"do": "move", "to": paired_targets, "speed": SPEED_FRACTION}])
     job = _draw_moves("main", axes, draw, steps_before)
     if kind == "armed":
         return _let_wait(job)
@@ -147,13 +163,16 @@ def _let_wait(job: Job) -> Job:
 
 def make_trial(fleet: Fleet, member: str, priority: int = 9) -> JobOrder:
     """Return a job, of the highest priority by default, that enables, homes and moves one controller."""
+    paired_controllers = find_paired_controllers(fleet)
+    controllers = paired_controllers if member in paired_controllers else [member]
     targets = {
-        f"{member}.{name}": axis.limits.velocity * SPEED_FRACTION
-        for name, axis in fleet.controllers[member].axes.items()
+        f"{controller}.{name}": axis.limits.velocity * SPEED_FRACTION
+        for controller in controllers
+        for name, axis in fleet.controllers[controller].axes.items()
     }
-    steps: list[dict[str, Any]] = [{"do": "enable", "axes": [member]}, {"do": "home", "axes": [member]}]
-    job = make_job("try", [*steps, {"do": "move", "to": targets, "speed": SPEED_FRACTION}])
-    return JobOrder(job, QueueTerms(priority=priority), (member,))
+    steps: list[dict[str, Any]] = [{"do": "enable", "axes": controllers}, {"do": "home", "axes": controllers}]
+    job = make_job(fleet, "try", [*steps, {"do": "move", "to": targets, "speed": SPEED_FRACTION}])
+    return JobOrder(job, QueueTerms(priority=priority), tuple(controllers))
 
 
 def make_witness(fleet: Fleet, positions: Mapping[str, float], attempt: int) -> JobOrder:
@@ -164,17 +183,24 @@ def make_witness(fleet: Fleet, positions: Mapping[str, float], attempt: int) -> 
         reach = fleet.axis(name).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
         forward = (position < reach / 2) != bool(attempt % 2)
         targets[name] = round(position + WITNESS_SHARE * (reach if forward else -reach), 2)
-    job = make_job(WITNESS, [{"do": "move", "to": targets, "speed": SPEED_FRACTION}])
+    job = make_job(fleet, WITNESS, [{"do": "move", "to": targets, "speed": SPEED_FRACTION}])
     return JobOrder(job, QueueTerms(priority=-9), tuple(fleet.controllers))
 
 
 def _group_inseparable(fleet: Fleet) -> list[list[str]]:
-    """Group controllers that move in one job or not at all, because one broadcast starts all loaded moves on a link."""
+    """Group controllers that move in one job or not at all, because one broadcast starts all loaded moves on a link, or
+    they carry one beam."""
 
     def start_together(line: list[str]) -> bool:
         return find_traits(fleet.controllers[line[0]].adapter).starts_link_together
 
     lines = [line for line in group_by_link(fleet.controllers) if start_together(line)]
+    paired_controllers = set(find_paired_controllers(fleet))
+    paired_lines = [line for line in lines if paired_controllers & set(line)]
+    if paired_controllers:
+        together = paired_controllers.union(*paired_lines)
+        lines = [line for line in lines if line not in paired_lines]
+        lines.append([name for name in fleet.controllers if name in together])
     drives = {name for line in lines for name in line}
     return lines + [[name] for name in fleet.controllers if name not in drives]
 
@@ -201,7 +227,7 @@ def _draw_moves(name: str, axes: _JobAxes, draw: Random, steps_before: Sequence[
     ]
     if draw.random() < DWELL_CHANCE:
         steps.insert(0, {"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
-    return make_job(name, [*steps_before, *steps])
+    return make_job(fleet, name, [*steps_before, *steps])
 
 
 def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random, *, alone: bool) -> Job:
@@ -227,7 +253,7 @@ def _draw_chain(name: str, axes: _JobAxes, member: str, draw: Random, *, alone: 
         steps.append({"do": "move", "to": targets, "speed": SPEED_FRACTION, **options})
         if draw.random() < DWELL_CHANCE:
             steps.append({"do": "dwell", "duration": f"{draw.randrange(300)} ms"})
-    return make_job(name, steps)
+    return make_job(axes.fleet, name, steps)
 
 
 def _find_groups(axes: _JobAxes) -> list[list[str]]:
@@ -268,7 +294,7 @@ def _draw_path(name: str, axes: _JobAxes, draw: Random) -> Job:
         "tolerance": PATH_TOLERANCE,
     }
     axes.positions.update(dict(zip(moved_axes, points[-1], strict=True)))
-    return make_job(name, [path])
+    return make_job(axes.fleet, name, [path])
 
 
 def _add_triggers(job: Job, fleet: Fleet, controllers: Sequence[str]) -> Job:

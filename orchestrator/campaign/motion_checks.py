@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from orchestrator.campaign.recorder import BusRecorder
+from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.fleet import Axis

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.jobs import JobOrder
-from orchestrator.campaign.recorder import BusRecorder, RecordedRequest
+from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Axis
 from orchestrator.model.report import JobReport
@@ -107,7 +107,12 @@ class PhaseRecords:
         for go in self._recorder.find_requests("go"):
             if go.job_id in phase.jobs:
                 _add_to_part(releases.setdefault(go.step_id, []), go)
-        homes = [request for request in self._recorder.find_requests("home") if request.job_id in phase.jobs]
+        homes = [
+            request
+            for verb in ("home", "probe")
+            for request in self._recorder.find_requests(verb)
+            if request.job_id in phase.jobs
+        ]
         records: list[StepRecord] = []
         for home in homes:
             # A controller that hung executes earlier commands whenever it resumes; commands in transit at a stop take
@@ -239,7 +244,8 @@ class PhaseRecords:
             elif go.step_id != step and t0_ns > t0_host_ns:
                 # Also of a step that was withdrawn before: it may have been meant to begin later than this one.
                 yield max(self.earliest_motion_ns(go.step_id, t0_ns, name, axis), (t0_host_ns + t0_ns) // 2)
-        homes = (request for request in self._recorder.find_requests("home") if request.member == name)
+        searches = (*self._recorder.find_requests("home"), *self._recorder.find_requests("probe"))
+        homes = (request for request in searches if request.member == name)
         homed_ns = (home.sent_ns for home in homes if axis in home.fields["axes"])
         jogs = (jog.from_ns for jog in phase.jogs if (jog.controller, jog.motor) == (name, motor))
         yield from (begin_ns for begin_ns in (*homed_ns, *jogs) if begin_ns > t0_host_ns)

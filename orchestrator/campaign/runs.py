@@ -8,7 +8,7 @@ from itertools import product
 
 from orchestrator.campaign.faults import FAULTS
 from orchestrator.campaign.fleets import MAKES, STAGE_MAKES
-from orchestrator.campaign.recorder import STAGES, Stage
+from orchestrator.campaign.recording.recorder import STAGES, Stage
 from orchestrator.campaign.scenario import SINGLE_MEMBER_STAGES, FaultCell, SeedRun, run_scenario
 from orchestrator.runtime.workers import map_in_processes
 

@@ -19,7 +19,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.campaign.computers import connect_computers, make_computers
 from orchestrator.campaign.fault_instants import FIRE_WINDOW_NS, FaultInstants
 from orchestrator.campaign.faults import FAULTS, FaultInjector
-from orchestrator.campaign.fleets import PERMIT_MAKE, make_campaign_fleet
+from orchestrator.campaign.fleets import PERMIT_MAKE, make_stage_fleet
 from orchestrator.campaign.hand_jogs import STAGE_RENEWALS, HandJogs
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.job_acts import FlightActs, StartRequests
@@ -35,10 +35,9 @@ from orchestrator.campaign.jobs import (
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
-from orchestrator.campaign.recorder import STAGES, STATED_STAGES, BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.recording.recorder import STAGES, STATED_STAGES, BusRecorder, RecordedRequest, Stage
 from orchestrator.campaign.records import CampaignPhase
 from orchestrator.campaign.rest import find_at_rest
-from orchestrator.campaign.virtual_moves import add_virtual_axes
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -79,6 +78,8 @@ _KINDS: dict[Stage, MainKind] = {
     "armed-waiting": "armed",
     "flying": "flight",
     "virtual": "virtual",
+    "pair": "pair",
+    "probe": "probe",
 }
 
 
@@ -123,11 +124,7 @@ def run_scenario(seed: int, cells: Sequence[FaultCell], *, apart: bool = False) 
     makes = [cell.make for cell in cells]
     if any(cell.fault == "permit-lost" for cell in cells):
         makes.append(PERMIT_MAKE)
-    paths = any(cell.stage in ("chunk", "flying") for cell in cells)
-    fleet = make_campaign_fleet(seed, makes, paths=paths)
-    if any(cell.stage == "virtual" for cell in cells):
-        fleet = add_virtual_axes(fleet, seed)
-    seed_run = SeedRun(seed, tuple(cells), fleet)
+    seed_run = SeedRun(seed, tuple(cells), make_stage_fleet(seed, makes, {cell.stage for cell in cells}))
 
     async def run_in_clock(clock: VirtualClock) -> None:
         scenario = _Scenario(seed_run, clock, make_computers(seed_run.fleet, clock, seed) if apart else {})
@@ -169,7 +166,7 @@ class _Scenario:
         self.virtual.computers.update(computers)
         connect_computers(self.virtual, seed_run.seed)
         self.virtual.wrap_bus = self.recorder.wrap_bus
-        self.checker = InvariantChecker(self.virtual, self.recorder)
+        self.checker = InvariantChecker(self.virtual, self.recorder, seed_run.seed)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
         self._jogs = HandJogs(self.virtual, clock, self._draw, self._axis_positions)
@@ -212,7 +209,7 @@ class _Scenario:
         """Enable and home axes as an operator does, whose commands come before all waiting jobs."""
         self._seed_run.jobs += 1
         async with client.attend() as attendance:
-            job, terms = make_preparation(axes, homing), QueueTerms(session=attendance.session)
+            job, terms = make_preparation(self._seed_run.fleet, axes, homing), QueueTerms(session=attendance.session)
             job_id = await client.submit(job, terms=terms)
             if self._phase is not None:
                 controllers = tuple(dict.fromkeys(controller_of(axis) for axis in axes))
@@ -410,7 +407,7 @@ class _Scenario:
         async with client.attend() as attendance:
             terms = QueueTerms(session=attendance.session, now=True)
             job_id = await client.submit(job, terms=terms)
-            controllers = tuple(group_by_controller(job.steps[0].named_axes))
+            controllers = tuple(group_by_controller(job.steps[0].find_axes(self._seed_run.fleet)))
             phase.jobs[job_id] = JobOrder(job, terms, controllers)
             await client.wait_for_job(job_id)
 
@@ -485,9 +482,9 @@ class _Scenario:
         at = self._stage_times.setdefault((request.step_id, request.member), {})
         now_ns = self._clock.now_ns()
         at.setdefault(request.verb, now_ns)
-        if request.verb == "home" and request.answered_ns is not None:
-            at["homed"] = now_ns
-        self.checker.starts.check_request(request)
+        if request.verb in ("home", "probe") and request.answered_ns is not None:
+            at["found"] = now_ns
+        self.checker.note_request(request)
         if request.verb in ("go", "start-at-once") and request.accepted:
             at.setdefault("fire", now_ns)
             at.setdefault("t0", self._t0_host_ns(request))
@@ -507,8 +504,9 @@ class _Scenario:
         if row is None or row.state in FINISHED_STATES:
             return None
         at = self._stage_times[step, member]
-        if "home" in at:
-            return None if "homed" in at else "home"
+        for search in ("home", "probe"):
+            if search in at:
+                return None if "found" in at else search
         if "t0" in at and self._clock.now_ns() > at["t0"] + FIRE_WINDOW_NS:
             return "motion"
         return next(stage for stage in reversed(STAGES) if stage in at)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 
 from orchestrator.campaign.jobs import JobOrder
-from orchestrator.campaign.recorder import RecordedRequest
+from orchestrator.campaign.recording.recorder import RecordedRequest
 from orchestrator.campaign.records import CampaignPhase
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.journal.records import JournalError

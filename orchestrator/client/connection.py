@@ -3,7 +3,7 @@
 import asyncio
 import uuid
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError
@@ -14,6 +14,7 @@ from orchestrator.bus.base import (
     BusSample,
     DoubleServer,
     NoReply,
+    RequestRefused,
     RequestTimeout,
     find_only_server,
 )
@@ -21,6 +22,7 @@ from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.identity import find_session_identity
 from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
+from orchestrator.bus.service_verbs import NOT_LEADER
 from orchestrator.client.slow_starts import explain_absence
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
@@ -32,6 +34,7 @@ M = TypeVar("M", bound=Model)
 ANSWER_S = 3.0
 CHECKED_BYTES_S = 50_000  # a path of 100,000 pieces, 7 MB, takes 50 s to be planned on a free core
 LEADER_S = 1.0  # for the leader to say that it leads
+LOOK_S = 0.05  # between two looks for it, while two say so
 
 
 class FleetConnection:
@@ -133,9 +136,13 @@ class FleetConnection:
         key = self.keys.service(verb)
         try:
             if self._leader:
-                with suppress(NoReply):  # then another coordinator leads now
+                try:
                     return await self._ask(key, request, reply, timeout_s, self._leader)
-            self._leader = await find_only_server(self.bus, self.keys.leader_answer(), min(timeout_s, LEADER_S))
+                except (NoReply, RequestRefused) as error:
+                    # Then another coordinator leads now; what it has accepted already, it answers again.
+                    if isinstance(error, RequestRefused) and str(error) != NOT_LEADER:
+                        raise
+            self._leader = await self._find_leader(min(timeout_s, LEADER_S))
             return await self._ask(key, request, reply, timeout_s, self._leader)
         except BusError as error:
             self._leader = ""
@@ -144,6 +151,17 @@ class FleetConnection:
             if isinstance(error, NoReply):
                 failure = await self._explain_silence(failure, verb, self.keys.leader_answer())
             raise failure from None
+
+    async def _find_leader(self, timeout_s: float) -> str:
+        """The process that leads. One that was overtaken may say so of itself for a moment. Raises `BusError`."""
+        until_s = asyncio.get_running_loop().time() + timeout_s
+        while True:
+            try:
+                return await find_only_server(self.bus, self.keys.leader_answer(), timeout_s)
+            except DoubleServer:
+                if asyncio.get_running_loop().time() > until_s:
+                    raise
+            await asyncio.sleep(LOOK_S)
 
     async def _explain_silence(self, absent: Refusal, verb: str, served: str = "") -> Refusal:
         """The refusal for an empty answer: a router with roles leaves out what a name may not do, without a word.

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from orchestrator.campaign.faults import FAULTS
-from orchestrator.campaign.recorder import STAGES
+from orchestrator.campaign.recording.recorder import STAGES
 from orchestrator.campaign.runs import PHASES
 from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.conformance.examples import make_case

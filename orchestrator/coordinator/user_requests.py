@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from orchestrator.bus.answers import AnswerCache
 from orchestrator.bus.base import BusSample, RequestRefused
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.bus.service_verbs import SERVICE_VERBS
+from orchestrator.bus.service_verbs import NOT_LEADER, SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
 from orchestrator.coordinator.fleet.manual import ManualLeases
 from orchestrator.coordinator.jobs.intake.approval import JobApprovals
@@ -19,7 +19,7 @@ from orchestrator.coordinator.jobs.intake.rehearsal import JobRehearsal
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
 from orchestrator.coordinator.jobs.services import JobServices
-from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
+from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertaken, JournalError
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
@@ -133,7 +133,7 @@ class UserRequests:
             raise RequestRefused(f"unknown verb {name!r}; known verbs: {', '.join(sorted(SERVICE_VERBS))}")
         request = await self._services.read_request(verb.request, sample, f"{name}: ")
         if self._services.leadership.over:
-            raise RequestRefused("this coordinator is no longer the leader; send the request again")
+            raise RequestRefused(NOT_LEADER)
         if verb.reads:  # its answers are large, and are not kept
             return await self._services.dump_model(await self._execute(name, request))
         # A repeated request gets the first answer.
@@ -160,6 +160,10 @@ class UserRequests:
             refused_details = RefusalDetails.of(error)
         except UnknownName as error:
             refused_details = RefusalDetails(code="unknown-name", text=str(error), remedy="see `tutti axis ls`")
+        except EpochOvertaken as error:
+            # The leader may have accepted the same request: no answer of this one may come before that.
+            self._services.log.warning(str(error))
+            raise RequestRefused(NOT_LEADER) from None
         except JournalError as error:
             self._services.log.warning(str(error))
             refused_details = RefusalDetails(code="journal", text=error.text, remedy=error.remedy)

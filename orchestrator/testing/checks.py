@@ -10,7 +10,7 @@ from contextlib import suppress
 from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import JobOrder
-from orchestrator.campaign.recorder import BusRecorder
+from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, JogRecord
 from orchestrator.campaign.rest import find_at_rest
 from orchestrator.clock.base import NS_PER_S, sleep_ns

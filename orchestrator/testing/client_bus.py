@@ -8,7 +8,7 @@ from orchestrator.bus.base import Priority
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.campaign.motion_checks import JOG_END_NS
-from orchestrator.campaign.recorder import BusRecorder, RecordedBus
+from orchestrator.campaign.recording.recorder import BusRecorder, RecordedBus
 from orchestrator.campaign.records import JogRecord
 from orchestrator.model.fleet import Fleet
 

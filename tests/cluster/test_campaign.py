@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.campaign.faults import FAULTS
 from orchestrator.campaign.fleets import MAKES, TRIGGER_MAKE
-from orchestrator.campaign.recorder import STAGES, Stage
+from orchestrator.campaign.recording.recorder import STAGES, Stage
 from orchestrator.campaign.runs import (
     CELLS,
     PAIRS,

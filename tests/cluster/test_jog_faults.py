@@ -32,7 +32,7 @@ def one_of(make: str) -> tuple[Fleet, str, str, float]:
 
 async def prepared(virtual: VirtualFleet) -> None:
     every = list(virtual.controllers)
-    assert (await outcome(virtual, make_preparation(every, every))).state == "done"
+    assert (await outcome(virtual, make_preparation(virtual.fleet, every, every))).state == "done"
 
 
 @pytest.mark.parametrize("make", MAKES)
@@ -104,7 +104,7 @@ def test_a_jog_command_that_is_disturbed_on_the_link_moves_nothing_for_long(
             await pressing
             await client.reset()
             await virtual.wait_until(lambda states: name in states and states[name].mode == "idle")
-            assert (await outcome(virtual, make_preparation([name], [name]))).state == "done"
+            assert (await outcome(virtual, make_preparation(virtual.fleet, [name], [name]))).state == "done"
 
     run_fleet(main, fleet)
 

@@ -16,8 +16,11 @@ MORE_OF_A_MAKE = (
     "cia402, two on two buses",
     "smc30, seven on a bus with checksum",
     "smc2000 in a chain of three",
+    "smc2000 in a chain of two",
+    "shrc203 behind a TCP bridge",
+    "galil dmc21x3",
 )
-"""Worlds of a make that has a smaller one; these take long."""
+"""Worlds of a make that has a smaller or a nearer one; run nightly."""
 OPTIONAL = ("start sooner", "its line", "an active line")
 
 

@@ -4,8 +4,10 @@ from adapters.abilities import ProbeDriver
 from adapters.contract import ProbedContact, ProbeMove
 from adapters.controller.manual.host_probe import HostProbe
 from adapters.controller.monitoring.polling import StatePolling
+from adapters.controller.monitoring.settling import SettlingMonitor
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.status import ControllerStatus
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis, DigitalInput
 from orchestrator.model.messages import ProbeReply, ProbeRequest
@@ -18,13 +20,20 @@ OVERTRAVEL_TOLERANCE = 1e-6
 class AxisProbing:
     """The probes of one controller."""
 
-    def __init__(self, context: ControllerContext, status: ControllerStatus, polling: StatePolling) -> None:
+    def __init__(
+        self,
+        context: ControllerContext,
+        status: ControllerStatus,
+        polling: StatePolling,
+        settling: SettlingMonitor,
+    ) -> None:
         self._context = context
         self._driver = context.driver if isinstance(context.driver, ProbeDriver) else None
         self._host = HostProbe(context, status, polling)
         self._config = context.config
         self._status = status
         self._polling = polling
+        self._settling = settling
 
     async def probe(self, request: ProbeRequest) -> ProbeReply:
         """Move an axis until an input changes, and answer when it is at rest. Raises `Refusal`."""
@@ -47,7 +56,10 @@ class AxisProbing:
         if status.stopped_ns != stopped_ns:
             raise Refusal("stopped", "the controller was stopped before the probe began", "probe again")
         contact = await self._probe_axis(name, move, request)
-        await self._polling.poll_and_publish()
+        # A drive may report motion for a while after it has come to rest; where it rests is read then.
+        rest_ns = self._context.driver.capabilities.costs.stop_ns + NS_PER_S
+        if not await self._settling.wait_for_rest([name], rest_ns):
+            raise Refusal("probe-broken", f"axis {name} has not come to rest", "stop it, and see what moves it")
         reading = status.require_online()
         rest_counts = reading.axes[name].actual_counts
         if contact is None:

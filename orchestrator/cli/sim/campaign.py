@@ -11,7 +11,7 @@ from orchestrator.cli.base.common import console, json_option, print_json, proce
 from orchestrator.cli.base.errors import exit_with_error
 
 if TYPE_CHECKING:
-    from orchestrator.campaign.recorder import Stage
+    from orchestrator.campaign.recording.recorder import Stage
     from orchestrator.campaign.runs import CampaignResult
     from orchestrator.campaign.scenario import SeedRun
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from orchestrator.campaign.faults import FAULTS
-from orchestrator.campaign.recorder import BusRecorder
+from orchestrator.campaign.recording.recorder import BusRecorder
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock, VirtualLoop

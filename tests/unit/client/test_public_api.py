@@ -42,6 +42,7 @@ def test_every_public_name_is_documented(name: str) -> None:
             assert inspect.getdoc(value), f"{name}.{part} has no docstring"
 
 
+@pytest.mark.structure
 def test_the_blocking_interface_is_up_to_date() -> None:
     done = subprocess.run(
         [sys.executable, "tools/blocking_client.py", "--check"], capture_output=True, text=True, check=False, cwd=ROOT

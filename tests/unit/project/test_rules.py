@@ -90,6 +90,7 @@ def test_imports_have_no_circles() -> None:
     assert [circle for circle in figures.find_circles(graph) if len(circle) > 2] == []
 
 
+@pytest.mark.structure
 @pytest.mark.usefixtures("outlines")
 def test_all_errors_are_in_one_tree() -> None:
     assert figures.exceptions_outside_tree() == []

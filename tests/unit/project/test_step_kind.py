@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
 sys.path.insert(0, str(ROOT / "tools"))
@@ -21,6 +23,7 @@ ASKED_FOR_CLASSES = {
     "orchestrator/campaign/flown_scans.py": "the checker knows the lines of the campaign's own scans",
     "orchestrator/campaign/jobs.py": "the campaign adds triggers to its own moves",
     "orchestrator/campaign/paths.py": "the checker knows the geometry of the campaign's own paths",
+    "orchestrator/campaign/probes.py": "the checker knows the probes of the campaign",
     "orchestrator/campaign/virtual_moves.py": "the checker knows the targets of the campaign's own moves",
     "orchestrator/cli/manual/one_step.py": "`tutti axis` checks the words of its command before there is a job",
     "orchestrator/cli/paths/path.py": "`tutti path plot` draws paths",
@@ -31,6 +34,7 @@ ASKED_FOR_CLASSES = {
 MOST_TESTS = 15
 
 
+@pytest.mark.structure
 def test_steps_are_asked_not_classified() -> None:
     files = figures.list_class_tests()
     assert set(files) <= set(ASKED_FOR_CLASSES), "ask the step (orchestrator/model/steps/base.py), or state the reason"
@@ -38,6 +42,7 @@ def test_steps_are_asked_not_classified() -> None:
     assert len(files) <= MOST_TESTS
 
 
+@pytest.mark.structure
 def test_a_sample_kind_touches_few_files_and_works(tmp_path: Path) -> None:
     changed = re.findall(r"^\+\+\+ b/(\S+)", PATCH.read_text(encoding="utf-8"), re.MULTILINE)
     assert len([name for name in changed if name.startswith(PRODUCT)]) == len(changed) <= MOST_FILES

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler
 from orchestrator.bus.memory.bus import MemoryBus
-from orchestrator.campaign.row_recorder import RowRecorder
-from orchestrator.campaign.start_recorder import StartRecorder
+from orchestrator.campaign.recording.row_recorder import RowRecorder
+from orchestrator.campaign.recording.start_recorder import StartRecorder
 from orchestrator.clock.base import Clock
 
 Stage = Literal[
@@ -29,12 +29,15 @@ Stage = Literal[
     "armed-waiting",
     "flying",
     "virtual",
+    "pair",
+    "probe",
 ]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
 the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way; at-once:
 a step that starts at once is requested, and waits for the end of the one before; live: a step that a live job was asked
 for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`;
-flying: several lines of a scan are flown in one motion; virtual: a step of virtual axes moves."""
+flying: several lines of a scan are flown in one motion; virtual: a step of virtual axes moves; pair: two axes that
+carry one beam move; probe: an axis moves until it is stopped by an input."""
 STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
 STATED_STAGES: tuple[Stage, ...] = (
     "chain",
@@ -45,10 +48,15 @@ STATED_STAGES: tuple[Stage, ...] = (
     "armed-waiting",
     "flying",
     "virtual",
+    "pair",
+    "probe",
 )
 """Those that the requests of a step alone do not show: a fault that was drawn for one of them counts for it."""
 
-_RECORDED_VERBS = ("lease", "home", "propose", "arm", "commit", "go", "load-chunk", "release-chunk", "start-at-once")
+_RECORDED_VERBS = (
+    *("lease", "home", "probe", "propose", "arm", "commit", "go"),
+    *("load-chunk", "release-chunk", "start-at-once"),
+)
 
 
 @dataclass(slots=True)

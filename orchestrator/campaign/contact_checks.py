@@ -1,0 +1,105 @@
+"""Probes in the fault campaign: contacts in front of their axes, and by truth how far these go on behind them."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from random import Random
+
+from orchestrator.campaign.probes import TOUCHES, find_probe
+from orchestrator.campaign.recording.recorder import RecordedRequest
+from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
+from orchestrator.clock.base import NS_PER_MS
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+from sim.core.contact import ContactPlace, PhysicalContact
+
+CONTACT_SHARES = (0.15, 1.1)  # of a probe's way; more than all of it is never touched
+MOST_BOUNCES = 2
+BOUNCE_MS = (1, 9)
+SPREAD_COUNTS = 2  # of the truth: rounding, and what an axis moves between two looks at its contact
+COMPUTER_MAKES = ("cia402",)
+"""The makes whose controllers capture a contact, and whose computer stops the axis."""
+
+
+@dataclass(slots=True)
+class _WatchedProbe:
+    """One request to probe, and the contact in front of it. shift: physical less reported counts."""
+
+    request: RecordedRequest
+    contact: PhysicalContact
+    sign: int
+    shift: float
+
+
+class ContactChecker:
+    """The contacts of one fleet. add_violation: called with the invariant and a text."""
+
+    def __init__(
+        self, fleet: VirtualFleet, seed: int, records: PhaseRecords, add_violation: Callable[[str, str], None]
+    ) -> None:
+        self._fleet = fleet
+        self._draw = Random(f"contacts {seed}")
+        self._records = records
+        self._add_violation = add_violation
+        self._watched: list[_WatchedProbe] = []
+
+    def note_request(self, request: RecordedRequest) -> None:
+        """Put a contact in front of the axis that a request shall move, as soon as the request is sent."""
+        if request.verb != "probe" or request.answered_ns is not None:
+            return
+        member, (axis_name,) = request.member, request.fields["axes"]
+        config = self._fleet.fleet.controllers[member]
+        unit, process, motor = (
+            self._fleet.controllers[member],
+            self._fleet.simulators[member],
+            config.axes[axis_name].motors[0],
+        )
+        way = request.fields["end_counts"] - unit.position(motor)
+        begin, sign, touch = unit.physical_position(motor), 1 if way >= 0 else -1, TOUCHES[config.adapter]
+        bounces_ns = [
+            self._draw.randrange(*BOUNCE_MS) * NS_PER_MS for _ in range(2 * self._draw.randrange(MOST_BOUNCES + 1))
+        ]
+        place = ContactPlace(
+            axis=motor,
+            at_counts=begin + way * self._draw.uniform(*CONTACT_SHARES),
+            side=sign,
+            number=touch.number,
+            level=touch.active == "high",
+            bounces_ns=bounces_ns,
+        )
+        contact = process.run_inside(lambda: PhysicalContact(unit, self._fleet.clock, place))
+        self._watched.append(_WatchedProbe(request, contact, sign, begin - unit.position(motor)))
+
+    def check_phase(self, phase: CampaignPhase, steps: Sequence[StepRecord], untrusted: Collection[str]) -> None:
+        """Check invariant 20 for the probes of a phase, and remove their contacts. untrusted: controllers whose links
+        and crystals are outside the model."""
+        for probe in self._watched:
+            probe.contact.remove()
+            if probe.contact.made and probe.request.member not in untrusted:
+                self._check_probe(phase, steps, probe)
+        self._watched.clear()
+
+    def _check_probe(self, phase: CampaignPhase, steps: Sequence[StepRecord], probe: _WatchedProbe) -> None:
+        member, (axis_name,), fields = probe.request.member, probe.request.fields["axes"], probe.request.fields
+        motor = self._fleet.fleet.controllers[member].axes[axis_name].motors[0]
+        contact_counts = probe.contact.made[0].counts - probe.shift
+        for motion in self._fleet.controllers[member].commanded_motions[phase.motions_before[member] :]:
+            if motion.axis != motor or motion.end_counts is None:
+                continue
+            step = self._records.find_step(member, axis_name, motion, steps)
+            if step is None or (step.job, step.index) != probe.request.step_id:
+                continue
+            went_on = probe.sign * (motion.end_counts - contact_counts)
+            allowed = fields["overtravel_counts"]
+            if self._may_reach_end(phase, probe):
+                allowed = max(allowed, probe.sign * (fields["end_counts"] - contact_counts))
+            if went_on > allowed + SPREAD_COUNTS:
+                text = f"{member}.{axis_name} went on by {went_on:.1f} counts behind its contact"
+                self._add_violation("20", f"{text}, and {allowed:.1f} were stated")
+
+    def _may_reach_end(self, phase: CampaignPhase, probe: _WatchedProbe) -> bool:
+        """Whether a fault was in the way of the computer that stops the axis."""
+        order = phase.jobs.get(probe.request.job_id)
+        step = find_probe(order.job) if order is not None else None
+        member = probe.request.member
+        by_computer = self._fleet.fleet.controllers[member].adapter in COMPUTER_MAKES
+        by_computer = by_computer or (step is not None and step.by == "host")
+        return by_computer and phase.fault_ns is not None and not phase.fault.harmless and member in phase.affected

@@ -1,0 +1,1 @@
+"""Recorders of what a campaign's fleet does on the bus."""
