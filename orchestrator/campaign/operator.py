@@ -11,9 +11,11 @@ from orchestrator.client.api import Tutti
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.restart import RESTART
+from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import QueueEntry
 
 _COMMAND = re.compile(r"`tutti ([^`]+)`")
+_REMEDY_SPEED = 0.05  # of the limits, of a move that is named
 MOST_REPEATS = 12
 """The same command is named again while it is refused, or while it was run too early: a daisy chain takes ten seconds
 until it is reached; not for ever."""
@@ -21,12 +23,13 @@ until it is reached; not for ever."""
 
 class NamedCommands:
     """Runs the commands named in the reasons of waiting jobs. run_step: runs a job of one step, as the command does,
-    and returns when it has ended."""
+    and returns when it has ended; it ends with its command."""
 
-    def __init__(self, client: Tutti, run_step: Callable[[Job], Awaitable[None]]) -> None:
+    def __init__(self, client: Tutti, run_step: Callable[[Job, QueueTerms], Awaitable[None]]) -> None:
         self._client = client
         self._run_step = run_step
         self.commands: list[str] = []
+        self._remedied = set[str]()
 
     @property
     def is_repeating(self) -> bool:
@@ -36,7 +39,7 @@ class NamedCommands:
     async def run_named(self, waiting: Sequence[QueueEntry]) -> str:
         """Run the first command that the jobs name, after all that jobs name which wait at a step; return the last
         one, empty if none is named. Raises `Refusal`."""
-        words = await self._run_resumption()
+        words = await self._run_resumption() or await self._run_remedy()
         if words:
             return words
         for entry in waiting:
@@ -49,6 +52,19 @@ class NamedCommands:
                     await self._run(words.split())
                 return words
         return ""
+
+    async def _run_remedy(self) -> str:
+        """Run the move that the newest failed job names, which squares a beam, once for each job; return the command,
+        empty if none is named. Raises `Refusal`."""
+        jobs = (await self._client.list_jobs(limit=1, state="failed")).jobs
+        if not jobs or jobs[0].id in self._remedied:
+            return ""
+        self._remedied.add(jobs[0].id)
+        words = next((words for words in _COMMAND.findall(jobs[0].reason) if words.startswith("axis move ")), "")
+        if words:
+            self.commands.append(words)
+            await self._run(words.split())
+        return words
 
     async def _run_resumption(self) -> str:
         """Run all commands that jobs name which wait at a step; return the last, empty if none is named. Raises
@@ -75,7 +91,12 @@ class NamedCommands:
             case ["axis", "enable" | "home" as verb, *axes] if axes:
                 step = {"do": verb, "axes": axes}
                 plain = {"schema": "tutti.job/1", "name": f"manual: {verb}", "steps": [step]}
-                await self._run_step(Job.model_validate(plain))
+                await self._run_step(Job.model_validate(plain), QueueTerms(now=True))
+            case ["axis", "move", target]:
+                axis, _, position = target.partition("=")
+                step = {"do": "move", "to": {axis: float(position)}, "speed": _REMEDY_SPEED}
+                plain = {"schema": "tutti.job/1", "name": "manual: move", "steps": [step]}
+                await self._run_step(Job.model_validate(plain), QueueTerms())
             case ["repair", "epoch"]:
                 await client.repair_epoch()
             case _:

@@ -402,10 +402,10 @@ class _Scenario:
         rows = (self.virtual.journal.load_record(job_id) for job_id in phase.jobs)
         return any(row is not None and row.name == WITNESS and row.state == "done" for row in rows)
 
-    async def _run_step(self, client: Tutti, phase: CampaignPhase, job: Job) -> None:
+    async def _run_step(self, client: Tutti, phase: CampaignPhase, job: Job, terms: QueueTerms) -> None:
         """Run a job of one step as a command of a person does. Raises `Refusal`."""
         async with client.attend() as attendance:
-            terms = QueueTerms(session=attendance.session, now=True)
+            terms = terms.model_copy(update={"session": attendance.session})
             job_id = await client.submit(job, terms=terms)
             controllers = tuple(group_by_controller(job.steps[0].find_axes(self._seed_run.fleet)))
             phase.jobs[job_id] = JobOrder(job, terms, controllers)

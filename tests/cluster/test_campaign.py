@@ -189,6 +189,43 @@ def test_virtual_axes_stay_on_their_line_in_other_seeds(seed: int) -> None:
     assert not story.violations, story.summarize()
 
 
+PAIRED = [("host-killed", "smc4000"), ("link-cut", "cia402")]
+"""Faults while two axes of two controllers carry one beam: in one seed, nightly all of them."""
+
+
+def test_no_fault_racks_a_beam_farther_than_was_stated() -> None:
+    story = run_scenario(1, [FaultCell("pair", fault, make) for fault, make in PAIRED])
+    assert not story.violations, story.summarize()
+    assert len(story.hit) == len(PAIRED)
+
+
+PROBED = [
+    (105, "coordinator-hung", "smc4000"),  # a request that the next leader had accepted was refused by the last one
+    (12, "estop", "smc30"),  # the axis began to move after the e-stop that came while its program was loaded
+    (4, "none", "cia402"),  # the drive was at rest before its state said so, and the next step was refused
+    (81, "bus-loss", "smc2000"),  # polled at the rate of rest, it seemed to be silent
+]
+"""Faults while an axis moves towards a contact; the first two in the suite, nightly all of them."""
+
+
+@pytest.mark.parametrize(
+    ("seed", "fault", "make"),
+    [*PROBED[:2], *(pytest.param(*cell, marks=pytest.mark.nightly) for cell in PROBED[2:])],
+)
+def test_no_fault_lets_an_axis_go_on_behind_its_contact(seed: int, fault: str, make: str) -> None:
+    story = run_scenario(seed, [FaultCell("probe", fault, make)])
+    assert not story.violations and story.hit, story.summarize()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("stage", ["pair", "probe"])
+@pytest.mark.parametrize("first", range(0, 200, 20))
+def test_pairs_and_probes_keep_their_bounds_in_other_seeds(stage: Stage, first: int) -> None:
+    for seed in range(first, first + 20):
+        story = run_scenario(seed, cells_of_seed(seed, SeedChoice((stage,))))
+        assert not story.violations, story.summarize()
+
+
 @pytest.mark.parametrize(
     ("seed", "fault", "make"),
     [

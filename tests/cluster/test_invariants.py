@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from math import inf
+from math import ceil, inf
 from typing import Any, NamedTuple
 
 import pytest
@@ -28,6 +28,7 @@ from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.program import EDGE_THREAD, OUTPUT_PASSIVE
 from adapters.yaskawa.shapes.course_records import ChunkRecords, RecordMaker
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
+from adapters.yaskawa.triggers import probe as latch_probe
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario
 from orchestrator.coordinator.coordinator import Coordinator
@@ -334,6 +335,11 @@ def promises_virtual_lines_by_rounding(patch: Patch) -> None:
     patch.setattr(virtual_bound, "NS_PER_S", NEVER_NS)
 
 
+def goes_on_behind_contacts(patch: Patch) -> None:
+    """A controller is sent farther behind a contact than is stated."""
+    patch.setattr(latch_probe, "ceil", lambda counts: ceil(counts) + 200)
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -376,6 +382,8 @@ MUTATIONS = (
     Mutation("18", calls_every_speed_good, FaultCell("flying", "none", "smc4000"), 7),
     Mutation("19", bends_lines_of_virtual_axes, FaultCell("virtual", "none", "smc4000"), 2),
     Mutation("19", promises_virtual_lines_by_rounding, FaultCell("virtual", "none", "smc4000"), 2),
+    Mutation("20", goes_on_behind_contacts, FaultCell("probe", "none", "smc4000"), 1),
+    Mutation("22", stops_no_member, FaultCell("pair", "power-off", "cia402"), 1),
     Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
 )
 # A fault does not find its precondition in every one. The first three are enough for every mutation, as a rule.
