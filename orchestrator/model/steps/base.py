@@ -259,6 +259,11 @@ class Step(ScriptModel):
         return self
 
     @property
+    def saved_position(self) -> str | None:
+        """The name of the position that it saves."""
+        return None
+
+    @property
     def contact_names(self) -> list[str]:
         """How later steps name what it measures."""
         return []

@@ -14,19 +14,29 @@ from orchestrator.plan.probes import ContactRange
 def take_measured(state: ForecastState, at: ForecastContext, step: Step, key: str) -> list[str]:
     """Check all measured targets of a step, and lose the positions of their axes; return these. key: the field of the
     step that has them."""
-    axes: list[str] = []
-    for name, target in step.measured_targets.items():
-        axis = state.find_axis(at, name, (key, name), "target")
-        if axis is None:
-            continue
-        axes.append(name)
+    axes = check_measured(state, at, step, key)
+    for name in axes:
         state.require_ready(at, name, (key, name))
-        _check_range(state, at, TargetField(key, name, axis), target)
     state.lose_positions(at, axes)
     return axes
 
 
-def _check_range(state: ForecastState, at: ForecastContext, field: TargetField, target: MeasuredTarget) -> None:
+def check_measured(state: ForecastState, at: ForecastContext, step: Step, key: str, what: str = "") -> list[str]:
+    """Check the range of all measured targets of a step; return their axes. what: is done with them, for notes, with
+    the axis behind it; by default `gantry.x goes to`."""
+    axes: list[str] = []
+    for name, target in step.measured_targets.items():
+        axis = state.find_axis(at, name, (key, name), "target")
+        if axis is not None:
+            axes.append(name)
+            words = f"{what} {name} at" if what else f"{name} goes to"
+            _check_range(state, at, TargetField(key, name, axis), target, words)
+    return axes
+
+
+def _check_range(
+    state: ForecastState, at: ForecastContext, field: TargetField, target: MeasuredTarget, words: str
+) -> None:
     offset = state.find_state(at, field.name).offset
     reach = _find_range(state, at, field, target)
     if reach is None:
@@ -37,7 +47,7 @@ def _check_range(state: ForecastState, at: ForecastContext, field: TargetField, 
     for end in dict.fromkeys(reach):
         check_target(state, at, field, end, offset)
     unit, (low, high) = field.axis.unit, (float(end + offset) for end in reach)
-    state.notes[f"{field.name} goes to {target.describe()}, between {low:g} and {high:g} {unit}"] = None
+    state.notes[f"{words} {target.describe()}, between {low:g} and {high:g} {unit}"] = None
 
 
 def _find_range(
