@@ -73,4 +73,10 @@ def forecast_step(state: ForecastState, at: ForecastContext, step: Step) -> Span
     except Refusal as error:
         state.add_problem(at, (), error)
         return Span()
-    return FORECASTERS[type(step)](state, at, step)
+    count = len(state.problems)
+    span = FORECASTERS[type(step)](state, at, step)
+    place = "" if step.origin is None or step.follows_path else step.origin.describe(1)
+    if place:  # a path names the line of the piece
+        for number, problem in enumerate(state.problems[count:], count):
+            state.problems[number] = problem.model_copy(update={"text": f"{place}: {problem.text}"})
+    return span
