@@ -75,8 +75,8 @@ def forecast_step(state: ForecastState, at: ForecastContext, step: Step) -> Span
         return Span()
     count = len(state.problems)
     span = FORECASTERS[type(step)](state, at, step)
-    place = "" if step.origin is None or step.follows_path else step.origin.describe(1)
-    if place:  # a path names the line of the piece
+    line_text = "" if step.origin is None or step.follows_path else step.origin.describe(1)
+    if line_text:  # a path names the line of the piece
         for number, problem in enumerate(state.problems[count:], count):
-            state.problems[number] = problem.model_copy(update={"text": f"{place}: {problem.text}"})
+            state.problems[number] = problem.model_copy(update={"text": f"{line_text}: {problem.text}"})
     return span

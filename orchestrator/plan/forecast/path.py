@@ -49,9 +49,9 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
 def _list_bases(state: ForecastState, at: ForecastContext, axes: Iterable[str]) -> list[dict[str, Fraction]]:
     """Motor positions at which the axes of a path may have been whose zero was set where their position was not known:
     both ends of what is known of that, or 0 where nothing is."""
-    nowhere = ContactRange(Fraction(0), Fraction(0))
+    no_range = ContactRange(Fraction(0), Fraction(0))
     ranges = {
-        name: state.ranges.get(name, nowhere)
+        name: state.ranges.get(name, no_range)
         for name in axes
         if not state.find_state(at, name).known and state.axes[name].offset_kind == "start"
     }

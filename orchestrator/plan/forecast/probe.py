@@ -90,13 +90,13 @@ def _check_start(state: ForecastState, at: ForecastContext, step: Probe) -> None
         if axis is None or amount is None:
             continue
         state_before = state.find_state(at, name)
-        here = state_before.motor + state_before.offset
+        position_here = state_before.motor + state_before.offset
         if not state_before.known or state_before.offset_kind != "motor":
             state.notes[f"{name} stands at {float(amount):g} {axis.unit} when the probe begins"] = None
-        elif abs(here - amount) * axis.scale > MAX_START_COUNTS:
-            text = f"axis {name} is at {float(here):g} {axis.unit}; the probe begins at {float(amount):g} {axis.unit}"
+        elif abs(position_here - amount) * axis.scale > MAX_START_COUNTS:
+            ends = f"at {float(position_here):g} {axis.unit}; the probe begins at {float(amount):g} {axis.unit}"
             remedy = f"move it there before: a step `do: move` to {float(amount):g}"
-            state.add_problem(at, ("start", name), Refusal("other-start", text, remedy))
+            state.add_problem(at, ("start", name), Refusal("other-start", f"axis {name} is {ends}", remedy))
 
 
 def _find_end(state: ForecastState, at: ForecastContext, step: Probe) -> ContactRange | None:

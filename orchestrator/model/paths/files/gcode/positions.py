@@ -130,8 +130,8 @@ class OffsetRunner:
         letters = list(values) or self._machine.letters
         self._machine.contacts.require_own_zero(letters, name)
         if values:
-            fixed = self._machine.list_fixed(values)
-            self._machine.go(self._machine.find_target(values), place, is_rapid=True, fixed=fixed)
+            fixed_letters = self._machine.list_fixed(values)
+            self._machine.go(self._machine.find_target(values), place, is_rapid=True, fixed=fixed_letters)
         target = {letter: self._places[name][letter] for letter in letters}
         self._machine.go({**self._machine.at, **target}, place, is_rapid=True, fixed=letters)
 
@@ -141,8 +141,8 @@ class OffsetRunner:
         if isinstance(name, int):
             if name == 5220:
                 return SYSTEMS.index(self._machine.offsets.system) + 1.0
-            if (measured := self.probes.find_state(name)) is not None:
-                return measured
+            if (contact_value := self.probes.find_state(name)) is not None:
+                return contact_value
             letter = LETTERS[name - 5420] if 5420 <= name < 5420 + len(LETTERS) else ""
         else:
             letter = name[1:].upper() if len(name) == 2 else ""

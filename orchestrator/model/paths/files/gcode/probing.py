@@ -46,13 +46,13 @@ class ProbeRunner:
         machine, name = self._machine, self._machine.modes.motion
         probe_input = self._read_input(name, place)
         words = take_words(line, machine, name)
-        to, fixed = machine.find_target(words), machine.list_fixed(words)
-        letters = machine.list_moved(to, fixed)
+        to, fixed_letters = machine.find_target(words), machine.list_fixed(words)
+        letters = machine.list_moved(to, fixed_letters)
         if len(letters) != 1:
-            moved = f"moves {' and '.join(letters)}; a probe moves one axis" if letters else "moves no axis"
-            raise LineError(place.column, f"{name} {moved}")
+            motion_text = f"moves {' and '.join(letters)}; a probe moves one axis" if letters else "moves no axis"
+            raise LineError(place.column, f"{name} {motion_text}")
         (letter,) = letters
-        if letter in machine.contacts.present and letter not in fixed:
+        if letter in machine.contacts.present and letter not in fixed_letters:
             self._require_certain(letter, name)
         length = abs(to[letter] - machine.at[letter])
         speed = f"{format_number(machine.find_speed(length))} mm/s"
@@ -60,7 +60,7 @@ class ProbeRunner:
         step: dict[str, Any] = {
             "do": "probe",
             "name": contact.name,
-            **machine.make_targets(to, letters, fixed),
+            **machine.make_targets(to, letters, fixed_letters),
             "until": probe_input.input,
             "by": probe_input.by,
             "level": self._last.level,
@@ -74,8 +74,8 @@ class ProbeRunner:
         machine.at = to
         machine.writer.stand_at(to)
         if contact.is_certain:  # the axis has gone on, while it came to rest
-            back = machine.make_targets(to, letters, ())
-            step = {"do": "move", "name": f"{contact.name}: to the contact", **back, "speed": speed}
+            return_targets = machine.make_targets(to, letters, ())
+            step = {"do": "move", "name": f"{contact.name}: to the contact", **return_targets, "speed": speed}
             machine.writer.add_step(step, place.line)
         self._notes.act_by_entry(name)
 

@@ -215,8 +215,10 @@ class LineRunner:
             words = take_words(line, machine, name)
             if is_machine:
                 machine.contacts.require_own_zero(words, "G53")
-            fixed = machine.list_fixed(words, is_machine=is_machine)
-            machine.go(machine.find_target(words, is_machine=is_machine), place, is_rapid=name == "G0", fixed=fixed)
+            fixed_letters = machine.list_fixed(words, is_machine=is_machine)
+            machine.go(
+                machine.find_target(words, is_machine=is_machine), place, is_rapid=name == "G0", fixed=fixed_letters
+            )
         elif name in PROBES:
             self._positions.probes.run(line, place)
         else:
