@@ -560,7 +560,10 @@ def run_mutation(seed: int) -> None:
     text = mutate(make(draw), draw)
     problems: list[tuple[int, str]] = []
     try:
-        read(text, **ALL, dialect=dialect, offsets=HOME)
+        imported = read(text, **ALL, dialect=dialect, offsets=HOME)
+        if any(step["do"] == "probe" for step in imported.steps):
+            steps = [{**step, "tolerance": "1 mm"} if step["do"] == "path" else step for step in imported.steps]
+            Job.model_validate(make_job("part", steps))
     except FileError as error:
         problems = [(problem.line, problem.text) for problem in error.problems]
     if dialect != "linuxcnc" or style == "linuxcnc" or any(sign in text for sign in "#[*oO\0"):
