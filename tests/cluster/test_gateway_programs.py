@@ -80,6 +80,12 @@ def test_a_program_that_probes_asks_for_the_input(tmp_path: Path) -> None:
         ]
         kept = "line 3 sets the user position of gantry.y, which stays behind the program"
         assert kept in checked["program"]["notes"]
+        # It touches nothing, and goes on at its probe, not behind the zero that it has not set.
+        client = fleet.make_client()
+        job_id = (await gateway.post("/v1/submit", {"job": checked["job"]})).json["job_id"]
+        assert (await client.wait_for_job(job_id)).state == "failed"
+        again = await check(gateway, text, continues=job_id)
+        assert [field["default"] for field in again["parameters"] if field["name"] == "from line"] == ["2"]
 
     run_with_gateway(main)
 

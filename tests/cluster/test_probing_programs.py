@@ -7,6 +7,7 @@ from cluster.test_probe import Bench, run_bench, with_touch
 from cluster.worlds import changed
 
 from orchestrator.client.steps import JobFailed
+from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.report import JobReport
 from orchestrator.model.templates.template import load_job
@@ -119,6 +120,18 @@ def test_what_the_machine_cannot_do_is_refused_with_its_line(
         step = report.steps[-1]
         assert step.name == "line 2" and step.refused is not None and step.refused.code == code, report.reason
         assert words in step.refused.text
+
+    run_bench(main, axis="gantry.x", ready=READY)
+
+
+def test_what_is_left_of_a_job_needs_its_probe() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(-1400)
+        edge = "{do: probe, name: EDGE, to: {gantry.x: 18}, until: gantry.touch, speed: 5 mm/s}"
+        report = await bench.run(edge, "{do: move, to: {gantry.x: {of: EDGE.x, between: [0, 1]}}}")
+        assert report.steps[-1].refused is not None and report.steps[-1].refused.code == "measured-bounds"
+        with pytest.raises(Refusal, match=r"goes by EDGE\.x, which was measured before"):
+            await bench.client.find_rest(report.job_id)
 
     run_bench(main, axis="gantry.x", ready=READY)
 

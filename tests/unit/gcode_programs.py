@@ -8,7 +8,14 @@ import re
 from collections.abc import Iterator
 
 AXES = {"X": "gantry.x", "Y": "gantry.y", "Z": "gantry.z"}
-ALL = {"spindle": "none", "tools": "none", "coolant": "none", "pause": "none", "block_delete": "skip", "probe": "gantry.touch"}
+ALL = {
+    "spindle": "none",
+    "tools": "none",
+    "coolant": "none",
+    "pause": "none",
+    "block_delete": "skip",
+    "probe": "gantry.touch",
+}
 
 
 def _walk(draw: random.Random, count: int) -> Iterator[tuple[float, float]]:
