@@ -367,6 +367,19 @@ def test_a_dry_run_states_the_range_of_what_is_saved() -> None:
     run_bench(main)
 
 
+@pytest.mark.parametrize("target", ["to: {gantry.x: -16}", "by: {gantry.x: -21}"])
+def test_what_follows_a_zero_at_a_contact_is_checked_for_its_whole_range(target: str) -> None:
+    async def main(bench: Bench) -> None:
+        # The zero is set somewhere from 10 mm to 15 mm; the soft limit is at -10 mm.
+        asked = f"[{EDGE}, {{do: set-position, axes: {{gantry.x: 5}}}}, {{do: move, {target}}}]"
+        forecast = await bench.client.dry_run(job(asked))
+        assert [problem.code for problem in forecast.problems] == ["soft-limit"], forecast.problems
+        fine = await bench.client.dry_run(job(asked.replace("-16", "-14").replace("-21", "-19")))
+        assert not fine.problems
+
+    run_bench(main)
+
+
 def test_a_position_is_not_used_in_the_job_that_saves_it() -> None:
     saving = "{do: save-position, position: edge, axes: {gantry.x: {of: EDGE.x}}}"
     going = "{do: move, to: {gantry.x: edge}}"
