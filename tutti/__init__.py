@@ -69,6 +69,7 @@ from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.repeat import JobStep as Step
 from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
@@ -122,6 +123,7 @@ __all__ = [
     "ReadyToBegin",
     "Refusal",
     "Repeat",
+    "SavePosition",
     "Scan",
     "SetOutput",
     "SetPosition",

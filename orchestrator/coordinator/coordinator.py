@@ -247,7 +247,8 @@ class Coordinator:
         holder = f"start-{self._environment.new_id()[:8]}"
         try:
             await self._leases.acquire(LeaseUser(holder, "coordinator", "enabling at the start"), names, brief=True)
-            await switch_motors(StepContext(self._fleet, self._targets, holder, "coordinator"), names, on=True)
+            context = StepContext(self._fleet, self._targets, self._positions, holder, "coordinator")
+            await switch_motors(context, names, on=True)
         except Refusal as error:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)
         finally:

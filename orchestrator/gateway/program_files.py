@@ -12,6 +12,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, FileProblem
 from orchestrator.model.jobs.forecast import AxisForecast, StepProblem
+from orchestrator.model.paths.origin import Place
 from orchestrator.plan.forecast.present import look_at_axes
 from orchestrator.plan.path.traces import trace_paths
 from orchestrator.plan.programs.present import list_places, list_zeros, stand_at, take_over
@@ -85,10 +86,9 @@ class ProgramCheck:
 def _locate_problem(program: ProgramJob, problem: StepProblem) -> FileProblem:
     text = problem.describe()
     number = next((part for part in problem.place if isinstance(part, int)), 0)
-    places = program.imported.places
-    if number >= len(places) or not places[number]:
+    lines: Sequence[Place] = program.imported.find_places(number) if number < len(program.imported.steps) else []
+    if not lines:
         return FileProblem(program.program.name, 0, "", text)
-    lines = places[number]
     piece = _find_piece(text)
     line = lines[piece - 1].line if 0 < piece <= len(lines) else min(lines).line
     return FileProblem(program.program.name, line, "", text)

@@ -64,6 +64,32 @@ def test_a_program_is_checked_drawn_and_run(tmp_path: Path) -> None:
     run_with_gateway(main)
 
 
+def test_a_program_that_probes_asks_for_the_input(tmp_path: Path) -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        gateway = await open_gateway(fleet, tmp_path)
+        text = "G91\nG38.2 Y-3 F60\nG92 Y0\nG0 Y5\nG90 G0 X4"
+        refused = await check(gateway, text)
+        assert (refused["problems"][0]["line"], "needs the input of the probe" in str(refused["problems"])) == (2, True)
+        (field,) = [field for field in refused["parameters"] if field["name"] == "probe"]
+        assert field["choices"] == ["not chosen", "gantry.door", "gantry.touch"]
+        wrong = await check(gateway, text, probe="gantry.door")
+        assert wrong["problems"][0]["line"] == 2 and "which does not stop gantry.y" in wrong["problems"][0]["text"]
+        checked = await check(gateway, text, probe="gantry.touch")
+        assert not checked["problems"] and [step["do"] for step in checked["job"]["steps"]] == [
+            *("probe", "move", "set-position", "path")
+        ]
+        kept = "line 3 sets the user position of gantry.y, which stays behind the program"
+        assert kept in checked["program"]["notes"]
+        # It touches nothing, and goes on at its probe, not behind the zero that it has not set.
+        client = fleet.make_client()
+        job_id = (await gateway.post("/v1/submit", {"job": checked["job"]})).json["job_id"]
+        assert (await client.wait_for_job(job_id)).state == "failed"
+        again = await check(gateway, text, continues=job_id)
+        assert [field["default"] for field in again["parameters"] if field["name"] == "from line"] == ["2"]
+
+    run_with_gateway(main)
+
+
 def test_a_program_begins_at_a_line_after_a_move_to_it(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         gateway = await open_gateway(fleet, tmp_path)

@@ -318,6 +318,76 @@ def test_later_steps_go_to_what_was_measured() -> None:
     run_bench(main)
 
 
+def test_a_contact_is_saved_as_a_position_for_later_jobs() -> None:
+    async def main(bench: Bench) -> None:
+        bench.put_contact(2500)
+        saving = "{do: save-position, position: edge, axes: {gantry.x: {of: EDGE.x, plus: -1 mm}, gantry.y: null}}"
+        report = await bench.run(EDGE, saving)
+        assert report.state == "done", report.reason
+        (saved,) = [entry for entry in await bench.client.list_positions() if entry.source == "saved"]
+        assert saved.name == "edge" and saved.actor == "operator" and saved.axes["gantry.y"] == "0 mm"
+        moved = await bench.run("{do: move, to: edge}")
+        assert moved.state == "done", moved.reason
+        assert bench.contact is not None
+        assert bench.find_rest() == pytest.approx(bench.contact.made[0].counts - 1000, abs=2)
+        # A contact that was not found replaces nothing.
+        report = await bench.run(EDGE.replace("15}", "12}").replace("speed", "else: continue, speed"), saving)
+        assert report.steps[-1].refused is not None and report.steps[-1].refused.code == "not-measured"
+        (again,) = [entry for entry in await bench.client.list_positions() if entry.source == "saved"]
+        assert again == saved
+
+    run_bench(main)
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        ("{gantry.x: {of: EDGE.x, plus: -21 mm}}", "target -11 mm is beyond its soft limits -10 to 400 mm"),
+        ("{gantry.x: {of: EDGE.x, between: [-20 mm, 12 mm]}}", "target -20 mm is beyond its soft limits"),
+        ("{gantry.x: 500}", "target 500 mm is beyond its soft limits"),
+        ("{gantry.x: 5, gantry.q: null}", "gantry.q"),
+    ],
+)
+def test_a_position_that_is_saved_is_checked_for_its_whole_range(axes: str, words: str) -> None:
+    async def main(bench: Bench) -> None:
+        saving = f"{{do: save-position, position: edge, axes: {axes}}}"
+        forecast = await bench.client.dry_run(job(f"[{EDGE}, {saving}]"))
+        assert words in forecast.problems[0].text
+
+    run_bench(main)
+
+
+def test_a_dry_run_states_the_range_of_what_is_saved() -> None:
+    async def main(bench: Bench) -> None:
+        saving = "{do: save-position, position: edge, axes: {gantry.x: {of: EDGE.x, plus: -5 mm}}}"
+        forecast = await bench.client.dry_run(job(f"[{EDGE}, {saving}]"))
+        assert not forecast.problems
+        assert forecast.steps[1].conditions == ["edge has gantry.x at EDGE.x + -5 mm, between 5 and 10 mm"]
+
+    run_bench(main)
+
+
+@pytest.mark.parametrize("target", ["to: {gantry.x: -16}", "by: {gantry.x: -21}"])
+def test_what_follows_a_zero_at_a_contact_is_checked_for_its_whole_range(target: str) -> None:
+    async def main(bench: Bench) -> None:
+        # The zero is set somewhere from 10 mm to 15 mm; the soft limit is at -10 mm.
+        asked = f"[{EDGE}, {{do: set-position, axes: {{gantry.x: 5}}}}, {{do: move, {target}}}]"
+        forecast = await bench.client.dry_run(job(asked))
+        assert [problem.code for problem in forecast.problems] == ["soft-limit"], forecast.problems
+        fine = await bench.client.dry_run(job(asked.replace("-16", "-14").replace("-21", "-19")))
+        assert not fine.problems
+
+    run_bench(main)
+
+
+def test_a_position_is_not_used_in_the_job_that_saves_it() -> None:
+    saving = "{do: save-position, position: edge, axes: {gantry.x: {of: EDGE.x}}}"
+    going = "{do: move, to: {gantry.x: edge}}"
+    with pytest.raises(ValueError, match="edge is saved by a step before it, and is taken once, when the job begins"):
+        job(f"[{EDGE}, {saving}, {going}]")
+    assert job(f"[{going}, {EDGE}, {saving}]").steps[0] == job(f"[{going}]").steps[0]
+
+
 @pytest.mark.parametrize(
     ("steps", "code", "words"),
     [

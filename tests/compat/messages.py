@@ -134,6 +134,9 @@ async def _work(fleet: VirtualFleet) -> None:
     triggers = "triggers: [{output: gantry.lamp, every: 50 ms}]"
     sampled = job(f"[{{do: move, by: {{gantry.x: 5}}, record: {{axes: [gantry.x], period: 5 ms}}, {triggers}}}]")
     assert (await client.wait_for_job(await client.submit(sampled))).state == "done"
+    probe = "{do: probe, name: EDGE, to: {gantry.y: 101}, until: gantry.touch, speed: 10 mm/s, else: continue}"
+    measured = job(f"[{{do: move, to: {{gantry.y: 100}}}}, {probe}, {{do: set-position, axes: {{gantry.y: 0}}}}]")
+    assert (await client.wait_for_job(await client.submit(measured))).state == "done"
     async with client.live("gantry.x") as live:
         await live.move(by={"gantry.x": -1})
     for number, (key, fields, _) in enumerate(requests()):

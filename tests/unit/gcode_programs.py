@@ -8,7 +8,14 @@ import re
 from collections.abc import Iterator
 
 AXES = {"X": "gantry.x", "Y": "gantry.y", "Z": "gantry.z"}
-ALL = {"spindle": "none", "tools": "none", "coolant": "none", "pause": "none", "block_delete": "skip"}
+ALL = {
+    "spindle": "none",
+    "tools": "none",
+    "coolant": "none",
+    "pause": "none",
+    "block_delete": "skip",
+    "probe": "gantry.touch",
+}
 
 
 def _walk(draw: random.Random, count: int) -> Iterator[tuple[float, float]]:
@@ -182,6 +189,7 @@ _EXTRA = [
 ]
 _EXTRA += [
     "G38.2",
+    "G38.3 Z-2",
     "o9 call",
     "Q1",
     "S1",
@@ -225,7 +233,7 @@ def mutate(text: str, draw: random.Random) -> str:
 
 # What each code consumes beside the words of axes, and of which group it is.
 _GROUPS = {
-    "motion": "G0 G1 G2 G3 G73 G81 G82 G83 G85 G89",
+    "motion": "G0 G1 G2 G3 G38.2 G38.3 G38.4 G38.5 G73 G81 G82 G83 G85 G89",
     "cycle end": "G80",
     "once": "G10 G28 G30 G52 G92 G92.1 G92.2 G92.3",
     "dwell": "G4",

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import FencedFields
 from orchestrator.model.messages import LeasedRequest, OutputRequest, Reply, raise_first_refusal
 from orchestrator.plan.step import ExactTargets
@@ -23,10 +24,12 @@ def _ignore_progress(part: float, doing: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class StepContext:
-    """What a step needs while it runs. holder: has the leases of its axes. targets: exact positions of axes."""
+    """What a step needs while it runs. holder: has the leases of its axes. targets: exact positions of axes. positions:
+    those with names."""
 
     fleet: FleetAccess
     targets: ExactTargets
+    positions: PositionBook
     holder: str
     actor: str
     progress: ProgressCallback = _ignore_progress

@@ -10,6 +10,7 @@ from orchestrator.coordinator.steps.io import run_output, run_wait, run_wait_arm
 from orchestrator.coordinator.steps.latch import run_latch
 from orchestrator.coordinator.steps.motors import run_motors
 from orchestrator.coordinator.steps.probe import run_probe
+from orchestrator.coordinator.steps.save_position import run_save_position
 from orchestrator.coordinator.steps.set_position import run_set_position
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.dwell import Dwell
@@ -18,6 +19,7 @@ from orchestrator.model.steps.io import SetOutput, WaitInput
 from orchestrator.model.steps.latch import Latch
 from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.probe import Probe
+from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.plan.pairs import require_whole_pairs
@@ -27,6 +29,7 @@ RUNNERS: Mapping[type[Step], Callable[[StepContext, Any], Awaitable[ReportFields
     Enable: run_motors,
     Disable: run_motors,
     SetPosition: run_set_position,
+    SavePosition: run_save_position,
     Dwell: run_dwell,
     SetOutput: run_output,
     WaitInput: run_wait,

@@ -15,7 +15,8 @@ from orchestrator.model.names import split_name
 from orchestrator.model.report import ProbeReport
 from orchestrator.model.state import AxisState, ControllerState, TimeInterval
 from orchestrator.model.steps.probe import Probe
-from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.model.units import Quantity, UnitError, parse_quantity
+from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed
 from orchestrator.plan.racks import require_single_motor
@@ -103,6 +104,7 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     require_single_motor(step.axis, axis, "probe")
     ability = ProbeAbilities(info.make, info.probe, info.host_probe).require_ability(view.fleet, step)
     speed = find_probe_speed(step, axis)
+    await _require_start(context, step)
     target = _find_target(context, step, axis, state)
     end_counts = axis.to_target_counts(target)
     distance = axis.to_length(end_counts - state.commanded_counts)
@@ -111,13 +113,28 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     return _PlannedProbe(step, axis, state.offset, end_counts, speed, stated_counts, longest_s)
 
 
+async def _require_start(context: StepContext, step: Probe) -> None:
+    """Raise `Refusal` for an axis that does not stand where the probe begins, to a count."""
+    view = context.fleet.view
+    for name, value in step.start.items():
+        axis, state = view.fleet.axis(name), await require_axis(view, name)
+        begin = _parse(name, value, axis)
+        if abs(axis.to_counts(begin - state.offset) - state.axis_counts) > MAX_START_COUNTS:
+            text = f"axis {name} is at {state.position:g} {axis.unit}; the probe begins at {float(begin):g} {axis.unit}"
+            raise Refusal("other-start", text, f"move it there before: a step `do: move` to {float(begin):g}")
+
+
+def _parse(name: str, value: Quantity, axis: Axis) -> Fraction:
+    try:
+        return parse_quantity(value, axis.unit)
+    except UnitError as error:
+        raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None
+
+
 def _find_target(context: StepContext, step: Probe, axis: Axis, state: AxisState) -> Fraction:
     """The motor position where the probe ends. Raises `Refusal`."""
     ((name, value),) = step.to.items()
-    try:
-        amount = parse_quantity(value, axis.unit)
-    except UnitError as error:
-        raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None
+    amount = _parse(name, value, axis)
     position_here = context.targets.exact_position(name, state.commanded_counts, axis.to_position(state.axis_counts))
     target = choose_turn(axis, position_here, amount - state.offset, state.offset)
     beyond_limits = explain_beyond_limits(name, axis, target, state.offset)

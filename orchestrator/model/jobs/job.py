@@ -79,6 +79,19 @@ class Job(ScriptModel):
         return self
 
     @model_validator(mode="after")
+    def _saved_for_later(self) -> "Job":
+        saved_names: set[str] = set()
+        for step in iterate_steps(self.steps):
+            for axis, target in step.iterate_targets():
+                if target in saved_names:
+                    text = f"{target} is saved by a step before it, and is taken once, when the job begins"
+                    remedy = f"write `{{{axis}: {{of: PROBE.axis}}}}`, or use it in a later job"
+                    raise ValueError(f"{step.describe()}: {text}; {remedy}")
+            if step.saved_position is not None:
+                saved_names.add(step.saved_position)
+        return self
+
+    @model_validator(mode="after")
     def _open_alone(self) -> "Job":
         number = next((number for number, step in enumerate(self.steps) if step.is_open), None)
         if number is not None and len(self.steps) > 1:

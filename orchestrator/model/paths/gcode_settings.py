@@ -63,6 +63,13 @@ class ToolChange(Model):
     )
 
 
+class ProbeInput(Model):
+    """What a probe of a program moves until."""
+
+    input: str = Field(description="controller.input, of the same controller as the axis that probes.")
+    by: Literal["controller", "host"] = Field(default="controller", description="As `by` of a step `do: probe`.")
+
+
 class GcodeSettings(Model):
     """What stands for the machine that a program was written for. Without an entry, a program that needs it is
     refused."""
@@ -85,6 +92,9 @@ class GcodeSettings(Model):
     )
     pause: Literal["none"] | PauseInput | None = Field(
         default=None, description="At M0, M1 and M60: `none` goes on without a stop; or an input that ends the pause."
+    )
+    probe: str | ProbeInput | None = Field(
+        default=None, description="The input (controller.input) that G38.2 to G38.5 move until."
     )
     block_delete: Literal["skip", "run"] | None = Field(
         default=None, description="Whether lines that begin with / are skipped or run."

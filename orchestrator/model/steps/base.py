@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, PrivateAttr
 
 from orchestrator.model.base import Model
 from orchestrator.model.compensation import Approach
@@ -93,6 +93,7 @@ class Step(ScriptModel):
     name: Annotated[str, PLAIN_TEXT] | None = Field(
         default=None, max_length=80, description="Shown in progress and report."
     )
+    _origin: PathOrigin | None = PrivateAttr(default=None)  # it is not sent
 
     @property
     def kind(self) -> str:
@@ -131,10 +132,17 @@ class Step(ScriptModel):
         repeats."""
         return replacements.get(id(self), self)
 
-    def with_origin(self, origin: PathOrigin) -> "Step":
-        """The step with the places of its pieces in a file; what is no path has none."""
-        del origin
-        return self
+    @property
+    def origin(self) -> PathOrigin | None:
+        """Where it, or each of its pieces, stands in the file that it was made of; None: it was made of none, or was
+        sent."""
+        return self._origin
+
+    def with_origin(self, origin: PathOrigin) -> Self:
+        """The step with its place, or the places of its pieces, in a file."""
+        step = self.model_copy()
+        step._origin = origin  # noqa: SLF001
+        return step
 
     # Axes, outputs, inputs
 
@@ -257,6 +265,11 @@ class Step(ScriptModel):
         """The step with quantities for what was measured. targets: by axis, all of `measured_targets`."""
         del targets
         return self
+
+    @property
+    def saved_position(self) -> str | None:
+        """The name of the position that it saves."""
+        return None
 
     @property
     def contact_names(self) -> list[str]:

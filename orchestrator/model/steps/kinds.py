@@ -9,6 +9,7 @@ from orchestrator.model.steps.motors import Disable, Enable
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.probe import Probe
+from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
@@ -19,6 +20,7 @@ SingleStep = (
     | Enable
     | Disable
     | SetPosition
+    | SavePosition
     | Dwell
     | SetOutput
     | WaitInput

@@ -3,11 +3,10 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
 
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from orchestrator.model.frame import MAX_COORDINATES
 from orchestrator.model.paths.gcode_settings import GcodeSettings
-from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.paths.packed import Pieces
 from orchestrator.model.paths.pieces import Piece
 from orchestrator.model.paths.source import PathSource
@@ -82,8 +81,6 @@ class FollowPath(Step, PathSpec):
     align: Align = 0
     max_start_skew: OwnSkew = None
     triggers: Triggers = Field(default=[], description="Outputs that are switched on the way.")
-    # Where the pieces stand in a file of another program. It is not sent.
-    _origin: PathOrigin | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _check_triggers(self) -> "FollowPath":
@@ -126,17 +123,6 @@ class FollowPath(Step, PathSpec):
         elif self.names and len(self.names) != len(self.axes):
             raise ValueError(f"has {len(self.names)} names for {len(self.axes)} axes; give one for each")
         return self
-
-    @property
-    def origin(self) -> PathOrigin | None:
-        """Where its pieces stand in the file that it was made of; None: it was made of none, or was sent."""
-        return self._origin
-
-    def with_origin(self, origin: PathOrigin) -> Self:
-        """The path with the places of its pieces in a file."""
-        path = self.model_copy()
-        path._origin = origin  # noqa: SLF001
-        return path
 
     @property
     def named_axes(self) -> list[str]:

@@ -10,7 +10,7 @@ from orchestrator.model.names import AxisTargets, Target, controller_of
 from orchestrator.model.steps.base import Step, TargetResolver
 from orchestrator.model.steps.measured import MEASURED, MeasuredTarget, name_contacts, split_measured
 from orchestrator.model.steps.speed import MANUAL, read_speed, scale_speed
-from orchestrator.model.units import Quantity
+from orchestrator.model.units import AxisQuantity, Quantity
 
 
 def _read_probe_speed(value: object) -> float | str:
@@ -38,6 +38,9 @@ class Probe(Step):
         description="The axis and where it goes at most: a quantity, or the name of a position.",
     )
     measured: dict[str, MeasuredTarget] = MEASURED
+    start: dict[str, AxisQuantity] = Field(
+        default={}, description="Where axes must stand before, within a count; nothing moves otherwise."
+    )
     until: str = Field(description="controller.input, of the same controller as the axis.")
     level: Literal["active", "passive"] = Field(
         default="active", description="What the input becomes; it must be the other one at the beginning."

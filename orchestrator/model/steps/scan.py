@@ -29,6 +29,7 @@ _NOT_AT_EACH = {
     "latch": "the record of a scan has no place for it; put it before or behind the scan",
     "probe": "the record of a scan has no place for it; put it before or behind the scan",
     "set-position": "it would shift the points after it; put it before the scan",
+    "save-position": "it would be saved anew at each point; put it before or behind the scan",
     "scan": "add its axes to `axes` of this scan instead",
     "repeat": "write its steps out, or repeat the scan",
 }

@@ -45,6 +45,7 @@ def _find_step_rest(ended: EndedJob, last: LastStep, switches: Sequence[Step]) -
     if len(left_steps) + len(switches) > MAX_STEPS:
         text = f"what is left are {len(left_steps)} steps; the maximum of a job is {MAX_STEPS}"
         raise Refusal("too-long", text, WHOLE)
+    _require_probes(left_steps)
     job_rest = describe_rest(ended, last.place, switches, left_steps)
     path = as_path(left_steps[0])
     if path is not None:
@@ -56,6 +57,17 @@ def _find_step_rest(ended: EndedJob, last: LastStep, switches: Sequence[Step]) -
     way = find_way(ended, find_first_places(ended, left_steps))
     job = ended.job.model_copy(update={"name": _name(ended.job, "rest of"), "steps": [*switches, *left_steps]})
     return job_rest.model_copy(update={"way": way, "move": make_move(ended.job, way), "job": job})
+
+
+def _require_probes(left_steps: Sequence[Step]) -> None:
+    """Raise `Refusal` where the probe of a measured target is not among what is left."""
+    contact_names: set[str] = set()
+    for step in iterate_steps(left_steps):
+        for name in [name for target in step.measured_targets.values() for name in target.of]:
+            if name not in contact_names:
+                text = f"what is left goes by {name}, which was measured before: {step.describe()}"
+                raise Refusal("measured", text, "run it again from its probe on: `tutti job retry JOB --step N`")
+        contact_names.update(step.contact_names)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.repeat import Repeat
+from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
@@ -29,6 +30,7 @@ from orchestrator.plan.forecast.motors import forecast_motors
 from orchestrator.plan.forecast.move import forecast_move
 from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.probe import forecast_probe
+from orchestrator.plan.forecast.save_position import forecast_save_position
 from orchestrator.plan.forecast.scan import forecast_scan
 from orchestrator.plan.forecast.set_position import forecast_set_position
 from orchestrator.plan.forecast.span import Span
@@ -51,6 +53,7 @@ FORECASTERS: Mapping[type[Step], Callable[[ForecastState, ForecastContext, Any],
     Enable: forecast_motors,
     Disable: forecast_motors,
     SetPosition: forecast_set_position,
+    SavePosition: forecast_save_position,
     Dwell: forecast_dwell,
     SetOutput: forecast_output,
     WaitInput: forecast_wait,
@@ -70,4 +73,10 @@ def forecast_step(state: ForecastState, at: ForecastContext, step: Step) -> Span
     except Refusal as error:
         state.add_problem(at, (), error)
         return Span()
-    return FORECASTERS[type(step)](state, at, step)
+    count = len(state.problems)
+    span = FORECASTERS[type(step)](state, at, step)
+    line_text = "" if step.origin is None or step.follows_path else step.origin.describe(1)
+    if line_text:  # a path names the line of the piece
+        for number, problem in enumerate(state.problems[count:], count):
+            state.problems[number] = problem.model_copy(update={"text": f"{line_text}: {problem.text}"})
+    return span

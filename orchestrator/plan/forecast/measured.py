@@ -1,5 +1,6 @@
 """The forecast of targets that probes measure: the whole range of them is checked, and the axis is somewhere in it."""
 
+from collections.abc import Mapping
 from fractions import Fraction
 
 from orchestrator.model.steps.base import Step
@@ -12,32 +13,49 @@ from orchestrator.plan.probes import ContactRange
 
 
 def take_measured(state: ForecastState, at: ForecastContext, step: Step, key: str) -> list[str]:
-    """Check all measured targets of a step, and lose the positions of their axes; return these. key: the field of the
-    step that has them."""
-    axes: list[str] = []
+    """Check all measured targets of a step, and lose the positions of their axes, but for their ranges; return these
+    axes. key: the field of the step that has them."""
+    ranges = check_measured(state, at, step, key)
+    for name in ranges:
+        state.require_ready(at, name, (key, name))
+    state.lose_positions(at, ranges)
+    state.ranges |= {name: reach for name, reach in ranges.items() if reach is not None}
+    return list(ranges)
+
+
+def check_measured(
+    state: ForecastState, at: ForecastContext, step: Step, key: str, what: str = ""
+) -> Mapping[str, ContactRange | None]:
+    """Check the range of all measured targets of a step; return it by axis, None where it is not known. what: is done
+    with them, for notes, with the axis behind it; by default `gantry.x goes to`."""
+    ranges: dict[str, ContactRange | None] = {}
     for name, target in step.measured_targets.items():
         axis = state.find_axis(at, name, (key, name), "target")
-        if axis is None:
-            continue
-        axes.append(name)
-        state.require_ready(at, name, (key, name))
-        _check_range(state, at, TargetField(key, name, axis), target)
-    state.lose_positions(at, axes)
-    return axes
+        if axis is not None:
+            words = f"{what} {name} at" if what else f"{name} goes to"
+            ranges[name] = _check_range(state, at, TargetField(key, name, axis), target, words)
+    return ranges
 
 
-def _check_range(state: ForecastState, at: ForecastContext, field: TargetField, target: MeasuredTarget) -> None:
-    offset = state.find_state(at, field.name).offset
+def _check_range(
+    state: ForecastState, at: ForecastContext, field: TargetField, target: MeasuredTarget, words: str
+) -> ContactRange | None:
+    state_before = state.find_state(at, field.name)
+    # Where the user's zero was set at a position that is not known, motor positions are shown.
+    is_user = state_before.offset_kind == "motor"
+    offset = state_before.offset if is_user else Fraction(0)
     reach = _find_range(state, at, field, target)
     if reach is None:
         state.conditions[f"{target.describe()} is a position that {field.name} may have in {name_step(at.index)}"] = (
             None
         )
-        return
+        return None
     for end in dict.fromkeys(reach):
         check_target(state, at, field, end, offset)
-    unit, (low, high) = field.axis.unit, (float(end + offset) for end in reach)
-    state.notes[f"{field.name} goes to {target.describe()}, between {low:g} and {high:g} {unit}"] = None
+    unit = field.axis.unit if is_user else f"{field.axis.unit} (motor position)"
+    low, high = (float(end + offset) for end in reach)
+    state.notes[f"{words} {target.describe()}, between {low:g} and {high:g} {unit}"] = None
+    return reach
 
 
 def _find_range(

@@ -1,6 +1,6 @@
 """The forecast of a path."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
@@ -15,6 +15,7 @@ from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import ForecastMotion
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path_step import PathStart, PlannedPath, find_start, plan_path_step
+from orchestrator.plan.probes import ContactRange
 from orchestrator.plan.shape import PlanError
 
 
@@ -27,12 +28,9 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         state.require_ready(at, name, ("axes",))
     if len(axes) < len(named_axes):
         return Span()
+    bases = _list_bases(state, at, axes)
     try:
-        starts = _find_starts(state, at, step, axes)
-        if isinstance(step, FlightPath):
-            path = plan_flight_step(step, starts)
-        else:
-            path = plan_path_step(step, starts, state.fleet.path_frames)
+        path, *_ = [_plan_path(state, at, step, axes, base) for base in bases]
     except (Refusal, PlanError) as error:
         code, text, remedy = ("plan", str(error), "")
         if isinstance(error, Refusal):
@@ -43,7 +41,40 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         state.lose_positions(at, axes)
         return Span()
     _note_bare_speed(state, step)
-    return take_path(state, at, step, path)
+    span = take_path(state, at, step, path)
+    _keep_unknown(state, bases[0])
+    return span
+
+
+def _list_bases(state: ForecastState, at: ForecastContext, axes: Iterable[str]) -> list[dict[str, Fraction]]:
+    """Motor positions at which the axes of a path may have been whose zero was set where their position was not known:
+    both ends of what is known of that, or 0 where nothing is."""
+    no_range = ContactRange(Fraction(0), Fraction(0))
+    ranges = {
+        name: state.ranges.get(name, no_range)
+        for name in axes
+        if not state.find_state(at, name).known and state.axes[name].offset_kind == "start"
+    }
+    low, high = ({name: reach[number] for name, reach in ranges.items()} for number in (0, 1))
+    return [low] if low == high else [low, high]
+
+
+def _plan_path(
+    state: ForecastState, at: ForecastContext, step: FollowPath, axes: Mapping[str, Axis], base: Mapping[str, Fraction]
+) -> PlannedPath:
+    starts = _find_starts(state, at, step, axes, base)
+    if isinstance(step, FlightPath):
+        return plan_flight_step(step, starts)
+    return plan_path_step(step, starts, state.fleet.path_frames)
+
+
+def _keep_unknown(state: ForecastState, base: Mapping[str, Fraction]) -> None:
+    """Axes whose zero was set at an unknown position are a known distance from there, and no more."""
+    for name, begin in base.items():
+        motor, state_before = state.axes[name].motor - begin, state.axes[name]
+        ends = {"lowest": min(state_before.lowest, motor), "highest": max(state_before.highest, motor)}
+        state.axes[name] = state_before.model_copy(update={"motor": motor, "known": False, **ends})
+        state.motion = None
 
 
 def take_path(state: ForecastState, at: ForecastContext, step: FollowPath, path: PlannedPath) -> Span:
@@ -72,19 +103,22 @@ def _note_bare_speed(state: ForecastState, step: FollowPath) -> None:
 
 
 def _find_starts(
-    state: ForecastState, at: ForecastContext, step: FollowPath, axes: Mapping[str, Axis]
+    state: ForecastState, at: ForecastContext, step: FollowPath, axes: Mapping[str, Axis], base: Mapping[str, Fraction]
 ) -> list[PathStart]:
-    """Where the axes of a path are before it: an axis whose position is not known must be at its start."""
+    """Where the axes of a path are before it: an axis whose position is not known must be at its start. base: see
+    `_list_bases`."""
     starts: list[PathStart] = []
     begin = find_start(step, [axis.unit for axis in axes.values()], state.fleet.path_frames)
     for value, point, (name, axis) in zip(step.start, begin, axes.items(), strict=True):
         state_before = state.find_state(at, name)
-        motor_here = state_before.motor
-        if not state_before.known or state_before.offset_kind != "motor":
+        motor_here, offset = state_before.motor, state_before.offset
+        if name in base:
+            motor_here, offset = motor_here + base[name], offset - base[name]
+        elif not state_before.known or state_before.offset_kind != "motor":
             position_text = value if step.frame is None else f"{float(point):.6g} {axis.unit}"
             state.notes[f"{name} stands at {position_text} when the path begins"] = None
-            motor_here = point - state_before.offset
-        starts.append(make_path_start(state, name, motor_here, state_before.offset))
+            motor_here = point - offset
+        starts.append(make_path_start(state, name, motor_here, offset))
     return starts
 
 

@@ -1,5 +1,6 @@
 """The forecast of a probe: the whole way to its end, and what its axis goes on there behind a contact."""
 
+from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
@@ -7,11 +8,12 @@ from orchestrator.model.fleet import Axis
 from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.probe import Probe
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
-from orchestrator.plan.forecast.measured import take_measured
+from orchestrator.plan.forecast.measured import check_measured
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed
 from orchestrator.plan.racks import require_single_motor
@@ -34,10 +36,37 @@ def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Sp
     except Refusal as error:
         state.add_problem(at, (), error)
         return Span()
-    state.contacts |= dict.fromkeys(step.contact_names)
-    longest_s = _take_way(state, at, step, (speed, overtravel))
+    _check_start(state, at, step)
+    begin = state.find_range(step.axis)
+    end = _find_end(state, at, step)
     state.lose_positions(at, [step.axis])
-    return Span(0.0, longest_s)
+    state.contacts |= dict.fromkeys(step.contact_names)
+    if begin is None or end is None:
+        return Span(0.0, None)
+    return _take_way(state, at, step, _ProbeWay(begin, end, speed, overtravel))
+
+
+@dataclass(frozen=True, slots=True)
+class _ProbeWay:
+    """Where a probe begins and ends, as motor positions; its speed, and how far it goes on behind the contact at
+    most, in the unit of its axis."""
+
+    begin: ContactRange
+    end: ContactRange
+    speed: float
+    overtravel: Fraction
+
+    @property
+    def contact(self) -> ContactRange:
+        """Where it may touch."""
+        return ContactRange(min(self.begin.low, self.end.low), max(self.begin.high, self.end.high))
+
+    @property
+    def rest(self) -> ContactRange:
+        """Where it may come to rest."""
+        low, high = self.contact
+        is_upward = self.end.high - self.begin.high >= self.begin.low - self.end.low
+        return ContactRange(low, high + self.overtravel) if is_upward else ContactRange(low - self.overtravel, high)
 
 
 def _find_overtravel(state: ForecastState, step: Probe, axis: Axis, speed: float) -> Fraction:
@@ -53,12 +82,27 @@ def _find_overtravel(state: ForecastState, step: Probe, axis: Axis, speed: float
     return overtravel
 
 
-def _take_way(state: ForecastState, at: ForecastContext, step: Probe, motion: tuple[float, Fraction]) -> float | None:
-    """Check the end of the way, and what the axis goes on there; return how long it takes at most, s. motion: speed and
-    overtravel."""
+def _check_start(state: ForecastState, at: ForecastContext, step: Probe) -> None:
+    """Where axes must stand before it: an axis whose position is not known must be there."""
+    for name, value in step.start.items():
+        axis = state.find_axis(at, name, ("start", name))
+        amount = None if axis is None else state.parse_amount(at, value, TargetField("start", name, axis))
+        if axis is None or amount is None:
+            continue
+        state_before = state.find_state(at, name)
+        position_here = state_before.motor + state_before.offset
+        if not state_before.known or state_before.offset_kind != "motor":
+            state.notes[f"{name} stands at {float(amount):g} {axis.unit} when the probe begins"] = None
+        elif abs(position_here - amount) * axis.scale > MAX_START_COUNTS:
+            ends = f"at {float(position_here):g} {axis.unit}; the probe begins at {float(amount):g} {axis.unit}"
+            remedy = f"move it there before: a step `do: move` to {float(amount):g}"
+            state.add_problem(at, ("start", name), Refusal("other-start", f"axis {name} is {ends}", remedy))
+
+
+def _find_end(state: ForecastState, at: ForecastContext, step: Probe) -> ContactRange | None:
+    """Where a probe ends that touches nothing; None: it is not known."""
     if step.measured:
-        take_measured(state, at, step, "to")
-        return None
+        return check_measured(state, at, step, "to")[step.axis]
     ((name, value),) = step.to.items()
     if is_position_name(value):
         state.note_unknown_positions(step)
@@ -67,14 +111,17 @@ def _take_way(state: ForecastState, at: ForecastContext, step: Probe, motion: tu
     amount = state.parse_amount(at, value, field)
     if amount is None:
         return None
-    state_before = state.find_state(at, name)
     take_target(state, at, MoveWays(), field, amount)
-    state_after = state.axes[name]
-    if not state_before.known or not state_after.known:
-        return None
-    ends = sorted((state_before.motor, state_after.motor))
-    state.contacts |= dict.fromkeys(step.contact_names, ContactRange(*ends))
-    distance, (speed, overtravel) = state_after.motor - state_before.motor, motion
-    farthest = state_after.motor + (overtravel if distance >= 0 else -overtravel)
-    check_target(state, at, field, farthest, state_after.offset)
-    return find_longest_s(field.axis, float(distance), speed)
+    return state.find_range(name)
+
+
+def _take_way(state: ForecastState, at: ForecastContext, step: Probe, way: _ProbeWay) -> Span:
+    """Check what the axis goes on behind a contact at the end, and where it may be afterwards."""
+    field, offset = TargetField("to", step.axis, state.fleet.axis(step.axis)), state.axes[step.axis].offset
+    state.contacts |= dict.fromkeys(step.contact_names, way.contact)
+    state.ranges[step.axis] = way.rest
+    for farthest in way.rest:
+        if farthest not in way.contact:
+            check_target(state, at, field, farthest, offset)
+    distance = max(abs(end - begin) for end in way.end for begin in way.begin)
+    return Span(0.0, find_longest_s(field.axis, float(distance), way.speed))

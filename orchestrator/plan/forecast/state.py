@@ -27,7 +27,8 @@ class ForecastState:
 
     motion: the step that was run forward last, if it is a motion all of whose positions are known. notes: conditions of
     the written step that is run forward. outputs: levels that steps have set. reserved: outputs with a use of their
-    own, by name. contacts: by the names of later steps, where probes may find them; None: not known.
+    own, by name. contacts: by the names of later steps, where probes may find them; None: not known. ranges: between
+    which motor positions an axis was when its position became unknown, where that is known.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class ForecastState:
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
         self.contacts: dict[str, ContactRange | None] = {}
+        self.ranges: dict[str, ContactRange] = {}
 
     def order_of(self, name: str, axis: Axis) -> Order:
         return self.orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)
@@ -152,7 +154,7 @@ class ForecastState:
 
     def note_room(self, name: str, state: AxisForecast) -> None:
         """The condition that moves by a distance set on the position where they begin."""
-        if state.known or state.lowest == state.highest:
+        if state.known or state.lowest == state.highest or name in self.ranges:
             return
         axis = self.fleet.axis(name)
         if axis.soft_limits is None:
@@ -172,7 +174,18 @@ class ForecastState:
 
     def lose_positions(self, at: ForecastContext, axes: Iterable[str]) -> None:
         for axis in axes:
-            self.axes[axis] = self.find_state(at, axis).model_copy(update=unknown_position(at))
+            state_before = self.find_state(at, axis)
+            # It was counted from a position that does not hold any more.
+            kind = "unknown" if state_before.offset_kind == "start" else state_before.offset_kind
+            self.axes[axis] = state_before.model_copy(update={**unknown_position(at), "offset_kind": kind})
+            self.ranges.pop(axis, None)
+
+    def find_range(self, name: str) -> ContactRange | None:
+        """Between which motor positions an axis stands now; None: it is not known."""
+        state, begin = self.axes[name], self.ranges.get(name)
+        if state.known:
+            return ContactRange(state.motor, state.motor)
+        return None if begin is None else ContactRange(begin.low + state.motor, begin.high + state.motor)
 
     def note_unknown_positions(self, step: Step) -> list[str]:
         """Note the positions that only the running fleet knows; return the axes that the step moves there."""

@@ -113,6 +113,11 @@ def check_target(
     return text is None
 
 
+def find_offset(state: AxisForecast, begin: Fraction) -> Fraction:
+    """User minus motor position of an axis that was at the motor position `begin` when its position became unknown."""
+    return state.offset - begin if state.offset_kind == "start" else state.offset
+
+
 def exceeds_room(axis: Axis, reached: tuple[Fraction, Fraction]) -> bool:
     """Whether the soft limits are too near to each other for all positions in a range."""
     limits = axis.soft_limits_counts
@@ -124,7 +129,12 @@ def exceeds_room(axis: Axis, reached: tuple[Fraction, Fraction]) -> bool:
 
 def check_room(state: ForecastState, at: ForecastContext, field: TargetField, after: AxisForecast) -> bool:
     """Whether the moves by a distance from an unknown position can stay inside the soft limits at all."""
-    axis = field.axis
+    axis, begin = field.axis, state.ranges.get(field.name)
+    if begin is not None:
+        ends = (begin.low, after.lowest), (begin.high, after.highest)
+        return all(
+            check_target(state, at, field, motor + way, find_offset(after, motor)) for motor, way in dict.fromkeys(ends)
+        )
     limits = axis.soft_limits_counts
     if limits is None or not exceeds_room(axis, (after.lowest, after.highest)):
         return True

@@ -62,8 +62,8 @@ def make_imported_job(imported: ImportedSteps, plain: dict[str, Any]) -> Job:
             for problem in problems
         )
     steps = [
-        step.with_origin(PathOrigin(imported.file, places))
-        for step, places in zip(job.steps, imported.places, strict=True)
+        step.with_origin(PathOrigin(imported.file, imported.find_places(number)))
+        for number, step in enumerate(job.steps)
     ]
     return job.model_copy(update={"steps": steps})
 

@@ -45,6 +45,6 @@ def stand_at(places: Mapping[str, str], axes: Mapping[str, AxisForecast], fleet:
     for name, target in places.items():
         axis, forecast = fleet.axis(name), axes.get(name)
         goal = parse_quantity(target, axis.unit, name)
-        if forecast is None or abs(goal - forecast.motor - forecast.offset) * axis.counts_per_unit > 1:
+        if forecast is None or abs(goal - forecast.motor - forecast.offset) * axis.scale > 1:
             return False
     return True

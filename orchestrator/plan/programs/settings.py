@@ -25,6 +25,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "pause": (r"(?<![A-Z])M(0*[01]|60)(?!\d)", "M0 and M1 do not wait"),
     "block_delete": (r"^\s*/", "lines that begin with /"),
 }
+_PROBE = re.compile(r"(?<![A-Z])G38\.[2-5]")
 _SYSTEM = re.compile(r"(?<![A-Z])G(5[5-9](?:\.[123])?|28|30)(?![.\d])")
 _DIALECTS = ("linuxcnc", "grbl", "marlin", "fanuc")
 
@@ -91,6 +92,10 @@ def describe_fields(
             choices = [UNSET, "skip", "run"] if name == "block_delete" else [UNSET, "none"]
             text = meaning if name == "block_delete" else f"none: {meaning}"
             fields.append({"name": name, "type": "text", "default": UNSET, "choices": choices, "description": text})
+    if _PROBE.search(code):
+        inputs = fleet.names.inputs
+        field = {"name": "probe", "type": "text", "default": UNSET, "choices": [UNSET, *inputs]}
+        fields.append({**field, "description": "the input of the probe"})
     return [*fields, *_describe_offsets(letters, code)]
 
 
@@ -188,7 +193,7 @@ def _choose_axes(letters: Sequence[str], axes: Sequence[str]) -> dict[str, str]:
 
 def _make_mapping(texts: Mapping[str, str]) -> dict[str, Any]:
     """`gcode:` as a job file gives it."""
-    names = [name for name in ("dialect", *_WORDS) if texts.get(name, UNSET) != UNSET]
+    names = [name for name in ("dialect", *_WORDS, "probe") if texts.get(name, UNSET) != UNSET]
     systems = {
         name: [_read_place(part) for part in text.split(",")]
         for name, text in texts.items()

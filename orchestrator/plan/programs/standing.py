@@ -42,6 +42,9 @@ def find_standing_line(program: ProgramJob, end: LastMotion, fleet: Fleet) -> St
     number, is_under_way = _find_step(program, end.report)
     if number >= len(steps):
         return StandingLine(max(max(own_places) for own_places in places if own_places).line)
+    line = 0 if places[number] else program.imported.lines[number]
+    if line:
+        return StandingLine(line)
     path_number = sum(step.follows_path for step in steps[:number])
     path = find_paths(steps)[path_number]
     trace = trace_paths(program.job, program.paths)[path_number]
@@ -51,8 +54,9 @@ def find_standing_line(program: ProgramJob, end: LastMotion, fleet: Fleet) -> St
 
 
 def _find_step(program: ProgramJob, report: JobReport) -> tuple[int, bool]:
-    """The number of the path that had begun last, or is next; and whether the report has it."""
-    steps, places, reports = program.job.steps, program.imported.places, report.steps
+    """The number of the path, or of the other step with a line, that had begun last, or is next; and whether the report
+    has it."""
+    steps, contents, reports = program.job.steps, program.imported, report.steps
     # A move to the first line may have been a job of its own.
     first = 1 if program.approach and not (reports and reports[0].do == "move") else 0
     if not reports:
@@ -61,7 +65,7 @@ def _find_step(program: ProgramJob, report: JobReport) -> tuple[int, bool]:
         # Behind a step that is done, the next one may have begun, and left no report.
         is_under_way = reports[-1].state != "done"
         number = first + reports[-1].index + (0 if is_under_way else 1)
-    while number < len(steps) and not places[number]:
+    while number < len(steps) and not contents.find_places(number):
         number, is_under_way = number + 1, False
     return number, is_under_way
 

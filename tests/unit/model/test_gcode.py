@@ -68,7 +68,7 @@ def points(text: str, **settings: Any) -> list[tuple[float, ...]]:
         ("G53 G91 G0 X1", "G53 needs G0 or G1, and G90"),
         ("F60 G93 G1 X1\nX2", "2: each motion needs its F with G93"),
         ("G95 F1 G1 X1", "G95 is a feed per turn"),
-        ("G38.2 Z-1 F10", "G38.2 is not supported: it probes"),
+        ("G38.2 Z-1 F10", "column 1: G38.2 needs the input of the probe: write `gcode: {probe: CONTROLLER.INPUT}`"),
         ("G41 D1", "G41 is not supported: it offsets the path by the radius"),
         ("G1 F60 X1\nG54.5", "2: column 1: G54.5 is not supported"),
         ("G0 X1\nM7", "2: column 1: M7 needs `gcode: {coolant: none}`"),
@@ -97,6 +97,118 @@ def test_the_turns_of_an_arc() -> None:
     (step,) = read("G0 X10\nF600 G2 X10 Y0 I-5 J0 P3\nG3 X0 I-5 P2").steps
     _, circle, arc = step["pieces"]
     assert (circle["piece"], circle["turns"], arc["piece"], arc["turns"]) == ("helix", 2, "helix", 1)
+
+
+# Probing
+
+TOUCH = {"probe": "gantry.touch"}
+
+
+@pytest.mark.parametrize(
+    ("code", "level", "otherwise"),
+    [
+        ("G38.2", "active", "fail"),
+        ("G38.3", "active", "continue"),
+        ("G38.4", "passive", "fail"),
+        ("G38.5", "passive", "continue"),
+    ],
+)
+def test_each_code_of_probing_is_a_step(code: str, level: str, otherwise: str) -> None:
+    probe, *back, move = read(f"G20\n{code} Z-0.1 F6\nG0 Z1", **TOUCH).steps
+    assert probe == {
+        "do": "probe",
+        "name": "line 2",
+        "to": {"gantry.z": "-2.54 mm"},
+        "until": "gantry.touch",
+        "by": "controller",
+        "level": level,
+        "speed": "2.54 mm/s",
+        "else": otherwise,
+        "start": dict.fromkeys(AXES.values(), "0 mm"),
+    }
+    # A program that goes on anyway does not know whether there is a contact to go back to.
+    assert [step["to"]["gantry.z"]["of"] for step in back] == ["line 2.gantry.z"] * (otherwise == "fail")
+    assert move["do"] == "move" and move["to"] == {"gantry.z": "25.4 mm"}
+
+
+@pytest.mark.parametrize(
+    ("text", "to", "by"),
+    [
+        ("G91 G0 Z2", {"gantry.z": {"of": "line 1.gantry.z", "plus": "2 mm"}}, {}),
+        ("G0 X3", {"gantry.x": "3 mm"}, {}),
+        ("G91 G1 X3 Z1", {"gantry.x": "3 mm", "gantry.z": {"of": "line 1.gantry.z", "plus": "1 mm"}}, {}),
+        ("G0 Z-5", {"gantry.z": "-5 mm"}, {}),
+        ("G53 G0 Z2", {"gantry.z": "2 mm"}, {}),
+        ("G38.3 Z-9\nG91 G0 X1 Z2", {"gantry.x": "1 mm"}, {"gantry.z": "2 mm"}),
+    ],
+)
+def test_what_follows_a_probe_is_a_move_from_rest(text: str, to: dict[str, Any], by: dict[str, Any]) -> None:
+    (*_, move) = read(f"G38.2 Z-5 F60\n{text}", **TOUCH).steps
+    assert move["do"] == "move" and move.get("to", {}) == to and move.get("by", {}) == by and move["sync"] == "phase"
+
+
+def test_a_probe_is_a_motion_that_holds() -> None:
+    steps = read("G91 G38.2 Z-5 F60\nG0 Z1\nG38.2 Z-2 F30\nZ-1", **TOUCH, dialect="grbl").steps
+    assert [step["do"] for step in steps] == ["probe", "move", "move", "probe", "move", "probe", "move"]
+    assert steps[3]["to"] == {"gantry.z": {"of": "line 1.gantry.z", "plus": "-1 mm"}}
+    assert steps[5]["to"] == {"gantry.z": {"of": "line 3.gantry.z", "plus": "-1 mm"}}
+
+
+@pytest.mark.parametrize("zero", ["G92 Z0.5 X7", "G10 L20 P0 X7 Z0.5", "G10 L20 P1 X7 Z0.5"])
+def test_a_zero_at_a_contact_is_a_user_position(zero: str) -> None:
+    contents = read(f"G54\nG38.2 Z-5 F60\n{zero}\nG0 X8\nZ2", **TOUCH, offsets={"G54": [0, 0, 10]})
+    *_, zeroing, path = contents.steps
+    assert zeroing == {"do": "set-position", "axes": {"gantry.z": "10.5 mm"}}
+    # X is where it was, and has another number.
+    assert path["start"] == ["0 mm", "0 mm", "10.5 mm"]
+    assert [piece["to"] for piece in path["pieces"]] == [["1 mm", "0 mm", "10.5 mm"], ["1 mm", "0 mm", "12 mm"]]
+    assert "line 3 sets the user position of gantry.z, which stays behind the program" in contents.notes
+
+
+def test_a_program_has_a_contact_or_ends() -> None:
+    assert read("G38.2 Z-5 F60\no1 if [#5070 EQ 1]\nG0 X5\no1 endif", **TOUCH).steps[-1]["to"] == {"gantry.x": "5 mm"}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("G38.2 Z0 F60", "column 1: G38.2 moves no axis"),
+        ("G38.2 F60", "column 1: G38.2 moves no axis"),
+        ("G38.2 X1 Z-1 F60", "G38.2 moves X and Z; a probe moves one axis"),
+        ("G38.2 Z-1", "no feed is chosen"),
+        ("G38.6 Z-1 F60", "G38.6 is not supported"),
+        ("G38 Z-1 F60", "G38 is not supported: it is G38.2 to G38.5"),
+        ("G53 G38.2 Z-1 F60", "G53 needs G0 or G1"),
+        ("G38.2 Z-1 F60\nG2 X2 I1", "2: G2 needs to know where Z stands, which line 1 measures"),
+        ("G38.2 Z-1 F60\nG81 X2 Z-1 R1", "2: G81 needs to know where Z stands"),
+        ("G38.2 Z-1 F60\n#1=#5063", "2: #5063 is measured when the program runs"),
+        ("G38.3 Z-1 F60\n#1=#5070", "2: #5070 is measured when the program runs"),
+        ("G38.2 Z-1 F60\n#1=#<_z>", "2: a parameter needs to know where Z stands"),
+        ("#1=#5063\nG38.2 Z-1 F60", "1: column 4: parameter #5063 has no value here"),
+        ("G38.3 Z-1 F60\nG91 G38.2 Z-1", "2: G38.2 would end so far from where Z stands, which is not known"),
+        ("G38.2 Z-1 F60\nG10 L20 P2 Z0", "2: the zero of Z at a contact is that of G54, which is chosen"),
+        ("G38.2 Z-1 F60\nG92 Z0\nG53 G0 Z1", "3: line 2 has set the zero of Z at a contact, and G53 counts from"),
+        ("G38.2 Z-1 F60\nG92 Z0\nG28", "3: line 2 has set the zero of Z at a contact, and G28 counts from"),
+        ("G38.2 Z-1 F60\nG92 Z0\nG92.1", "3: line 2 has set the zero of Z at a contact, and G92.1 counts from"),
+        ("G38.2 Z-1 F60\nG92 Z0\nG10 L2 P1 Z1", "3: line 2 has set the zero of Z at a contact, and G10 L2 counts"),
+        ("G38.2 Z-1 F60\nG10 L20 P1 Z0\nG55", "3: line 2 has set the zero of Z in G54 at a contact"),
+    ],
+)
+def test_what_a_probe_leaves_unknown_is_refused_with_its_line(text: str, words: str) -> None:
+    assert words in refuse(text, **TOUCH, offsets=HOME | {"G55": [0, 0, 0]})
+
+
+def test_fanuc_has_no_such_code() -> None:
+    assert "G38.2 is no code of fanuc" in refuse("G38.2 Z-1. F60", **TOUCH, dialect="fanuc")
+
+
+def test_a_program_begins_behind_a_zero_and_not_beside_a_contact() -> None:
+    text = "G38.2 Z-1 F60\nG0 X1\nG92 Z0\nG0 X5\nX6"
+    with pytest.raises(FileError, match="to begin here needs to know where Z stands, which line 1 measures"):
+        read(text, 2, **TOUCH)
+    contents = read(text, 5, **TOUCH)
+    assert contents.steps[0] == {"do": "move", "to": {"gantry.x": "5 mm", "gantry.y": "0 mm", "gantry.z": "0 mm"}}
+    assert contents.modes[-1] == "zero of Z as line 3 has set it at a contact"
 
 
 def test_a_dwell_with_words_of_axes_is_a_dwell_and_a_motion() -> None:
@@ -448,7 +560,10 @@ def run_mutation(seed: int) -> None:
     text = mutate(make(draw), draw)
     problems: list[tuple[int, str]] = []
     try:
-        read(text, **ALL, dialect=dialect, offsets=HOME)
+        imported = read(text, **ALL, dialect=dialect, offsets=HOME)
+        if any(step["do"] == "probe" for step in imported.steps):
+            steps = [{**step, "tolerance": "1 mm"} if step["do"] == "path" else step for step in imported.steps]
+            Job.model_validate(make_job("part", steps))
     except FileError as error:
         problems = [(problem.line, problem.text) for problem in error.problems]
     if dialect != "linuxcnc" or style == "linuxcnc" or any(sign in text for sign in "#[*oO\0"):

@@ -51,7 +51,9 @@ class JobRun:
         axes = JobAxes(services, row, self._steps, self._rest)
         self._preparation = JobPreparation(services, row, job, self._steps, axes)
         self._chain = MotionChain(services.motion, row.id, job, self._steps)
-        self._context = StepContext(services.fleet, services.motion.targets, row.id, row.actor, self._state.note_part)
+        self._context = StepContext(
+            services.fleet, services.motion.targets, services.positions, row.id, row.actor, self._state.note_part
+        )
         self._step_run = StepRun(services, self._context, self._state, self._chain, axes)
         self.control = RunControl(row, self._steps, self._state, self._chain, self._step_run)
         self._interrupt: JobInterrupted | None = None

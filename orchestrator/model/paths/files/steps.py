@@ -10,6 +10,7 @@ from typing import Any
 
 from orchestrator.model.jobs.files import FileError, FileProblem, validate_value
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.paths.files.base.imported import ImportedSteps
 from orchestrator.model.paths.files.reading import GCODE, GcodeStart, read_path_file
 from orchestrator.model.paths.origin import PathOrigin
 from orchestrator.model.steps.base import Step
@@ -44,23 +45,37 @@ def _read_file(step: FollowPath, file: str, folder: Path | None) -> Step:
     path = Path(file) if folder is None else folder / file
     begin = GcodeStart(_find_places(step, path), step.gcode, folder=path.parent)
     contents = read_path_file(path, dict(zip(step.names or step.axes, step.axes, strict=True)), begin)
+    if len(contents.steps) > MAX_REPEATED:
+        text = f"stops {len(contents.steps)} times; at most {MAX_REPEATED} times are possible"
+        raise FileError([FileProblem(str(path), 1, "", f"{text}: split the program")])
+    moves_freely = any(plain_step["do"] in ("move", "probe") for plain_step in contents.steps)
+    if moves_freely and step.frame is not None:
+        text = "it probes, and what it moves then are the axes themselves; leave `frame` of its step out"
+        raise FileError([FileProblem(str(path), 1, "", text)])
+    fields = [_complete_fields(step, contents, number) for number in range(len(contents.steps))]
+    job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": fields}, Job)
+    if job is None:
+        number, *places = problems[0].place[1:] or (0,)
+        text = f"its path {int(number) + 1} is not valid: {'.'.join(map(str, places))} {problems[0].text}"
+        raise FileError([FileProblem(str(path), 1, "", text)])
     steps: list[Step] = []
     notes = contents.notes
-    for number, (plain_step, places) in enumerate(zip(contents.steps, contents.places, strict=True)):
-        fields = plain_step
-        if plain_step["do"] == "path":
-            fields = {**_add_fields(step, plain_step), "name": step.name, **contents.make_source(number)}
-        job, problems = validate_value({"schema": "tutti.job/1", "name": "file", "steps": [fields]}, Job)
-        if job is None:
-            field = ".".join(map(str, problems[0].place[2:]))
-            text = f"its path {number + 1} is not valid: {field} {problems[0].text}"
-            raise FileError([FileProblem(str(path), 1, "", text)])
-        steps += [step.with_origin(PathOrigin(str(path), places, notes)) for step in job.steps]
-        notes = notes if plain_step["do"] != "path" else []
-    if len(steps) > MAX_REPEATED:
-        text = f"stops {len(steps)} times; at most {MAX_REPEATED} times are possible"
-        raise FileError([FileProblem(str(path), 1, "", f"{text}: split the program")])
+    for number, plain_step in enumerate(job.steps):
+        steps.append(plain_step.with_origin(PathOrigin(str(path), contents.find_places(number), notes)))
+        notes = [] if plain_step.follows_path else notes
     return steps[0] if len(steps) == 1 else Repeat(times=1, steps=steps, name=step.name)
+
+
+def _complete_fields(step: FollowPath, contents: ImportedSteps, number: int) -> dict[str, Any]:
+    """A step of a file with what the step of the job says about it."""
+    plain_step = contents.steps[number]
+    if plain_step["do"] == "path":
+        return {**_add_fields(step, plain_step), "name": step.name, **contents.make_source(number)}
+    if plain_step["do"] in ("move", "probe") and step.speed is not None:
+        own = plain_step.get("speed")
+        cap = step.speed if isinstance(step.speed, str) else f"{step.speed:g} mm/s"
+        return {**plain_step, "speed": cap if own is None else _choose_lower([cap, own])}
+    return plain_step
 
 
 def _find_places(step: FollowPath, path: Path) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """What an importer makes: the steps of a job, with the places of what they were made of."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,8 @@ class ImportedSteps:
     """The steps of a job that a file stands for. places: of the pieces of each path in the file; none for other steps.
 
     notes: what was left out, and why that changes nothing; modes: with which a part of a program begins, in words.
-    digests: by name, of the file and of what it needs.
+    digests: by name, of the file and of what it needs. lines: by step, where one that is no path stands; 0: it is not
+    known.
     """
 
     file: str
@@ -31,6 +32,12 @@ class ImportedSteps:
     notes: list[str] = field(default_factory=list[str])
     modes: list[str] = field(default_factory=list[str])
     digests: dict[str, str] = field(default_factory=dict[str, str])
+    lines: list[int] = field(default_factory=list[int])
+
+    def find_places(self, step: int) -> Sequence[Place]:
+        """Where the pieces of a path stand, or another step; none where that is not known."""
+        line = self.lines[step] if step < len(self.lines) else 0
+        return self.places[step] or ([Place(line)] if line else [])
 
     def make_source(self, step: int) -> dict[str, Any]:
         """What the pieces of a path were made of, as a field of its step."""

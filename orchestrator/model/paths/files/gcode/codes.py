@@ -20,7 +20,7 @@ def _list_codes(group: str, names: str, meaning: Meaning = "read") -> dict[tuple
 
 
 CODES: Mapping[tuple[str, float], Code] = {
-    **_list_codes("motion", "G0 G1 G2 G3 G73 G81 G82 G83 G85 G89"),
+    **_list_codes("motion", "G0 G1 G2 G3 G38.2 G38.3 G38.4 G38.5 G73 G81 G82 G83 G85 G89"),
     # Alone it ends a motion; beside G0 or G1, as many controls have it, it ends a cycle.
     **_list_codes("cycle end", "G80"),
     **_list_codes("dwell", "G4"),
@@ -49,10 +49,9 @@ CODES: Mapping[tuple[str, float], Code] = {
 }
 
 # Why a code is refused that other programs have; others are not known.
-_PROBING = "probes; a path is known before it moves, and probing is not"
 _COMPENSATION = "offsets the path by the radius of a tool; have the CAM program compensate it"
 REASONS: Mapping[str, str] = {
-    **dict.fromkeys(("G38", "G38.2", "G38.3", "G38.4", "G38.5"), _PROBING),
+    "G38": "is G38.2 to G38.5: toward a contact, or away from it",
     **dict.fromkeys(("G41", "G42", "G41.1", "G42.1"), _COMPENSATION),
     **dict.fromkeys(("G33", "G33.1", "G76", "G84", "G74"), "follows the angle of a spindle"),
     **dict.fromkeys(("G86", "G87", "G88"), "stops the spindle, or waits for a person, inside of a hole"),
@@ -64,6 +63,7 @@ REASONS: Mapping[str, str] = {
     **dict.fromkeys(("G29", "G32", "G33"), "measures a bed"),
     "M49": "forbids to change the speed of a path, which a person may always do",
 }
+PROBING = frozenset({"G38.2", "G38.3", "G38.4", "G38.5"})
 CYCLES = frozenset({"G73", "G81", "G82", "G83", "G85", "G89"})
 
 
@@ -105,7 +105,7 @@ DIALECTS: Mapping[str, Dialect] = {
             dwell={"P": 0.001, "S": 1.0},
             has_rapids=False,
         ),
-        Dialect("fanuc", dwell={"P": 0.001, "X": 1.0, "U": 1.0}, is_integer_small=True),
+        Dialect("fanuc", missing=PROBING, dwell={"P": 0.001, "X": 1.0, "U": 1.0}, is_integer_small=True),
     )
 }
 

@@ -1,18 +1,19 @@
 """Lines and arcs of a program, as pieces of a path."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from math import hypot, pi
 from typing import Any
 
 from orchestrator.model.paths.circles import IN_MM, ROUNDING_MM, Arc, fit_arc
 from orchestrator.model.paths.files.base.imported import format_number
+from orchestrator.model.paths.files.gcode.contacts import Contacts
 from orchestrator.model.paths.files.gcode.errors import LineError
 from orchestrator.model.paths.files.gcode.line import CodeLine
 from orchestrator.model.paths.files.gcode.modes import PLANES, Modes, Plane
 from orchestrator.model.paths.files.gcode.offsets import WorkOffsets
 from orchestrator.model.paths.files.gcode.words import Word
-from orchestrator.model.paths.files.gcode.writer import StepWriter, Way
+from orchestrator.model.paths.files.gcode.writer import StepWriter, Way, write_length
 from orchestrator.model.paths.origin import Place
 
 Point = dict[str, float]
@@ -22,8 +23,9 @@ NO_FEED = "no feed is chosen; write F with a speed a minute before the first G1"
 
 @dataclass(slots=True)
 class Machine:
-    """What moves: modes, offsets, and where the program stands. at: positions of the axes, mm, by letter; has_rapids:
-    whether G0 is faster than the feed."""
+    """What moves: modes, offsets, and where the program stands. at: positions of the axes, mm, by letter, which of an
+    axis that stands beside a contact are so far from the number that stands for it; has_rapids: whether G0 is faster
+    than the feed."""
 
     letters: list[str]
     modes: Modes
@@ -31,6 +33,7 @@ class Machine:
     writer: StepWriter
     at: Point
     has_rapids: bool = True
+    contacts: Contacts = field(default_factory=Contacts)
 
     def find_target(self, words: Mapping[str, float], *, is_machine: bool = False) -> Point:
         """Where a motion to these numbers ends. is_machine: they are positions of the axes (G53)."""
@@ -42,15 +45,61 @@ class Machine:
                 target[letter] = value + (self.at if self.modes.is_relative else self.offsets.total)[letter]
         return target
 
-    def go(self, to: Point, place: Place, *, is_rapid: bool) -> None:
-        """A straight line."""
+    def list_fixed(self, words: Collection[str], *, is_machine: bool = False) -> Collection[str]:
+        """The letters of words that are places, whatever the axes stand at."""
+        return () if self.modes.is_relative and not is_machine else words
+
+    def list_moved(self, to: Mapping[str, float], fixed: Collection[str]) -> list[str]:
+        """The letters of the axes that a motion moves. fixed: see `list_fixed`."""
+        return [
+            letter
+            for letter in self.letters
+            if to[letter] != self.at[letter] or (letter in fixed and letter in self.contacts.present)
+        ]
+
+    def make_targets(
+        self, to: Mapping[str, float], letters: Sequence[str], fixed: Collection[str]
+    ) -> dict[str, dict[str, Any]]:
+        """`to` and `by` of a step that moves the axes of letters from rest."""
+        targets: dict[str, dict[str, Any]] = {"to": {}, "by": {}}
+        for letter, axis in zip(letters, self.writer.find_axes(letters), strict=True):
+            contact = None if letter in fixed else self.contacts.present.get(letter)
+            if contact is None:
+                targets["to"][axis] = write_length(to[letter])
+            elif contact.is_certain:
+                shift = write_length(to[letter] - contact.nominal)
+                target = {"of": f"{contact.name}.{axis}", "plus": shift}
+                targets["to"][axis] = {key: value for key, value in target.items() if value != "0 mm"}
+            else:
+                targets["by"][axis] = write_length(to[letter] - self.at[letter])
+        return {key: value for key, value in targets.items() if value}
+
+    def go(self, to: Point, place: Place, *, is_rapid: bool, fixed: Collection[str] = ()) -> None:
+        """A straight line. fixed: the letters whose targets are places, see `list_fixed`."""
         speed = (
             None
             if is_rapid and (self.has_rapids or self.modes.feed is None)
             else self.find_speed(hypot(*(to[letter] - self.at[letter] for letter in self.letters)))
         )
-        self.writer.add_line(to, Way(speed, self.modes.corner, place))
+        if self.contacts.present:
+            self._go_from_rest(to, place, speed, fixed)
+        else:
+            self.writer.add_line(to, Way(speed, self.modes.corner, place))
         self.at = to
+
+    def _go_from_rest(self, to: Point, place: Place, speed: float | None, fixed: Collection[str]) -> None:
+        """A straight line that begins where an axis stands beside a contact: a move, as a path has a known start."""
+        letters = self.list_moved(to, fixed)
+        if not letters:
+            return
+        step: dict[str, Any] = {"do": "move", "name": f"line {place.line}", **self.make_targets(to, letters, fixed)}
+        step["sync"] = "phase"
+        if speed is not None:
+            step["speed"] = f"{format_number(speed)} mm/s"
+        self.writer.add_step(step, place.line)
+        self.writer.stand_at(to)
+        for letter in fixed:
+            self.contacts.present.pop(letter, None)
 
     def find_speed(self, length: float) -> float:
         """The speed of a motion of a length, mm/s. Raises `LineError`."""

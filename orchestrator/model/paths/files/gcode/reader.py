@@ -82,11 +82,13 @@ class GcodeReader:
         if not has_begun:
             self._problems.add(from_line, 0, f"the program ends at line {flow.line.number}, before it")
         runner.finish()
-        if not any(step["do"] == "path" for step in runner.writer.steps) and not self._problems.found:
+        if not runner.writer.has_moved and not self._problems.found:
             self._problems.add(max(1, len(lines)), 0, NOTHING)
         self._problems.raise_any()
         notes = runner.notes.describe()
-        return ImportedSteps(self._name, runner.writer.steps, runner.writer.places, notes, modes)
+        return ImportedSteps(
+            self._name, runner.writer.steps, runner.writer.places, notes, modes, lines=runner.writer.lines
+        )
 
     def _read_line(self, line: ProgramLine) -> bool:
         """Run a line without an O word; False: the program ends here, or is too wrong to go on."""

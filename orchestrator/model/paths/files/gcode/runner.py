@@ -13,6 +13,7 @@ from orchestrator.model.paths.files.gcode.notes import SkipNotes
 from orchestrator.model.paths.files.gcode.offsets import WorkOffsets
 from orchestrator.model.paths.files.gcode.outputs import OutputRunner
 from orchestrator.model.paths.files.gcode.positions import OffsetRunner, read_places
+from orchestrator.model.paths.files.gcode.probing import PROBES
 from orchestrator.model.paths.files.gcode.writer import StepWriter
 from orchestrator.model.paths.gcode_settings import GcodeSettings, PauseInput
 from orchestrator.model.paths.origin import Place
@@ -58,17 +59,23 @@ class LineRunner:
             if "dwell" in line.codes:
                 self._dwell(line)
             self._change_modes(line)
-            self._positions.change(line)
+            self._positions.change(line, number)
         self._move(line, line_place)
         line.finish()
         return "end" not in line.codes or self._end(line)
 
     def begin_here(self) -> list[str]:
-        """Forget the steps before, and begin with a move to where the program stands; its modes in words."""
+        """Forget the steps before, and begin with a move to where the program stands; its modes in words. Raises
+        `LineError` if that is measured."""
+        self._machine.contacts.require_known("to begin here")
         self.writer.forget()
         for step in (*self._outputs.list_active(), self.writer.move_here()):
             self.writer.add_step(step)
-        return self._modes.describe(self._offsets.system)
+        zeros = [
+            f"zero of {letter} as line {zero.line} has set it at a contact"
+            for letter, zero in self._machine.contacts.zeros.items()
+        ]
+        return [*self._modes.describe(self._offsets.system), *zeros]
 
     def finish(self) -> None:
         """The program has ended."""
@@ -194,7 +201,7 @@ class LineRunner:
         return (
             line.has_any(self._machine.letters)
             or (is_arc and (line.has_any(_CENTRES) or line.has_any("R")))
-            or (motion in CYCLES and not line.find_code("axes"))
+            or ((motion in CYCLES or motion in PROBES) and not line.find_code("axes"))
         )
 
     def _run_motion(self, line: CodeLine, place: Place) -> None:
@@ -206,11 +213,20 @@ class LineRunner:
             raise LineError(line.codes["machine"][1].column, "G53 needs G0 or G1, and G90")
         if name in ("G0", "G1"):
             words = take_words(line, machine, name)
-            machine.go(machine.find_target(words, is_machine=is_machine), place, is_rapid=name == "G0")
-        elif name in CYCLES:
-            self._cycles.run(line, place)
+            if is_machine:
+                machine.contacts.require_own_zero(words, "G53")
+            fixed_letters = machine.list_fixed(words, is_machine=is_machine)
+            machine.go(
+                machine.find_target(words, is_machine=is_machine), place, is_rapid=name == "G0", fixed=fixed_letters
+            )
+        elif name in PROBES:
+            self._positions.probes.run(line, place)
         else:
-            make_arc(line, machine, place)
+            machine.contacts.require_known(name)
+            if name in CYCLES:
+                self._cycles.run(line, place)
+            else:
+                make_arc(line, machine, place)
 
     def _end(self, line: CodeLine) -> bool:
         code, word = line.codes["end"]

@@ -9,6 +9,7 @@ from orchestrator.model.paths.files.gcode.errors import LineError, ProgramLimit
 from orchestrator.model.paths.origin import Place
 from orchestrator.model.paths.pieces import MAX_PIECES
 
+MOVING = ("path", "move", "probe")
 LARGEST_MM = 1e9
 PLACES = 9  # of mm: increments are summed up with rounding
 
@@ -33,7 +34,8 @@ class _Path:
 
 
 class StepWriter:
-    """Writes paths. steps, places: with the places of the pieces of each step.
+    """Writes paths. steps, places: with the places of the pieces of each step; lines: of the steps that
+    are no paths.
 
     point: where the last piece ends, mm, by letter: what is written is a full circle's start where its end is off by
     rounding.
@@ -42,6 +44,7 @@ class StepWriter:
     def __init__(self, axes: Mapping[str, str], start: Mapping[str, float]) -> None:
         self.steps: list[dict[str, Any]] = []
         self.places: list[list[Place]] = []
+        self.lines: list[int] = []
         self.point = {letter: start.get(letter, 0.0) for letter in axes}
         self._letters = list(axes)
         self._axes = list(axes.values())
@@ -58,11 +61,12 @@ class StepWriter:
         """Add an arc or a helix, to which its end is added."""
         self._add({**piece, "to": self._write(to)}, to, way)
 
-    def add_step(self, step: dict[str, Any]) -> None:
-        """Add a step behind the present path, which ends at rest."""
+    def add_step(self, step: dict[str, Any], line: int = 0) -> None:
+        """Add a step behind the present path, which ends at rest. line: that it was made of."""
         self.end_path()
         self.steps.append(step)
         self.places.append([])
+        self.lines.append(line)
 
     def add_dwell(self, seconds: float) -> None:
         """End the path, and wait."""
@@ -83,16 +87,32 @@ class StepWriter:
                 del piece["speed"]
         self.steps.append(step)
         self.places.append(path.places)
+        self.lines.append(0)
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether a step or a piece moves axes."""
+        return self._path is not None or any(step["do"] in MOVING for step in self.steps)
+
+    def stand_at(self, point: Mapping[str, float]) -> None:
+        """The axes stand elsewhere behind a step that is no path."""
+        self.point = dict(point)
+        self._texts = self._write(point)
+
+    def list_places(self) -> dict[str, str]:
+        """Where the axes stand, by axis."""
+        return dict(zip(self._axes, self._texts, strict=True))
 
     def forget(self) -> None:
         """Forget all steps: what is written begins here."""
         self.end_path()
         self.steps.clear()
         self.places.clear()
+        self.lines.clear()
 
     def move_here(self) -> dict[str, Any]:
         """A move of all axes to where the program stands."""
-        return {"do": "move", "to": dict(zip(self._axes, self._texts, strict=True))}
+        return {"do": "move", "to": self.list_places()}
 
     def find_axes(self, letters: Sequence[str]) -> list[str]:
         """The axes of letters."""
@@ -121,4 +141,9 @@ class StepWriter:
         for letter in self._letters:
             if not -LARGEST_MM <= point[letter] <= LARGEST_MM:
                 raise LineError(0, f"{letter} would go to {point[letter]:g} mm; the farthest is {LARGEST_MM:g}")
-        return [f"{format_number(round(point[letter], PLACES))} mm" for letter in self._letters]
+        return [write_length(point[letter]) for letter in self._letters]
+
+
+def write_length(value: float) -> str:
+    """A length as it stands in a job file. value: mm."""
+    return f"{format_number(round(value, PLACES))} mm"
