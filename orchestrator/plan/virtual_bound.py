@@ -2,7 +2,8 @@
 
 With e the offset in time of a real axis and v its highest speed, it is at most v x e from where the plan has it. An
 offset that all have in common only shifts the whole along the line. So each virtual axis is off by at most the sum over
-its real axes of |m| x (v x |e - c| + path error + rounding), with m its factor, and c the middle of all offsets.
+its real axes of |m| x (v x |e - c| + path error + rounding), with m its factor, and c the middle of all offsets. The
+tables of corrected axes add their uncertainty, and what they bend between the ends of the way.
 """
 
 from collections.abc import Mapping
@@ -12,11 +13,12 @@ from typing import Protocol
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.compensation import Approach
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.linear_map import LinearMap
+from orchestrator.model.linear_map import CorrectedMap, LinearMap
 from orchestrator.model.messages import Proposal
 from orchestrator.model.names import split_name
 from orchestrator.model.report import PathReport, SyncBudget, VirtualBound
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.plan.corrected import find_way_errors
 from orchestrator.plan.play import bound_way
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.virtual_moves import group_virtual
@@ -71,8 +73,12 @@ def bound_virtual_axes(
         if not isinstance(virtual_map, LinearMap):
             continue  # of one real axis, which is on its curve wherever it is
         errors = _bound_real_axes(fleet, virtual_map, agreement, step.asked_approach)
-        for name, row in zip(virtual_map.virtual, virtual_map.rows, strict=True):
-            most = sum(abs(factor) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
+        factors, own_errors = virtual_map.rows, [0.0] * len(virtual_map.virtual)
+        if isinstance(virtual_map, CorrectedMap):
+            factors = virtual_map.factors
+            own_errors = find_way_errors(fleet, virtual_map, agreement.plan.profiles)
+        for name, row, own in zip(virtual_map.virtual, factors, own_errors, strict=True):
+            most = own + sum(abs(factor) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
             bounds[name] = VirtualBound(most=most, unit=fleet.unit_of(name))
     return bounds
 

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Id, Int53, Model
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.linear_map import MapError, Rows
+from orchestrator.model.linear_map import CorrectedMap, MapError, Rows
 from orchestrator.model.messages import Reply
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.pair_jog import find_pair_jogs
@@ -80,7 +80,7 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
     observed_axes, obstacle = dict[str, VirtualAxisState](), f"{', '.join(absent_controllers[:1])} is offline"
     if not absent_controllers:
         observed_axes, reason = _observe_inside(virtual_map, units, list(axes.values()))
-        obstacle = _find_obstacle(axes) or reason
+        obstacle = _find_obstacle(axes) or reason or _find_offset(virtual_map, axes)
         jogs = _observe_jogs(group, fleet, axes)
         pair_state = _observe_pair(group, fleet, states)
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
@@ -127,6 +127,13 @@ def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str
         if not axis.enabled:
             return f"{name} is not enabled"
     return ""
+
+
+def _find_offset(virtual_map: VirtualMap, axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str:
+    """That a real axis of a corrected group has a user offset, so that its errors are not known there."""
+    if not isinstance(virtual_map, CorrectedMap):
+        return ""
+    return next(filter(None, (virtual_map.explain_offset(name, axis.offset) for name, (_, axis) in axes.items())), "")
 
 
 def _observe_jogs(

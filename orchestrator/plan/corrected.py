@@ -1,0 +1,153 @@
+"""Motions of corrected axes: where the errors of their tables are counted, and how far they may be off.
+
+A move takes its real axes along a straight line, and so is exact at both ends; between them its axes are off by how the
+tables bend there. A path turns each of its points into positions of the real axes.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.linear_map import CorrectedMap
+from orchestrator.model.names import controller_of
+from orchestrator.model.profile import Profile
+from orchestrator.model.report import PositionBound
+from orchestrator.model.steps.base import Step
+from orchestrator.plan.path.axes import PathAxis
+from orchestrator.plan.path_profiles import PathStates
+from orchestrator.plan.play import ROUNDED_COUNTS
+from orchestrator.plan.virtual_moves import group_virtual
+
+LEAST_FACTOR = 1e-7  # less is what is left of a cosine
+LIMITS = ("velocity", "acceleration", "jerk")
+
+
+def require_no_offset(fleet: Fleet, group: str, offsets: Mapping[str, Fraction]) -> None:
+    """Raise `Refusal` for real axes of a corrected group that have a user offset. offsets: by axis."""
+    corrected = fleet.virtual_axes.maps[group]
+    if isinstance(corrected, CorrectedMap):
+        require_own_zero(corrected, offsets)
+
+
+def require_own_zero(corrected: CorrectedMap, offsets: Mapping[str, Fraction]) -> None:
+    """The same, by the map of the group."""
+    for name in corrected.real:
+        text = corrected.explain_offset(name, offsets[name])
+        if text is not None:
+            remedy = f"remove it: a step `{{do: set-position, axes: {{{name}: null}}}}`"
+            raise Refusal("user-offset", text, remedy, controller_of(name))
+
+
+def find_followers(fleet: Fleet, group: str, names: Sequence[str]) -> list[str]:
+    """The real axes of a corrected group that move along with some of its axes by its errors, and are not named."""
+    corrected = fleet.virtual_axes.maps[group]
+    if not isinstance(corrected, CorrectedMap):
+        return []
+    columns = [number for number, name in enumerate(corrected.virtual) if name in names]
+    return [
+        name
+        for number, (name, factors) in enumerate(zip(corrected.real, corrected.steepest, strict=True))
+        if number not in columns and any(factors[column] > LEAST_FACTOR for column in columns)
+    ]
+
+
+def bound_ends(fleet: Fleet, step: Step, bounds: Mapping[str, PositionBound]) -> dict[str, PositionBound]:
+    """How far the axes of the corrected groups that a step names may be from their targets at its end. bounds: of those
+    of its real axes that are compensated themselves."""
+    corrected_bounds: dict[str, PositionBound] = {}
+    for group in group_virtual(fleet, step):
+        corrected = fleet.virtual_axes.maps[group]
+        if isinstance(corrected, CorrectedMap):
+            corrected_bounds |= bound_corrected(corrected, list(map(fleet.axis, corrected.real)), bounds, None)
+    return corrected_bounds
+
+
+def bound_corrected(
+    corrected: CorrectedMap, axes: Sequence[Axis], bounds: Mapping[str, PositionBound], bends: Sequence[float] | None
+) -> dict[str, PositionBound]:
+    """How far the axes of a corrected group may be from where they should be, by axis. axes: the real ones, in order.
+    bounds: of those of them that are compensated themselves. bends: what else the tables have between the ends of a
+    straight way; None: at its ends."""
+    reals = [bounds.get(name) or _bound_rounding(axis) for name, axis in zip(corrected.real, axes, strict=True)]
+    corrected_bounds: dict[str, PositionBound] = {}
+    for number, (name, shares) in enumerate(zip(corrected.virtual, corrected.factors, strict=True)):
+        rounding, table, play = (
+            sum(share * getattr(real, field) for share, real in zip(shares, reals, strict=True))
+            for field in ("rounding", "table", "play")
+        )
+        table += corrected.errors.uncertainties[number] + (0.0 if bends is None else bends[number])
+        unit = axes[number].unit
+        most = rounding + table + play
+        corrected_bounds[name] = PositionBound(most=most, rounding=rounding, table=table, play=play, unit=unit)
+    return corrected_bounds
+
+
+def _bound_rounding(axis: Axis) -> PositionBound:
+    rounding = ROUNDED_COUNTS / float(axis.scale)
+    return PositionBound(most=rounding, rounding=rounding, table=0.0, play=0.0, unit=axis.unit)
+
+
+def find_way_errors(fleet: Fleet, corrected: CorrectedMap, profiles: Mapping[str, Profile]) -> list[float]:
+    """How far each axis of a corrected group may be off a straight line between the ends of a way, by its tables: by
+    their uncertainty, and by how they bend; the error along the way and a line between its ends are both between the
+    smallest and the largest one there. profiles: of the real axes that move."""
+    box: list[tuple[float, float]] = []
+    standing_columns: set[int] = set()
+    for column, (name, ends) in enumerate(zip(corrected.real, corrected.box, strict=True)):
+        profile, axis = profiles.get(name), fleet.axis(name)
+        if profile is None:
+            standing_columns.add(column)
+            box.append(ends)
+        else:
+            low, high = sorted(axis.to_unit(counts) for counts in (profile.start_counts, profile.end_counts))
+            box.append((low, high))
+    errors = list(corrected.errors.uncertainties)
+    for part in corrected.errors.parts:
+        if not standing_columns.issuperset(part.columns):
+            low, high = part.function.find_range(part.cut(box))
+            errors[part.row] += high - low
+    return errors
+
+
+# On a path
+
+
+def turn_states(corrected: CorrectedMap, states: PathStates) -> PathStates:
+    """The states of real axes for those that they would have without errors."""
+    positions = corrected.turn(states.positions)
+    matrix = np.array(corrected.rows)
+    slopes = corrected.errors.find_slopes_at(positions)
+    shares = np.linalg.solve(matrix + slopes, np.broadcast_to(matrix, slopes.shape))
+    velocities, accelerations = (
+        np.einsum("nij,nj->ni", shares, rows) for rows in (states.velocities, states.accelerations)
+    )
+    return PathStates(positions, velocities, accelerations)
+
+
+def limit_axes(corrected: CorrectedMap, axes: Sequence[PathAxis]) -> list[PathAxis]:
+    """The axes of a path as the planner sees them, without errors: limits of which enough is left for what the tables
+    add, by their own motion and by that of the others, and soft limits that hold wherever the others are."""
+    inverse = np.array(corrected.inverse_rows)
+    slopes = np.abs(inverse) @ corrected.errors.steepest
+    # r = p - d(r), so that r' is at most p' and what the slopes of d make of r' of all.
+    factors = np.eye(len(axes)) + slopes @ np.linalg.inv(np.eye(len(axes)) - slopes)
+    shares = [
+        float((values / (factors @ values)).min())
+        for values in (np.array([getattr(axis, name) for axis in axes]) for name in LIMITS)
+    ]
+    ranges = np.array(corrected.errors.find_ranges(corrected.box))
+    limited_axes: list[PathAxis] = []
+    for axis, row in zip(axes, inverse, strict=True):
+        low, high = (
+            (np.minimum if end == 0 else np.maximum)(row * ranges[:, 0], row * ranges[:, 1]).sum() for end in (0, 1)
+        )
+        soft = axis.soft_limits
+        if soft is not None:
+            soft = soft[0] + max(float(high), 0.0), soft[1] + min(float(low), 0.0)
+        rates = {name: getattr(axis, name) * share for name, share in zip(LIMITS, shares, strict=True)}
+        limited_axes.append(replace(axis, soft_limits=soft, **rates))
+    return limited_axes
