@@ -1,7 +1,7 @@
 """Linear maps of positions, with exact rationals."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -160,18 +160,19 @@ class CorrectedMap(LinearMap):
 
     @cached_property
     def spans(self) -> list[float]:
-        """How far each virtual axis may be from its place while its own real axis stands, and others move anywhere."""
-        spans = [high - low for low, high in self.errors.find_ranges(self.box)]
-        widths = [high - low for low, high in self.box]
-        return [
-            span
-            + sum(
-                abs(factor) * width
-                for column, (factor, width) in enumerate(zip(row, widths, strict=True))
-                if column != number
-            )
-            for number, (span, row) in enumerate(zip(spans, self.rows, strict=True))
-        ]
+        """How far each virtual axis may be from its position while its own real axis stands, and others move
+        anywhere."""
+        return self.find_spans(self.box, range(len(self.real)))
+
+    def find_spans(self, box: "Box", moved: Collection[int]) -> list[float]:
+        """Between the smallest and the largest difference of each virtual axis from its real one in a box. moved: the
+        real axes, by number, that move; the others stand anywhere in it."""
+        spans = self.errors.find_spans(box, moved)
+        for number, row in enumerate(self.rows):
+            for column in moved:
+                low, high = box[column]
+                spans[number] += abs(row[column] - (number == column)) * (high - low)
+        return spans
 
 
 def chain_maps(outer: LinearMap, inner: Sequence[LinearMap]) -> LinearMap:

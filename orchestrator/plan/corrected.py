@@ -1,15 +1,17 @@
 """Motions of corrected axes: where the errors of their tables are counted, and how far they may be off.
 
-A move takes its real axes along a straight line, and so is exact at both ends; between them its axes are off by how the
-tables bend there. A path turns each of its points into positions of the real axes.
+A move takes its real axes to where its targets are, each in its own time, and is exact at both ends; on the way an axis
+is off by what its errors differ there. A path turns each of its points into positions of the real axes.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 
+from orchestrator.model.compensation import Approach
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.linear_map import CorrectedMap
@@ -19,7 +21,7 @@ from orchestrator.model.report import PositionBound
 from orchestrator.model.steps.base import Step
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path_profiles import PathStates
-from orchestrator.plan.play import ROUNDED_COUNTS
+from orchestrator.plan.play import ROUNDED_COUNTS, bound_way
 from orchestrator.plan.virtual_moves import group_virtual
 
 LEAST_FACTOR = 1e-7  # less is what is left of a cosine
@@ -91,26 +93,43 @@ def _bound_rounding(axis: Axis) -> PositionBound:
     return PositionBound(most=rounding, rounding=rounding, table=0.0, play=0.0, unit=axis.unit)
 
 
-def find_way_errors(fleet: Fleet, corrected: CorrectedMap, profiles: Mapping[str, Profile]) -> list[float]:
-    """How far each axis of a corrected group may be off a straight line between the ends of a way, by its tables: by
-    their uncertainty, and by how they bend; the error along the way and a line between its ends are both between the
-    smallest and the largest one there. profiles: of the real axes that move."""
-    box: list[tuple[float, float]] = []
-    standing_columns: set[int] = set()
-    for column, (name, ends) in enumerate(zip(corrected.real, corrected.box, strict=True)):
-        profile, axis = profiles.get(name), fleet.axis(name)
-        if profile is None:
-            standing_columns.add(column)
-            box.append(ends)
-        else:
-            low, high = sorted(axis.to_unit(counts) for counts in (profile.start_counts, profile.end_counts))
-            box.append((low, high))
-    errors = list(corrected.errors.uncertainties)
-    for part in corrected.errors.parts:
-        if not standing_columns.issuperset(part.columns):
-            low, high = part.function.find_range(part.cut(box))
-            errors[part.row] += high - low
-    return errors
+class TableWay(NamedTuple):
+    """Where the real axes of a corrected group move: a box of all of them, in which those that stand may be anywhere,
+    and the numbers of those that move."""
+
+    box: Sequence[tuple[float, float]]
+    moved: Sequence[int]
+
+    @classmethod
+    def of_profiles(cls, fleet: Fleet, corrected: CorrectedMap, profiles: Mapping[str, Profile]) -> "TableWay":
+        """Of a step with these profiles of real axes."""
+        box, moved = list(corrected.box), list[int]()
+        for number, name in enumerate(corrected.real):
+            if (profile := profiles.get(name)) is not None:
+                axis = fleet.axis(name)
+                low, high = sorted(axis.to_unit(counts) for counts in (profile.start_counts, profile.end_counts))
+                box[number] = low, high
+                moved.append(number)
+        return cls(box, moved)
+
+
+def bound_straight(corrected: CorrectedMap, way: TableWay) -> list[float]:
+    """How far each axis of a corrected group may be off a straight line because of its tables, while the real axes are
+    on one: by their uncertainty, and by how they bend. The errors on the way and on a line between its ends are both
+    between the smallest and the largest one there."""
+    spans = corrected.errors.find_spans(way.box, way.moved)
+    return list(map(float.__add__, corrected.errors.uncertainties, spans))
+
+
+def bound_apart(fleet: Fleet, corrected: CorrectedMap, way: TableWay, approach: Approach | None) -> list[float]:
+    """How far each axis of a corrected group may be outside the range between its begin and its end while the real axes
+    move in their own time, each between its ends, to a count. approach: of the step."""
+    reals = [abs(fleet.axis(name).to_length(1)) + bound_way(fleet.axis(name), approach) for name in corrected.real]
+    spans = corrected.find_spans(way.box, way.moved)
+    return [
+        span + uncertainty + sum(factor * real for factor, real in zip(factors, reals, strict=True))
+        for span, uncertainty, factors in zip(spans, corrected.errors.uncertainties, corrected.factors, strict=True)
+    ]
 
 
 # On a path

@@ -97,6 +97,6 @@ def test_move_way():
         watching = asyncio.get_running_loop().create_task(watch())
         report = await outcome(fleet, job("[{do: move, to: {stage.x: 180}}]"))
         watching.cancel()
-        print(report.steps[0].virtual, report.steps[0].bounds)
+        print("MOVE", report.state, report.reason, report.steps[0].virtual)
         print("OFF move", max(abs(y - 50) for _, y in seen))
     run_fleet(main, stage_fleet())

@@ -1,6 +1,6 @@
 """Errors of axes by the positions of others: straightness, squareness, flatness of a plane."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -150,6 +150,16 @@ class CrossErrors:
             low, high = part.function.find_range(part.cut(box))
             ranges[part.row] = ranges[part.row][0] + low, ranges[part.row][1] + high
         return ranges
+
+    def find_spans(self, box: Box, moved: Collection[int]) -> list[float]:
+        """Between the smallest and the largest error of each axis in a box, by the tables that axes of `moved` move
+        through; the others stand anywhere in it."""
+        spans = [0.0] * self.size
+        for part in self.parts:
+            if not set(moved).isdisjoint(part.columns):
+                low, high = part.function.find_range(part.cut(box))
+                spans[part.row] += high - low
+        return spans
 
     def list_extremes(self, column: int, box: Box) -> list[float]:
         """Where in a box, along the axis `column`, the error of a table is smallest or largest."""

@@ -30,10 +30,7 @@ def take_virtual_targets(state: ForecastState, at: ForecastContext, ways: MoveWa
         if targets is None:
             ways.add_unknown(None)
             continue
-        if moved_along := find_followers(state.fleet, group, names):
-            state.notes[f"{', '.join(moved_along)} moves along with {', '.join(names)}, by the tables of {group}"] = (
-                None
-            )
+        state.followers |= dict.fromkeys(find_followers(state.fleet, group, names), group)
         for name, target in targets.items():
             take_target(state, at, ways, TargetField("to", name, state.fleet.axis(name), field), target)
     state.bounds |= bound_ends(state.fleet, step, state.bounds)
