@@ -20,7 +20,7 @@ class Mechanics:
         self, controller: SimulatedController, config: Controller, others: Mapping[str, "Mechanics"] | None = None
     ) -> None:
         """others: by controller, those whose axes move axes of this one."""
-        self._others = others or {}
+        self._others: Mapping[str, Mechanics] = {} if others is None else others
         self._controller = controller
         self._config = config
         self._slack = dict.fromkeys(config.axes, 0.0)

@@ -61,6 +61,11 @@ class FleetTables:
         """All mistakes that reading them has shown."""
         return [problem for table in self.tables.values() for problem in table.problems]
 
+    def is_known(self, problem: Problem) -> bool:
+        """Whether a mistake of the fleet is only that a table could not be read, which is one of `problems`."""
+        table = self.tables.get(problem.place[:-1])
+        return table is not None and bool(table.problems) and problem.place[-1] == "file"
+
     def locate(self, problem: Problem) -> TableProblem | None:
         """A mistake of the fleet that is in a row of a table, with its line there; None for another one."""
         count = next((count for count in PLACE_PARTS if problem.place[:count] in self.tables), 0)
@@ -72,7 +77,8 @@ class FleetTables:
 
 
 def read_tables(value: Mapping[str, Any], folder: Path) -> FleetTables:
-    """Read all tables below `folder` that a fleet file names. A table with mistakes is left out of the value."""
+    """Read all tables below `folder` that a fleet file names. A table of an axis that has mistakes is left out of the
+    value; one of a group keeps the name of its file, see `is_known`."""
     tables: dict[tuple[str | int, ...], TableFile] = {}
     controllers: dict[str, Any] = dict(_read_mapping(value, "controllers"))
     for name in controllers:
@@ -95,8 +101,7 @@ def read_tables(value: Mapping[str, Any], folder: Path) -> FleetTables:
             if table is None:
                 continue
             tables["virtual", name, "tables", key] = table
-            del filled_tables[key]
-            filled_tables |= {} if table.problems else {key: table.fill(options)}
+            filled_tables[key] = options if table.problems else table.fill(options)
         groups[name] = {**group, "tables": filled_tables} if filled_tables else group
     return FleetTables({**value, "controllers": controllers, "virtual": groups} if tables else value, tables)
 
