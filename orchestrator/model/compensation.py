@@ -341,9 +341,9 @@ class CrossTable(TableOptions):
         for number, row in enumerate(self.points):
             neighbours = [(number - width, 0)] if number >= width else []
             neighbours += [(number - 1, 1)] if number % width else []
-            for before, column in neighbours:
-                distance = row[column] - self.points[before][column]
-                slope = float((row[2] - self.points[before][2]) / distance)
+            for neighbour, column in neighbours:
+                distance = row[column] - self.points[neighbour][column]
+                slope = float((row[2] - self.points[neighbour][2]) / distance)
                 if self.is_steep(slope):
                     corner = f"{float(row[0]):g}, {float(row[1]):g}"
                     text = self.describe_slope(row[2], corner, slope, f" along {self.by[column]}")

@@ -30,9 +30,9 @@ LIMITS = ("velocity", "acceleration", "jerk")
 
 def require_no_offset(fleet: Fleet, group: str, offsets: Mapping[str, Fraction]) -> None:
     """Raise `Refusal` for real axes of a corrected group that have a user offset. offsets: by axis."""
-    corrected = fleet.virtual_axes.maps[group]
-    if isinstance(corrected, CorrectedMap):
-        require_own_zero(corrected, offsets)
+    table_map = fleet.virtual_axes.maps[group]
+    if isinstance(table_map, CorrectedMap):
+        require_own_zero(table_map, offsets)
 
 
 def require_own_zero(corrected: CorrectedMap, offsets: Mapping[str, Fraction]) -> None:
@@ -46,13 +46,13 @@ def require_own_zero(corrected: CorrectedMap, offsets: Mapping[str, Fraction]) -
 
 def find_followers(fleet: Fleet, group: str, names: Sequence[str]) -> list[str]:
     """The real axes of a corrected group that move along with some of its axes by its errors, and are not named."""
-    corrected = fleet.virtual_axes.maps[group]
-    if not isinstance(corrected, CorrectedMap):
+    table_map = fleet.virtual_axes.maps[group]
+    if not isinstance(table_map, CorrectedMap):
         return []
-    columns = [number for number, name in enumerate(corrected.virtual) if name in names]
+    columns = [number for number, name in enumerate(table_map.virtual) if name in names]
     return [
         name
-        for number, (name, factors) in enumerate(zip(corrected.real, corrected.steepest, strict=True))
+        for number, (name, factors) in enumerate(zip(table_map.real, table_map.steepest, strict=True))
         if number not in columns and any(factors[column] > LEAST_FACTOR for column in columns)
     ]
 
@@ -62,9 +62,9 @@ def bound_ends(fleet: Fleet, step: Step, bounds: Mapping[str, PositionBound]) ->
     of its real axes that are compensated themselves."""
     corrected_bounds: dict[str, PositionBound] = {}
     for group in group_virtual(fleet, step):
-        corrected = fleet.virtual_axes.maps[group]
-        if isinstance(corrected, CorrectedMap):
-            corrected_bounds |= bound_corrected(corrected, list(map(fleet.axis, corrected.real)), bounds, None)
+        table_map = fleet.virtual_axes.maps[group]
+        if isinstance(table_map, CorrectedMap):
+            corrected_bounds |= bound_corrected(table_map, list(map(fleet.axis, table_map.real)), bounds, None)
     return corrected_bounds
 
 
@@ -98,26 +98,26 @@ class TableWay(NamedTuple):
     and the numbers of those that move."""
 
     box: Sequence[tuple[float, float]]
-    moved: Sequence[int]
+    columns: Sequence[int]
 
     @classmethod
     def of_profiles(cls, fleet: Fleet, corrected: CorrectedMap, profiles: Mapping[str, Profile]) -> "TableWay":
         """Of a step with these profiles of real axes."""
-        box, moved = list(corrected.box), list[int]()
+        box, columns = list(corrected.box), list[int]()
         for number, name in enumerate(corrected.real):
             if (profile := profiles.get(name)) is not None:
                 axis = fleet.axis(name)
                 low, high = sorted(axis.to_unit(counts) for counts in (profile.start_counts, profile.end_counts))
                 box[number] = low, high
-                moved.append(number)
-        return cls(box, moved)
+                columns.append(number)
+        return cls(box, columns)
 
 
 def bound_straight(corrected: CorrectedMap, way: TableWay) -> list[float]:
     """How far each axis of a corrected group may be off a straight line because of its tables, while the real axes are
     on one: by their uncertainty, and by how they bend. The errors on the way and on a line between its ends are both
     between the smallest and the largest one there."""
-    spans = corrected.errors.find_spans(way.box, way.moved)
+    spans = corrected.errors.find_spans(way.box, way.columns)
     return list(map(float.__add__, corrected.errors.uncertainties, spans))
 
 
@@ -125,7 +125,7 @@ def bound_apart(fleet: Fleet, corrected: CorrectedMap, way: TableWay, approach: 
     """How far each axis of a corrected group may be outside the range between its begin and its end while the real axes
     move in their own time, each between its ends, to a count. approach: of the step."""
     reals = [abs(fleet.axis(name).to_length(1)) + bound_way(fleet.axis(name), approach) for name in corrected.real]
-    spans = corrected.find_spans(way.box, way.moved)
+    spans = corrected.find_spans(way.box, way.columns)
     return [
         span + uncertainty + sum(factor * real for factor, real in zip(factors, reals, strict=True))
         for span, uncertainty, factors in zip(spans, corrected.errors.uncertainties, corrected.factors, strict=True)

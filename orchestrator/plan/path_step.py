@@ -107,12 +107,10 @@ def plan_path_step(
     step, starts = _apply_fraction(step, starts)
     unit = find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
-    corrected = None if step.frame is None else find_frame(step, frames or {}).corrected
-    if corrected is not None:
-        require_own_zero(corrected, {start.name: start.offset for start in starts})
+    table_map = _find_corrected(step, starts, frames or {})
     require_start(step, starts, frames or {})
-    plan = plan_path(step, _describe_axes(starts, corrected), frames)
-    motion = _PathOfAxes(plan, starts, corrected)
+    plan = plan_path(step, _describe_axes(starts, table_map), frames)
+    motion = _PathOfAxes(plan, starts, table_map)
     ends = motion.evaluate(np.array([plan.duration_s])).positions[0].tolist()
     axes: list[FittedAxis] = []
     exact: dict[str, tuple[Fraction, int]] = {}
@@ -154,9 +152,19 @@ def plan_path_step(
         speeds={start.name: row for start, row in zip(starts, speeds, strict=True)},
         course=course,
         lines=time_lines(step, plan),
-        bounds=_bound_axes(starts, corrected, is_straight=course is None),
+        bounds=_bound_axes(starts, table_map, is_straight=course is None),
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
+
+
+def _find_corrected(
+    step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]
+) -> CorrectedMap | None:
+    """The map of a corrected frame, whose tables count from the references. Raises `Refusal`."""
+    table_map = None if step.frame is None else find_frame(step, frames).corrected
+    if table_map is not None:
+        require_own_zero(table_map, {start.name: start.offset for start in starts})
+    return table_map
 
 
 class _PathOfAxes:

@@ -77,8 +77,8 @@ def bound_virtual_axes(
         if isinstance(virtual_map, CorrectedMap):
             way = TableWay.of_profiles(fleet, virtual_map, agreement.plan.profiles)
             if not step.is_synchronised:
-                apart = bound_apart(fleet, virtual_map, way, step.asked_approach)
-                bounds |= _make_bounds(fleet, virtual_map.virtual, apart)
+                sizes = bound_apart(fleet, virtual_map, way, step.asked_approach)
+                bounds |= _make_bounds(fleet, virtual_map.virtual, sizes)
                 continue
             factors, own_errors = virtual_map.factors, bound_straight(virtual_map, way)
         errors = _bound_real_axes(fleet, virtual_map, agreement, step.asked_approach)

@@ -55,7 +55,7 @@ class VirtualJog(Model):
     low_by: str = ""
     high_by: str = ""
     reach: float | None = Field(default=None, exclude_if=lambda reach: reach is None)
-    uncorrected: bool = Field(default=False, exclude_if=lambda uncorrected: not uncorrected)
+    lacks_tables: bool = Field(default=False, exclude_if=lambda lacks_tables: not lacks_tables)
 
     @property
     def is_common(self) -> bool:
@@ -131,7 +131,7 @@ def find_jogs(
         off_axes = {key: (sweep, errors[key]) for key, sweep in zip(rates, sweeps, strict=True) if key != name}
         jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_axes, apart_s), reach)
         if isinstance(virtual_map, CorrectedMap):
-            jogs[name] = jogs[name].model_copy(update={"uncorrected": True})
+            jogs[name] = jogs[name].model_copy(update={"lacks_tables": True})
     return jogs
 
 

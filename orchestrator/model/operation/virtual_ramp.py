@@ -147,7 +147,7 @@ class VirtualRamp:
         state = self._state_of(axis)
         name = split_name(axis)[1]
         unit = state.axes[name].unit
-        uncorrected_text = "by its own real axis alone, uncorrected" if jog.uncorrected else ""
+        uncorrected_text = "by its own real axis alone, uncorrected" if jog.lacks_tables else ""
         offs = " and ".join(
             f"{split_name(axis)[0]}.{other_name} is off by at most {off + jog.play.get(other_name, 0.0):.3g} "
             f"{state.axes[other_name].unit}"

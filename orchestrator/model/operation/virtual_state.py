@@ -80,7 +80,7 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
     observed_axes, obstacle = dict[str, VirtualAxisState](), f"{', '.join(absent_controllers[:1])} is offline"
     if not absent_controllers:
         observed_axes, reason = _observe_inside(virtual_map, units, list(axes.values()))
-        obstacle = _find_obstacle(axes) or reason or _find_offset(virtual_map, axes)
+        obstacle = _find_obstacle(axes) or reason
         jogs = _observe_jogs(group, fleet, axes)
         pair_state = _observe_pair(group, fleet, states)
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
@@ -129,11 +129,12 @@ def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str
     return ""
 
 
-def _find_offset(virtual_map: VirtualMap, axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str:
+def _find_offset(virtual_map: VirtualMap, axes: Sequence[tuple[ControllerState, AxisState]]) -> str:
     """That a real axis of a corrected group has a user offset, so that its errors are not known there."""
     if not isinstance(virtual_map, CorrectedMap):
         return ""
-    return next(filter(None, (virtual_map.explain_offset(name, axis.offset) for name, (_, axis) in axes.items())), "")
+    pairs = zip(virtual_map.real, axes, strict=True)
+    return next(filter(None, (virtual_map.explain_offset(name, axis.offset) for name, (_, axis) in pairs)), "")
 
 
 def _observe_jogs(
@@ -159,9 +160,9 @@ def _observe_jogs(
 def _observe_inside(
     virtual_map: VirtualMap, units: Sequence[str], axes: Sequence[tuple[ControllerState, AxisState]]
 ) -> tuple[dict[str, VirtualAxisState], str]:
-    """The virtual axes, or why the map has no answer where the real axes are."""
+    """The virtual axes, and why they are not known: where the map has no answer, they are left out."""
     try:
-        return _observe_axes(virtual_map, units, axes), ""
+        return _observe_axes(virtual_map, units, axes), _find_offset(virtual_map, axes)
     except MapError as error:
         return {}, str(error)
 
