@@ -140,7 +140,7 @@ class VirtualFeed:
                 "mixed", f"{', '.join(axes)}: virtual and real axes cannot be jogged together", "jog one kind"
             )
         for group in groups:
-            if len(states[group].of) > 1:
+            if any(jog.is_common for jog in states[group].jogs.values()):
                 await self._require_ramps(states[group])
         for group in groups:
             if group not in self._subscriptions:

@@ -8,21 +8,26 @@ position minus the commanded one. The map between both is strictly monotone, so 
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from orchestrator.model.base import Int53, Model, Rational
+from orchestrator.model.base import Id, Int53, Model, Rational
 from orchestrator.model.numbers import Part, UnitNumber
 from orchestrator.model.problems import Problem
 
 if TYPE_CHECKING:
+    from orchestrator.model.tables.cross_errors import ErrorFunction
     from orchestrator.model.tables.error_table import ErrorTable
 
 MAX_ROWS = 1_000  # of a table
+MAX_GRID_ROWS = 5_000  # of one by two axes
 MOST_SLOPE = 0.1  # a larger error is one of the scale, or of the unit in the table
 ROUNDING = 1e-9  # of a slope
+COLUMNS = ("position", "error", "uncertainty")
 Approach = Literal["positive", "negative", "none"]
+UNREAD = "is in a file, and was not read with the fleet; load the fleet from its file, or write its rows as `points`"
 
 
 class Backlash(Model):
@@ -105,14 +110,13 @@ def _read_rows(rows: Any) -> Any:
 
 
 def _read_row(row: Any) -> Any:
-    names = ("position", "error", "uncertainty")
     plain = cast(list[Any], row)
-    is_row = isinstance(row, list) and 2 <= len(plain) <= len(names)
-    return dict(zip(names, plain, strict=False)) if is_row else plain
+    is_row = isinstance(row, list) and 2 <= len(plain) <= len(COLUMNS)
+    return dict(zip(COLUMNS, plain, strict=False)) if is_row else plain
 
 
-class Correction(Model):
-    """A table of errors of position: in a CSV file beside the fleet file, or listed."""
+class TableOptions(Model):
+    """What all tables of errors state: in a CSV file beside the fleet file, or with their rows."""
 
     file: str | None = Field(
         default=None,
@@ -120,17 +124,33 @@ class Correction(Model):
         max_length=4096,
         description="A CSV file: a line of names with units, e.g. `position mm, error um, uncertainty um`, then rows.",
     )
-    points: Annotated[list[TableRow], BeforeValidator(_read_rows)] = Field(
-        default=[],
-        max_length=MAX_ROWS,
-        description="The rows, instead of `file`: `[position, error]` or `[position, error, uncertainty]`, in the unit "
-        "of the axis; error: where the axis is, minus where its motor is.",
-    )
     interpolation: Literal["linear", "cubic"] = Field(
         default="linear", description="Between rows: straight lines, or a monotone cubic without steps of the slope."
     )
     max_slope: Part = Field(
         default=0.01, le=MOST_SLOPE, description="The steepest change of the error that is accepted, by position."
+    )
+
+    def describe_slope(self, error: Rational, position: str, slope: float, of: str = "") -> str:
+        """That a row is too steep, and what to do. of: the interpolation, in words."""
+        return (
+            f"error {float(error):g} at {position}: the slope{of} from the row before is {slope:.3g}, above max_slope "
+            f"{self.max_slope:g}; check the units and the sign, or raise max_slope, at most to {MOST_SLOPE:g}"
+        )
+
+    def is_steep(self, slope: float) -> bool:
+        """Whether a slope is above the accepted one."""
+        return abs(slope) > self.max_slope + ROUNDING
+
+
+class Correction(TableOptions):
+    """A table of errors of position by the position of the axis itself."""
+
+    points: Annotated[list[TableRow], BeforeValidator(_read_rows)] = Field(
+        default=[],
+        max_length=MAX_ROWS,
+        description="The rows, instead of `file`: `[position, error]` or `[position, error, uncertainty]`, in the unit "
+        "of the axis; error: where the axis is, minus where its motor is.",
     )
 
     @cached_property
@@ -156,10 +176,15 @@ class Correction(Model):
             return [] if not self.points else [Problem(("file",), "`points` has the rows already; remove one of both")]
         if len(self.points) < 2:
             return [Problem(("points",), f"has {len(self.points)} rows; a table needs at least 2")]
+        problems = self.find_row_problems()
+        return problems or list(self._find_short_ends(limits[0], limits[1], unit))
+
+    def find_row_problems(self) -> list[Problem]:
+        """Rows that are out of order, too steep, or with an uncertainty below 0."""
         problems = list(self._find_row_problems())
         if not problems and self.interpolation == "cubic":
             problems = list(self._find_steep_curves())
-        return problems or list(self._find_short_ends(limits[0], limits[1], unit))
+        return problems
 
     def _find_short_ends(self, low: Fraction, high: Fraction, unit: str) -> Iterator[Problem]:
         first, last, number = self.points[0], self.points[-1], len(self.points) - 1
@@ -191,18 +216,151 @@ class Correction(Model):
                 )
                 continue
             slope = float((row.error - first.error) / (row.position - first.position))
-            if abs(slope) > self.max_slope + ROUNDING:
+            if self.is_steep(slope):
                 yield Problem(("points", number), self._describe_slope(row, slope))
 
     def _find_steep_curves(self) -> Iterator[Problem]:
         for number, slope in enumerate(self.table.find_slopes()):
-            if abs(slope) > self.max_slope + ROUNDING:
+            if self.is_steep(slope):
                 row = self.points[number + 1]
                 yield Problem(("points", number + 1), self._describe_slope(row, slope, " of the cubic"))
 
     def _describe_slope(self, row: TableRow, slope: float, of: str = "") -> str:
+        return self.describe_slope(row.error, f"{float(row.position):g}", slope, of)
+
+
+def _read_names(names: Any) -> Any:
+    """One name, or a list of names."""
+    return [names] if isinstance(names, str) else names
+
+
+class CrossTable(TableOptions):
+    """A table of errors of one axis of a group by the position of another one, or of two: straightness, a plane.
+
+    All in the unit of the group, at positions of its real axes; error: where the axis is, minus where its own real axis
+    has it.
+    """
+
+    axis: Id = Field(description="The axis of the group that has the errors.")
+    by: Annotated[list[Id], BeforeValidator(_read_names)] = Field(
+        min_length=1, max_length=2, description="The axis by whose position, or two: `[x, y]`."
+    )
+    points: list[list[Rational]] = Field(
+        default=[],
+        max_length=MAX_GRID_ROWS,
+        description="The rows, instead of `file`: `[position, error]`, by two axes `[position, position, error]`, and "
+        "perhaps the uncertainty behind. By two axes: a rectangular grid, sorted, between which it is bilinear.",
+    )
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> "CrossTable":
+        if len(set(self.by)) < len(self.by):
+            raise ValueError(f"`by` names {self.by[0]} twice; name two axes")
+        if self.by == [self.axis]:
+            raise ValueError(
+                f"errors of {self.axis} by its own position are the `correction` of its real axis; move the table there"
+            )
+        if len(self.by) > 1 and self.interpolation == "cubic":
+            raise ValueError("a table by two axes is bilinear; leave out `interpolation`")
+        return self
+
+    @cached_property
+    def function(self) -> "ErrorFunction":
+        """The error as a function of the positions of `by`. The rows have no problems."""
+        from orchestrator.model.tables.cross_errors import ErrorLine, make_grid
+
+        if len(self.by) == 1:
+            return ErrorLine(self._line.table)
+        return make_grid([list(map(float, row)) for row in self.points])
+
+    @property
+    def _line(self) -> Correction:
+        """A table by one position as such a table."""
+        rows = [dict(zip(COLUMNS, row, strict=False)) for row in self.points]
+        options = {"interpolation": self.interpolation, "max_slope": self.max_slope}
+        return Correction.model_validate({"points": rows, **options})
+
+    def find_problems(self, limits: Sequence[Sequence[Fraction] | None], unit: str) -> list[Problem]:
+        """What is wrong with the table, its rows by their numbers. limits: the soft limits of the real axes of `by`, in
+        `unit`, that of the group."""
+        if self.file is not None:
+            text = "`points` has the rows already; remove one of both" if self.points else UNREAD
+            return [Problem(("file",), text)]
+        for name, ends in zip(self.by, limits, strict=True):
+            if ends is None:
+                return [Problem((), f"the real axis of {name} needs soft_limits, which the table must cover; add them")]
+        problems = list(self._find_wrong_rows())
+        if not problems:
+            problems = self._line.find_row_problems() if len(self.by) == 1 else list(self._find_wrong_grid())
+        return problems or list(self._find_short_ends(limits, unit))
+
+    def _find_wrong_rows(self) -> Iterator[Problem]:
+        count = len(self.by)
+        if len(self.points) < 2:
+            yield Problem(("points",), f"has {len(self.points)} rows; a table needs at least 2")
+        for number, row in enumerate(self.points):
+            if not count + 1 <= len(row) <= count + 2:
+                names = ", ".join([*self.by, "error"])
+                yield Problem(("points", number), f"has {len(row)} numbers; write {names}, and perhaps its uncertainty")
+            elif len(row) != len(self.points[0]):
+                text = f"has {len(row)} numbers, and the first row {len(self.points[0])}; write as many in all rows"
+                yield Problem(("points", number), text)
+            elif count > 1 and len(row) > count + 1 and row[-1] < 0:
+                yield Problem(("points", number), f"uncertainty {float(row[-1]):g} is below 0; write it without sign")
+
+    def _find_wrong_grid(self) -> Iterator[Problem]:
+        """A row by two positions that is not at the next corner of a rectangular grid, or one that is too steep."""
+        lines = list(dict.fromkeys(row[0] for row in self.points))
+        columns = [row[1] for row in self.points if row[0] == lines[0]]
+        for name, values in zip(self.by, (lines, columns), strict=True):
+            if len(values) < 2 or any(second <= first for first, second in pairwise(values)):
+                text = f"the grid needs two or more rising values of {name}; sort the rows by {self.by[0]}, then by "
+                yield Problem(("points", 0), text + self.by[1])
+                return
+        corners = [(first, second) for first in lines for second in columns]
+        for number, row in enumerate(self.points):
+            corner = corners[number] if number < len(corners) else None
+            if corner is None or (row[0], row[1]) != corner:
+                yield Problem(("points", number), self._describe_corner(row, corner))
+                return
+        if len(self.points) < len(corners):
+            yield Problem(("points", len(self.points) - 1), self._describe_corner(None, corners[len(self.points)]))
+            return
+        yield from self._find_steep_cells(len(columns))
+
+    def _describe_corner(self, row: Sequence[Fraction] | None, corner: tuple[Fraction, Fraction] | None) -> str:
+        names = " and ".join(self.by)
+        given_text = "the rows end" if row is None else f"{names} {float(row[0]):g}, {float(row[1]):g}"
+        next_text = "" if corner is None else f", where {float(corner[0]):g}, {float(corner[1]):g} would be next"
         return (
-            f"error {float(row.error):g} at {float(row.position):g}: the slope{of} from the row before is {slope:.3g}, "
-            f"above max_slope {self.max_slope:g}; check the units and the sign, or raise max_slope, at most to "
-            f"{MOST_SLOPE:g}"
+            f"{given_text}{next_text}: the grid is not rectangular; give a row for each {self.by[1]} of each "
+            f"{self.by[0]}, sorted"
         )
+
+    def _find_steep_cells(self, width: int) -> Iterator[Problem]:
+        for number, row in enumerate(self.points):
+            neighbours = [(number - width, 0)] if number >= width else []
+            neighbours += [(number - 1, 1)] if number % width else []
+            for neighbour, column in neighbours:
+                distance = row[column] - self.points[neighbour][column]
+                slope = float((row[2] - self.points[neighbour][2]) / distance)
+                if self.is_steep(slope):
+                    corner = f"{float(row[0]):g}, {float(row[1]):g}"
+                    text = self.describe_slope(row[2], corner, slope, f" along {self.by[column]}")
+                    yield Problem(("points", number), text)
+
+    def _find_short_ends(self, limits: Sequence[Sequence[Fraction] | None], unit: str) -> Iterator[Problem]:
+        for column, (name, ends) in enumerate(zip(self.by, limits, strict=True)):
+            assert ends is not None
+            first, last = (row[column] for row in (self.points[0], self.points[-1]))
+            number = len(self.points) - 1
+            for position, end, at, is_short in (
+                (first, ends[0], 0, first > ends[0]),
+                (last, ends[1], number, last < ends[1]),
+            ):
+                if is_short:
+                    text = (
+                        f"the table ends at {name} {float(position):g} {unit}, and the soft limits of its real axis "
+                        f"reach to {float(end):g} {unit}; measure the rest, or narrow soft_limits"
+                    )
+                    yield Problem(("points", at), text)

@@ -33,7 +33,7 @@ from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, parse_quantity
-from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup
+from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup, digest_corrections
 from orchestrator.model.virtual_maps import VirtualAxes, find_virtual_problems, list_real_axes
 from orchestrator.model.web_views import WebSettings
 
@@ -422,8 +422,10 @@ class AxisMechanics(Model):
     errors: list[list[float]] = Field(
         default=[], description="`[position of the motor, error]`, sorted; straight between them."
     )
-    errors_of: dict[Id, list[list[float]]] = Field(
-        default={}, description="The same by another axis of the controller, whose motor moves this one as well."
+    errors_of: dict[str, list[list[float]]] = Field(
+        default={},
+        description="The same by another axis, whose motor moves this one as well: of the controller, or of another "
+        "one, `controller.axis`.",
     )
 
 
@@ -462,6 +464,12 @@ class Controller(Model):
     inputs: dict[Id, DigitalInput] = Field(default={})
     outputs: dict[Id, DigitalOutput] = Field(default={})
     state: StateRates = StateRates()
+    corrections: str = Field(
+        default="",
+        max_length=64,
+        exclude_if=lambda digest: not digest,
+        description="A digest of the `corrected` virtual axes that its axes belong to; set by the fleet file.",
+    )
 
     @property
     def shares_port(self) -> bool:
@@ -643,6 +651,10 @@ class Fleet(Model):
     def _check_virtual(self) -> "Fleet":
         """The maps of virtual axes; the names of their real axes are checked with the others."""
         raise_problems(find_virtual_problems(self.virtual, self.axis), type(self).__name__)
+        for name, config in self.controllers.items():
+            digest = digest_corrections(self.virtual, name)
+            if config.corrections != digest:
+                self.controllers[name] = config.model_copy(update={"corrections": digest})
         return self
 
     @model_validator(mode="after")

@@ -3,9 +3,10 @@
 from math import cos, radians, sin, tan
 from typing import TYPE_CHECKING, Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from orchestrator.model.base import Model
+from orchestrator.model.linear_map import CorrectedMap
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
 if TYPE_CHECKING:  # loaded where a frame is used: most programs need the models only
@@ -44,6 +45,8 @@ class FrameSpec(Model):
     )
     offset: list[Quantity] | None = Field(default=None, description="Positions of the axes at the coordinates' origin.")
 
+    _corrected: CorrectedMap | None = PrivateAttr(default=None)
+
     @model_validator(mode="after")
     def _check_sizes(self) -> Self:
         n = len(self.axes)
@@ -68,6 +71,25 @@ class FrameSpec(Model):
         if not condition < WORST_CONDITION:
             raise ValueError("maps different coordinates to the same positions; its matrix must have an inverse")
         return self
+
+    @property
+    def corrected(self) -> CorrectedMap | None:
+        """The map of its axes if it is the frame of a corrected group: then positions are those without errors, which
+        the map turns into positions of the real axes."""
+        return self._corrected
+
+    def with_errors(self, corrected: CorrectedMap) -> "FrameSpec":
+        """The frame of a corrected group."""
+        frame = self.model_copy()
+        frame._corrected = corrected  # noqa: SLF001
+        return frame
+
+    def find_influences(self) -> "Matrix":
+        """By how much each axis moves per unit of each coordinate at most, without signs: (axes, coordinates)."""
+        import numpy as np
+
+        influences = np.abs(self.make_matrix())
+        return influences if self._corrected is None else influences + np.array(self._corrected.steepest)
 
     def make_matrix(self) -> "Matrix":
         """The matrix (axes, coordinates), before the units of the axes: rotation x skew x scale."""
@@ -100,11 +122,16 @@ class FrameSpec(Model):
 
     def find_positions(self, coordinates: list[float], units: list[Unit]) -> list[float]:
         """The positions of the axes at a point, in their units."""
-        positions: list[float] = (self.make_matrix() @ coordinates + self.make_offset(units)).tolist()
-        return positions
+        positions: Matrix = self.make_matrix() @ coordinates + self.make_offset(units)
+        if self._corrected is not None:
+            positions = self._corrected.turn(positions[None, :])[0]
+        numbers: list[float] = positions.tolist()
+        return numbers
 
     def find_coordinates(self, positions: "Matrix", units: list[Unit]) -> "Matrix":
         """The coordinates of positions (points, axes): the inverse map, for reports."""
         import numpy as np
 
+        if self._corrected is not None:
+            positions = self._corrected.straighten(positions)
         return np.asarray(np.linalg.solve(self.make_matrix(), (positions - self.make_offset(units)).T).T, np.float64)

@@ -526,7 +526,8 @@ class StepReport(Model):
         default={}, description="Of a move of virtual axes: how far each may be off its straight line on the way."
     )
     bounds: dict[str, PositionBound] = Field(
-        default={}, description="Of axes with `backlash` or `correction`: how far each may be from its target at rest."
+        default={},
+        description="Of axes with `backlash` or `correction`, and corrected ones: how far each may be from its target.",
     )
     racks: dict[str, RackBound] = Field(
         default={},

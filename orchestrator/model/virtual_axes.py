@@ -1,18 +1,26 @@
 """Virtual axes in a fleet file: coordinates that people think in, each group of which stands for as many real axes."""
 
+import hashlib
+import json
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Annotated, Any, Literal, Self, TypeGuard, cast
 
 from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
 from orchestrator.model.axis_units import SoftLimits, convert_rates
 from orchestrator.model.base import Id, Model, Rational
+from orchestrator.model.compensation import CrossTable
+from orchestrator.model.names import split_name
 from orchestrator.model.numbers import UnitNumber
 from orchestrator.model.problems import validate_with
 from orchestrator.model.text.text_fields import PLAIN_TEXT
 from orchestrator.model.units import Quantity, Unit, parse_quantity
 
 MAX_AXES, MAX_GROUPS = 8, 200  # axes in one group
+MAX_TABLES = 16  # of one group
+MOST_LEAN = Fraction(1, 100)
+"""Rad. More than that is an error of the unit, or a frame with `skew`."""
 FORMS: dict[str, tuple[str, ...]] = {
     "slit": ("gap", "centre"),
     "jacks": ("height", "pitch", "roll"),
@@ -24,7 +32,7 @@ FORMS: dict[str, tuple[str, ...]] = {
 file."""
 RACK = "rack"
 """The second virtual axis of a pair, unless the file names it."""
-Kind = Literal["linear", "slit", "jacks", "rotation", "sine_bar", "energy", "code", "pair"]
+Kind = Literal["linear", "slit", "jacks", "rotation", "sine_bar", "energy", "code", "pair", "corrected"]
 _FIELDS: dict[str, tuple[Kind, ...]] = {
     "matrix": ("linear",),
     "places": ("jacks",),
@@ -34,9 +42,11 @@ _FIELDS: dict[str, tuple[Kind, ...]] = {
     "kinematics": ("code",),
     "parameters": ("code",),
     "pair": ("pair",),
+    "tables": ("corrected",),
+    "squareness": ("corrected",),
 }
 """The kinds that have a field."""
-_OPTIONAL = ("angle", "parameters")
+_OPTIONAL = ("angle", "parameters", "tables", "squareness")
 
 
 def list_axes(group: Any) -> list[str]:
@@ -120,6 +130,8 @@ class VirtualGroup(Model):
     theta = real + `angle`. With a second axis, the distance of two parallel crystals: exit = 2 distance cos theta, by
     which the beam is shifted.
     `code`: by the entry point `kinematics` of an installed package, with its `parameters`.
+    `corrected`: as many axes as real ones, in the same order, each that of its real axis but for its errors: `tables`
+    of errors by the positions of other axes, and the `squareness` of the first two.
     `pair`: two axes that carry one beam, of which none moves alone: their middle, with a name of the file's, and `rack`
     = first - second - square, which moves only towards 0.
     """
@@ -155,6 +167,17 @@ class VirtualGroup(Model):
     )
 
     pair: PairSettings | None = Field(default=None, description="With `pair`: how far both may be apart.")
+    tables: dict[Id, CrossTable] = Field(
+        default={},
+        max_length=MAX_TABLES,
+        exclude_if=lambda tables: not tables,
+        description="With `corrected`: measured errors, by names of your choice.",
+    )
+    squareness: Quantity | None = Field(
+        default=None,
+        exclude_if=lambda angle: angle is None,
+        description="With `corrected`: the angle by which the second axis leans towards the first from a right angle.",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -194,7 +217,7 @@ class VirtualGroup(Model):
             is_needed = self.kind in kinds and not (field in _OPTIONAL and self.kind != "rotation")
             if is_needed and not is_given:
                 raise ValueError(f"`kind: {self.kind}` needs `{field}`")
-        if self.offset and self.kind in ("energy", "code", "pair"):
+        if self.offset and self.kind in ("energy", "code", "pair", "corrected"):
             raise ValueError(f"`kind: {self.kind}` has no `offset`")
         for field in ("matrix", "offset"):
             strangers = [name for name in getattr(self, field) or () if name not in self.axes]
@@ -225,6 +248,28 @@ class VirtualGroup(Model):
             value = getattr(self, field)
             if value is not None and not parse_quantity(value, Unit.MM, field) > 0:
                 raise ValueError(f"`{field}` is {value}; it must be above 0")
+        return self
+
+    @model_validator(mode="after")
+    def _check_corrected(self) -> Self:
+        if self.kind != "corrected":
+            return self
+        if not self.tables and self.squareness is None:
+            raise ValueError("`kind: corrected` needs `tables`, `squareness`, or both")
+        if self.squareness is not None:
+            lean = parse_quantity(self.squareness, Unit.RAD, "squareness")
+            if len(self.of) < 2:
+                raise ValueError("`squareness` is between the first two axes, and there is one; remove it")
+            if abs(lean) > MOST_LEAN:
+                raise ValueError(
+                    f"squareness is {self.squareness}, at most 10 mrad; correct the unit, or use a frame with `skew`"
+                )
+        for name, table in self.tables.items():
+            strangers = [axis for axis in (table.axis, *table.by) if axis not in self.axes]
+            if strangers:
+                raise ValueError(
+                    f"tables.{name} names {strangers[0]}, which is none of its axes: {', '.join(self.axes)}"
+                )
         return self
 
     @model_validator(mode="after")
@@ -259,3 +304,15 @@ class VirtualGroup(Model):
         """The names of its axes, in the order of the form."""
         names = FORMS.get(self.kind, tuple(self.axes))
         return names[: len(self.of)] if self.kind == "energy" else names
+
+
+def digest_corrections(groups: Mapping[str, VirtualGroup], controller: str) -> str:
+    """A digest of the corrected groups with axes of a controller, as a part of its configuration; empty without any."""
+    corrected_groups = [
+        [group.of, list(group.axes), {key: table.to_plain() for key, table in group.tables.items()}, group.squareness]
+        for group in groups.values()
+        if group.kind == "corrected" and any(split_name(axis)[0] == controller for axis in group.of)
+    ]
+    if not corrected_groups:
+        return ""
+    return hashlib.sha256(json.dumps(corrected_groups, sort_keys=True).encode()).hexdigest()[:16]

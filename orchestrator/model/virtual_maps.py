@@ -9,9 +9,19 @@ from itertools import islice, pairwise, product
 from typing import Protocol
 
 from orchestrator.model.axis_units import SoftLimits
+from orchestrator.model.compensation import MOST_SLOPE, ROUNDING
 from orchestrator.model.curved_map import CrystalEnergy, CurvedMap, Kinematics, SineBar
 from orchestrator.model.frame import WORST_CONDITION, FrameSpec
-from orchestrator.model.linear_map import LinearMap, MapError, Matrix, SingularMap, chain_maps, find_condition, invert
+from orchestrator.model.linear_map import (
+    CorrectedMap,
+    LinearMap,
+    MapError,
+    Matrix,
+    SingularMap,
+    chain_maps,
+    find_condition,
+    invert,
+)
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.plugins import PluginError, UnknownPlugin, load_plugin
 from orchestrator.model.problems import Problem
@@ -119,10 +129,14 @@ def _make_jacks(group: VirtualGroup) -> Matrix:
 
 
 def _make_rotation(group: VirtualGroup) -> Matrix:
-    angle = math.radians(group.angle or 0.0)
-    # Rounded once; the inverse is exact from then on.
-    cosine, sine = (Fraction(f"{value:.15f}") for value in (math.cos(angle), math.sin(angle)))
+    cosine, sine = _find_cosine(math.radians(group.angle or 0.0))
     return (cosine, sine), (-sine, cosine)
+
+
+def _find_cosine(angle: float) -> tuple[Fraction, Fraction]:
+    """Cosine and sine of an angle, rad. Rounded once; the inverse of a matrix is exact from then on."""
+    cosine, sine = (Fraction(f"{value:.15f}") for value in (math.cos(angle), math.sin(angle)))
+    return cosine, sine
 
 
 _LINEAR: dict[str, Callable[[VirtualGroup], Matrix]] = {
@@ -200,6 +214,59 @@ def _parse_units(names: Sequence[str]) -> list[Unit]:
     return list(map(Unit, names))
 
 
+# Linear but for small errors
+
+
+def _make_corrected(name: str, group: VirtualGroup, axes: Sequence["RealAxis"]) -> CorrectedMap:
+    """The map of a corrected group, whose tables have no problems. axes: its real ones, in order. Raises `MapError`."""
+    from orchestrator.model.tables.cross_errors import AxisErrors, CrossErrors
+
+    _require_one_unit(group, axes)
+    matrix = [[Fraction(int(row == column)) for column in range(len(axes))] for row in range(len(axes))]
+    if group.squareness is not None:
+        cosine, sine = _find_cosine(float(parse_quantity(group.squareness, Unit.RAD)))
+        matrix[0][1], matrix[1][1] = sine, cosine
+    columns = {axis: number for number, axis in enumerate(group.order)}
+    parts = [
+        AxisErrors(columns[table.axis], tuple(columns[axis] for axis in table.by), table.function)
+        for table in group.tables.values()
+    ]
+    rows: Matrix = tuple(map(tuple, matrix))
+    virtual = tuple(f"{name}.{axis}" for axis in group.order)
+    zeros = (Fraction(0),) * len(axes)
+    errors = CrossErrors(len(axes), tuple(parts))
+    for axis, slopes in zip(group.order, errors.steepest.sum(axis=1).tolist(), strict=True):
+        if slopes > MOST_SLOPE + ROUNDING:
+            text = f"the tables of {axis} change its error by {slopes:.3g} of what the others move, and at most "
+            raise MapError(
+                f"{text}{MOST_SLOPE:g} is allowed, so that a position belongs to one place; check their units"
+            )
+    box = [find_range(axis) for axis in axes]
+    return CorrectedMap(tuple(group.of), virtual, rows, invert(rows), zeros, errors, box)
+
+
+def _require_one_unit(group: VirtualGroup, axes: Sequence["RealAxis"]) -> None:
+    """Raise `MapError` unless all axes of a corrected group have one unit, and soft limits."""
+    first = axes[0].unit
+    for axis, real, config in zip(group.order, group.of, axes, strict=True):
+        for of, unit in ((real, config.unit), (axis, group.axes[axis].unit)):
+            if unit != first:
+                text = f"{of} is in {unit}, and {group.of[0]} in {first}"
+                raise MapError(f"{text}; all axes of `kind: corrected` have one unit")
+        if config.soft_limits is None:
+            raise MapError(f"{real} needs soft_limits, within which its errors are known; add them")
+
+
+def _find_table_problems(name: str, group: VirtualGroup, find_axis: Callable[[str], "RealAxis"]) -> Iterator[Problem]:
+    """What is wrong with the tables of a corrected group, by their rows."""
+    real = dict(zip(group.order, group.of, strict=True))
+    for table_name, table in group.tables.items():
+        axes = [find_axis(real[axis]) for axis in table.by]
+        limits = [None if axis.soft_limits is None else axis.soft_limits.in_unit(axis.unit) for axis in axes]
+        for problem in table.find_problems(limits, axes[0].unit):
+            yield Problem(("virtual", name, "tables", table_name, *problem.place), problem.text, problem.found)
+
+
 # All of a fleet
 
 
@@ -235,13 +302,15 @@ class VirtualAxes:
                 *(self._find_axis(axis).unit for axis in virtual_map.real),
             }
             if isinstance(virtual_map, LinearMap) and len(units) == 1 and name not in self.pairs:
-                frames[name] = FrameSpec(
+                frame = FrameSpec(
                     axes=list(virtual_map.real),
                     coordinates=[split_name(axis)[1] for axis in virtual_map.virtual],
                     unit=units.pop(),
                     matrix=[list(map(float, row)) for row in virtual_map.inverse],
-                    offset=[float(position) for position in virtual_map.to_real([Fraction(0)] * len(virtual_map.real))],
+                    offset=[float(position) for position in virtual_map.origin],
                 )
+                is_corrected = isinstance(virtual_map, CorrectedMap)
+                frames[name] = frame.with_errors(virtual_map) if is_corrected else frame
         return frames
 
     @cached_property
@@ -335,6 +404,10 @@ def make_whole_map(name: str, groups: Mapping[str, VirtualGroup], find_axis: Cal
     """The map of a group to real axes, through that of the groups for whose axes it stands. Raises `MapError`,
     `UnitError`."""
     group, inner = groups[name], list_inner_groups(groups, name)
+    if group.kind == "corrected":
+        if inner:
+            raise MapError(f"it stands for axes of {inner[0]}, and its errors are of real axes; name these in `of`")
+        return _make_corrected(name, group, [find_axis(axis) for axis in group.of])
     units: dict[str, Unit] = {}
     for axis in group.of:
         owner, axis_name = split_name(axis)
@@ -345,8 +418,9 @@ def make_whole_map(name: str, groups: Mapping[str, VirtualGroup], find_axis: Cal
     linear_maps: list[LinearMap] = []
     for owner in inner:
         inner_map = make_whole_map(owner, groups, find_axis)
-        if not isinstance(inner_map, LinearMap):
-            raise MapError(f"it stands for axes of {owner}, which is curved; name real axes in `of`")
+        if not isinstance(inner_map, LinearMap) or isinstance(inner_map, CorrectedMap):
+            kind = "corrected" if isinstance(inner_map, CorrectedMap) else "curved"
+            raise MapError(f"it stands for axes of {owner}, which is {kind}; name real axes in `of`")
         left_out = [axis for axis in inner_map.virtual if axis not in group.of]
         if left_out:
             raise MapError(f"it stands for axes of {owner}, but not for {left_out[0]}; name all of them in `of`")
@@ -413,6 +487,10 @@ def _find_problems(
         return
     try:
         axes = {axis: find_axis(axis) for axis in real_axes}
+        table_problems = list(_find_table_problems(name, groups[name], find_axis))
+        if table_problems:
+            yield from table_problems
+            return
         whole_map = make_whole_map(name, groups, find_axis)
         for axis, config in axes.items():
             if config.wrap is not None:

@@ -93,9 +93,9 @@ class _Mover:
         frame = None if step.frame is None else frames.get(step.frame)
         self._units = [units[axis] for axis in step.axes] if frame is None else [frame.unit] * len(step.axes)
         self._names = step.axes if frame is None else frame.coordinates
-        matrix: Any = np.eye(len(step.axes)) if frame is None else frame.make_matrix()
+        influences: Any = np.eye(len(step.axes)) if frame is None else frame.find_influences()
         # By axis, the coordinates that it follows.
-        self._follows = {axis: np.abs(row) > 0.0 for axis, row in zip(step.axes, matrix, strict=True)}
+        self._follows = {axis: row > 0.0 for axis, row in zip(step.axes, influences, strict=True)}
 
     def find_moved(self, begin: Point, piece: Piece) -> list[str]:
         """Those axes that the piece moves."""

@@ -12,12 +12,14 @@ import numpy as np
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.frame import FrameSpec
+from orchestrator.model.linear_map import CorrectedMap
 from orchestrator.model.names import controller_of
 from orchestrator.model.numbers import split_number
 from orchestrator.model.paths.pieces import LinePiece
 from orchestrator.model.report import PathBound, PathReport, PathStretch, PositionBound
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import Unit, UnitError, parse_quantity
+from orchestrator.plan.corrected import bound_corrected, limit_axes, require_own_zero, turn_states
 from orchestrator.plan.path.axes import AlongLimits, PathAxis
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path.plan import PathPlan, find_frame, plan_path
@@ -25,7 +27,7 @@ from orchestrator.plan.path.resolve import parse_along, parse_speed
 from orchestrator.plan.path_course import PathCourse
 from orchestrator.plan.path_line import fit_line, sample_speeds
 from orchestrator.plan.path_lines import LineTimes, time_lines
-from orchestrator.plan.path_profiles import Array, Evaluate, FittedAxis, PathStates, find_fit_error, fit_profiles
+from orchestrator.plan.path_profiles import Array, FittedAxis, PathStates, find_fit_error, fit_profiles
 from orchestrator.plan.play import bound_path
 from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.step import AxisMove, StepPlan
@@ -105,17 +107,17 @@ def plan_path_step(
     step, starts = _apply_fraction(step, starts)
     unit = find_unit(starts)
     tolerance = _parse_tolerance(step, unit)
+    table_map = _find_corrected(step, starts, frames or {})
     require_start(step, starts, frames or {})
-    plan = plan_path(step, [_describe_axis(start) for start in starts], frames)
-    shift = np.array([float(start.offset) for start in starts])
-    ends = (plan.evaluate(np.array([plan.duration_s])).positions[0] - shift).tolist()
+    plan = plan_path(step, _describe_axes(starts, table_map), frames)
+    motion = _PathOfAxes(plan, starts, table_map)
+    ends = motion.evaluate(np.array([plan.duration_s])).positions[0].tolist()
     axes: list[FittedAxis] = []
     exact: dict[str, tuple[Fraction, int]] = {}
     for start, end in zip(starts, ends, strict=True):
         exact[start.name] = Fraction(end), start.axis.to_target_counts(Fraction(end)) - start.ahead
         axes.append(make_fitted_axis(start, exact[start.name][1]))
 
-    evaluate_motors = _make_evaluator(plan, starts, shift)
     slow = next((start for start in starts if start.order < 3), None)
     stretches, course = _list_stretches(plan), None
     if slow is not None and len(step.pieces) == 1 and isinstance(step.pieces[0], LinePiece):
@@ -124,10 +126,10 @@ def plan_path_step(
         speeds = sample_speeds(fitted_line, axes, times_s)
         stretches = [PathStretch(from_s=0.0, to_s=plan.duration_s, binds=f"a trapezoid, which {slow.name} needs")]
     else:
-        fitted_line = fit_profiles(evaluate_motors, plan.duration_s, axes, tolerance)
+        fitted_line = fit_profiles(motion.evaluate_motors, plan.duration_s, axes, tolerance)
         _require_orders(start for start in starts if start.name in fitted_line.profiles)
         times_s = np.linspace(0.0, plan.duration_s, SAMPLES)
-        speeds = np.abs(plan.evaluate(times_s).velocities).T
+        speeds = np.abs(motion.evaluate(times_s).velocities).T
         moved_axes = [column for column, axis in enumerate(axes) if axis.name in fitted_line.profiles]
         course = PathCourse(
             fitted_line.motion, axes, moved_axes, fitted_line.motion.positions[0], find_fit_error(axes, tolerance)
@@ -150,21 +152,37 @@ def plan_path_step(
         speeds={start.name: row for start, row in zip(starts, speeds, strict=True)},
         course=course,
         lines=time_lines(step, plan),
-        bounds=_bound_axes(starts, is_straight=course is None),
+        bounds=_bound_axes(starts, table_map, is_straight=course is None),
     )
     return replace(path, report=path.make_report(fitted_line.duration_s, None))
 
 
-def _make_evaluator(plan: PathPlan, starts: Sequence[PathStart], shift: Array) -> Evaluate:
-    """The path of the motors. shift: user minus motor positions of the axes."""
-    is_compensated = any(start.axis.is_compensated for start in starts)
+def _find_corrected(
+    step: FollowPath, starts: Sequence[PathStart], frames: Mapping[str, FrameSpec]
+) -> CorrectedMap | None:
+    """The map of a corrected frame, whose tables count from the references. Raises `Refusal`."""
+    table_map = None if step.frame is None else find_frame(step, frames).corrected
+    if table_map is not None:
+        require_own_zero(table_map, {start.name: start.offset for start in starts})
+    return table_map
 
-    def evaluate(times_s: Array) -> PathStates:
-        rows = plan.evaluate(times_s)
-        states = PathStates(rows.positions - shift, rows.velocities, rows.accelerations)
-        return _turn_motors(starts, states) if is_compensated else states
 
-    return evaluate
+class _PathOfAxes:
+    """A path as motions of its axes, in motor positions without play and tables of their own, and of their motors."""
+
+    def __init__(self, plan: PathPlan, starts: Sequence[PathStart], corrected: CorrectedMap | None) -> None:
+        self._plan, self._starts, self._corrected = plan, starts, corrected
+        self._shift = np.array([float(start.offset) for start in starts])
+        self._is_compensated = any(start.axis.is_compensated for start in starts)
+
+    def evaluate(self, times_s: Array) -> PathStates:
+        rows = self._plan.evaluate(times_s)
+        states = PathStates(rows.positions - self._shift, rows.velocities, rows.accelerations)
+        return states if self._corrected is None else turn_states(self._corrected, states)
+
+    def evaluate_motors(self, times_s: Array) -> PathStates:
+        states = self.evaluate(times_s)
+        return _turn_motors(self._starts, states) if self._is_compensated else states
 
 
 def _turn_motors(starts: Sequence[PathStart], axes: PathStates) -> PathStates:
@@ -179,9 +197,11 @@ def _turn_motors(starts: Sequence[PathStart], axes: PathStates) -> PathStates:
     return motors
 
 
-def _bound_axes(starts: Sequence[PathStart], *, is_straight: bool) -> dict[str, PositionBound]:
-    """How far compensated axes may be off a path. is_straight: of their motors, so that tables count at its ends
-    only."""
+def _bound_axes(
+    starts: Sequence[PathStart], corrected: CorrectedMap | None, *, is_straight: bool
+) -> dict[str, PositionBound]:
+    """How far compensated axes may be off a path; of a corrected frame its virtual axes. is_straight: of their motors,
+    so that tables count at its ends only."""
     bounds: dict[str, PositionBound] = {}
     for start in starts:
         bound, correction = bound_path(start.axis), start.axis.correction
@@ -190,7 +210,10 @@ def _bound_axes(starts: Sequence[PathStart], *, is_straight: bool) -> dict[str, 
             bound = bound.model_copy(update={"most": bound.most + span, "table": bound.table + span})
         if bound is not None:
             bounds[start.name] = bound
-    return bounds
+    if corrected is None:
+        return bounds
+    spans = [high - low for low, high in corrected.errors.find_ranges(corrected.box)] if is_straight else None
+    return bound_corrected(corrected, [start.axis for start in starts], bounds, spans)
 
 
 def make_moves(starts: Sequence[PathStart], exact: Mapping[str, tuple[Fraction, int]]) -> list[AxisMove]:
@@ -236,6 +259,11 @@ def _find_line_limits(step: FollowPath, unit: Unit) -> AlongLimits:
     """The limits along a path of one line. Raises `PathRefusal`."""
     along, speed = parse_along(step, unit), parse_speed(step.pieces[0], unit, 0)
     return along if speed == inf else replace(along, speed=min(speed, along.speed or inf))
+
+
+def _describe_axes(starts: Sequence[PathStart], corrected: CorrectedMap | None) -> list[PathAxis]:
+    axes = [_describe_axis(start) for start in starts]
+    return axes if corrected is None else limit_axes(corrected, axes)
 
 
 def _describe_axis(start: PathStart) -> PathAxis:

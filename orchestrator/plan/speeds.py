@@ -5,7 +5,7 @@ from dataclasses import replace
 from math import hypot
 
 from orchestrator.model.fleet import Axis, Fleet
-from orchestrator.model.linear_map import LinearMap
+from orchestrator.model.linear_map import CorrectedMap, LinearMap
 from orchestrator.model.steps.base import MotionOptions
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import Unit, UnitError, parse_rate
@@ -36,6 +36,9 @@ def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -
         return [replace(move, velocity=move.velocity * speed) for move in moves]
     if speed == MANUAL:
         return [replace(move, velocity=move.velocity * fleet.axis(move.axis).manual_speed) for move in moves]
+    owners = _find_owners(fleet, step)
+    if owners and owners.keys() >= set(step.named_axes).intersection(fleet.names.virtual):
+        return _limit_named(fleet, _name_owners(step, speed, owners, moves), moves)
     distances = _find_virtual_distances(fleet, step, moves)
     if isinstance(speed, Mapping):
         moves = _limit_together(moves, _find_virtual_duration(fleet, speed, distances))
@@ -45,6 +48,28 @@ def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -
         length = hypot(*distances.values())
         return _limit_together(moves, length / _parse_speed(speed, units.pop(), next(iter(distances))))
     return _limit_line(fleet, speed, moves)
+
+
+def _find_owners(fleet: Fleet, step: MotionOptions) -> dict[str, str]:
+    """By corrected axis that a step names, its own real axis, whose speed it has."""
+    maps = (fleet.virtual_axes.maps[group] for group in group_virtual(fleet, step))
+    pairs = [
+        pair for axes in maps if isinstance(axes, CorrectedMap) for pair in zip(axes.virtual, axes.real, strict=True)
+    ]
+    return {name: real for name, real in pairs if name in step.named_axes}
+
+
+def _name_owners(
+    step: MotionOptions, speed: Mapping[str, float | str] | str, owners: Mapping[str, str], moves: Sequence[AxisMove]
+) -> dict[str, float | str]:
+    """The speeds of a step by real axis, with those that stand for corrected ones: each axis moves in its own time."""
+    speeds = speed if isinstance(speed, Mapping) else dict.fromkeys(step.named_axes, speed)
+    moved_axes = {move.axis for move in moves}
+    return {
+        owners.get(name, name): value
+        for name, value in speeds.items()
+        if name not in owners or owners[name] in moved_axes
+    }
 
 
 def _find_virtual_distances(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -> dict[str, float]:

@@ -2,21 +2,24 @@
 
 With e the offset in time of a real axis and v its highest speed, it is at most v x e from where the plan has it. An
 offset that all have in common only shifts the whole along the line. So each virtual axis is off by at most the sum over
-its real axes of |m| x (v x |e - c| + path error + rounding), with m its factor, and c the middle of all offsets.
+its real axes of |m| x (v x |e - c| + path error + rounding), with m its factor, and c the middle of all offsets. The
+tables of corrected axes add their uncertainty, and what they bend between the ends of the way; where their real axes
+move in their own time, these are off by what the tables differ on it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.compensation import Approach
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.linear_map import LinearMap
+from orchestrator.model.linear_map import CorrectedMap, LinearMap
 from orchestrator.model.messages import Proposal
 from orchestrator.model.names import split_name
 from orchestrator.model.report import PathReport, SyncBudget, VirtualBound
 from orchestrator.model.steps.kinds import Motion
+from orchestrator.plan.corrected import TableWay, bound_apart, bound_straight
 from orchestrator.plan.play import bound_way
 from orchestrator.plan.step import StepPlan
 from orchestrator.plan.virtual_moves import group_virtual
@@ -70,11 +73,25 @@ def bound_virtual_axes(
         virtual_map = fleet.virtual_axes.maps[group]
         if not isinstance(virtual_map, LinearMap):
             continue  # of one real axis, which is on its curve wherever it is
+        factors, own_errors = virtual_map.rows, [0.0] * len(virtual_map.virtual)
+        if isinstance(virtual_map, CorrectedMap):
+            way = TableWay.of_profiles(fleet, virtual_map, agreement.plan.profiles)
+            if not step.is_synchronised:
+                sizes = bound_apart(fleet, virtual_map, way, step.asked_approach)
+                bounds |= _make_bounds(fleet, virtual_map.virtual, sizes)
+                continue
+            factors, own_errors = virtual_map.factors, bound_straight(virtual_map, way)
         errors = _bound_real_axes(fleet, virtual_map, agreement, step.asked_approach)
-        for name, row in zip(virtual_map.virtual, virtual_map.rows, strict=True):
-            most = sum(abs(factor) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
-            bounds[name] = VirtualBound(most=most, unit=fleet.unit_of(name))
+        sizes = [
+            own + sum(abs(factor) * errors[axis] for factor, axis in zip(row, virtual_map.real, strict=True))
+            for row, own in zip(factors, own_errors, strict=True)
+        ]
+        bounds |= _make_bounds(fleet, virtual_map.virtual, sizes)
     return bounds
+
+
+def _make_bounds(fleet: Fleet, names: Sequence[str], sizes: Sequence[float]) -> dict[str, VirtualBound]:
+    return {name: VirtualBound(most=size, unit=fleet.unit_of(name)) for name, size in zip(names, sizes, strict=True)}
 
 
 def _bound_real_axes(

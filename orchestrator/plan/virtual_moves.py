@@ -1,7 +1,8 @@
 """Moves of virtual axes: the targets of the real axes that they stand for.
 
 A move of virtual axes is one of their real axes on a straight line (`sync: phase`), on which every virtual position
-changes in proportion as well. Virtual axes of a group that the step does not name keep their positions.
+changes in proportion as well; but for corrected ones, whose real axes move in their own time. Virtual axes of a group
+that the step does not name keep their positions.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +12,7 @@ from typing import NamedTuple
 from orchestrator.model.curved_map import CurvedMap
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.linear_map import MapError
+from orchestrator.model.linear_map import CorrectedMap, MapError
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
@@ -34,14 +35,21 @@ def find_curved_group(fleet: Fleet, step: Step) -> str | None:
 
 
 def go_straight(fleet: Fleet, step: Move) -> Move:
-    """The move with its virtual axes on a straight line of their real axes."""
-    return step.model_copy(update={"sync": "phase"}) if find_virtual_names(fleet, step) else step
+    """The move with its virtual axes on a straight line of their real axes. Where all of them are corrected ones, their
+    real axes take their own time, unless the step states `phase`: what an axis moves along by the errors of another one
+    is too short for a ramp as long as that one's."""
+    groups = group_virtual(fleet, step)
+    if not groups:
+        return step
+    if not all(isinstance(fleet.virtual_axes.maps[group], CorrectedMap) for group in groups):
+        return step.model_copy(update={"sync": "phase"})
+    return step if step.sync == "phase" else step.model_copy(update={"sync": "none"})
 
 
 def require_apart(fleet: Fleet, step: Move) -> None:
     """Raise `Refusal` for a step that moves a real axis twice, or in which virtual axes cannot go straight."""
     virtual_names = find_virtual_names(fleet, step)
-    if virtual_names and step.sync == "none":
+    if virtual_names and go_straight(fleet, step).sync != step.sync == "none":
         text = f"`sync: none` would move {virtual_names[0]} and its group elsewhere on the way"
         raise Refusal("bad-step", text, "leave `sync` out: virtual axes move on a straight line")
     curved_group = find_curved_group(fleet, step)

@@ -4,7 +4,7 @@ A motor moves its axis through a drive with play, which a motion takes up after 
 is not even. Axes may also move each other: a guide that is not straight. No part of a fleet sees this; tests read it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,11 @@ class Mechanics:
     """The axes of one controller. Motions in one direction are followed whenever it looks; one that turns back on its
     way, as a path does, must be looked at on the way."""
 
-    def __init__(self, controller: SimulatedController, config: Controller) -> None:
+    def __init__(
+        self, controller: SimulatedController, config: Controller, others: Mapping[str, "Mechanics"] | None = None
+    ) -> None:
+        """others: by controller, those whose axes move axes of this one."""
+        self._others: Mapping[str, Mechanics] = {} if others is None else others
         self._controller = controller
         self._config = config
         self._slack = dict.fromkeys(config.axes, 0.0)
@@ -59,7 +63,12 @@ class Mechanics:
     def _find_error(self, name: str) -> float:
         settings = self._settings(name)
         tables = {name: settings.errors, **settings.errors_of} if settings.errors else settings.errors_of
-        return sum(_interpolate(rows, self._find_motor(of)) for of, rows in tables.items())
+        return sum(_interpolate(rows, self._find_motor_of(of)) for of, rows in tables.items())
+
+    def _find_motor_of(self, name: str) -> float:
+        """Where the motor is that moves an axis: of `axis`, or of `controller.axis`."""
+        owner, _, axis = name.rpartition(".")
+        return self._others[owner]._find_motor(axis) if owner else self._find_motor(axis)  # noqa: SLF001
 
     def _settings(self, name: str) -> AxisMechanics:
         return self._config.simulate.mechanics.get(name, _RIGID)

@@ -121,6 +121,8 @@ def print_steps(forecast: "JobForecast", *, commands: bool = False) -> None:
             line(f"      if {condition}")
         for text in [step.lines] * bool(step.lines) + ([] if step.path is None else describe_path(step.path)):
             line(f"      {text}")
+        for axis, group in step.followers.items():
+            line(f"      {axis} moves along, by the errors of {group}")
         for text in describe_bounds(step):
             line(f"      {text}")
         if commands:

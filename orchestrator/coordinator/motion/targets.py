@@ -13,6 +13,7 @@ from orchestrator.model.state import AxisState, ControllerInfo
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.units import UnitError, parse_quantity
+from orchestrator.plan.corrected import bound_ends, require_no_offset
 from orchestrator.plan.path_step import PathStart
 from orchestrator.plan.play import (
     MotorWay,
@@ -83,6 +84,7 @@ def resolve_targets(step: Move, context: AxisContext, goal: Mapping[str, Fractio
         if beyond_overrun is not None:
             raise beyond_overrun
         _add_way(resolved_move, name, context, target, way)
+    resolved_move.bounds.update(bound_ends(context.fleet, step, resolved_move.bounds))
     return resolved_move
 
 
@@ -139,6 +141,7 @@ def _iterate_virtual(step: Move, context: AxisContext, goal: Mapping[str, Fracti
         names = context.fleet.virtual_axes.maps[group].real
         for name in names:
             _require_ready(context.fleet, name, context.states[name])
+        require_no_offset(context.fleet, group, {name: context.states[name].offset for name in names})
         positions = [context.find_position(name) + context.states[name].offset for name in names]
         targets = find_virtual_targets(context.fleet, step, group, positions)
         assert targets is not None, "all positions are known"

@@ -117,6 +117,7 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
     require_mapping(file, model)
     fleet_tables = read_tables(file.root.value if model is Fleet else {}, Path(file.name).parent)
     checked_file, problems = validate_value(fleet_tables.value or file.root.value, model)
+    problems = [problem for problem in problems if not fleet_tables.is_known(problem)]
     if checked_file is None or fleet_tables.problems:
         table_problems = [*fleet_tables.problems, *filter(None, map(fleet_tables.locate, problems))]
         raise FileError(

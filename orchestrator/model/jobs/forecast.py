@@ -33,7 +33,8 @@ class AxisForecast(Model):
 class StepForecast(Model):
     """One step. least_s, most_s: its duration; most_s None: no bound is known. conditions: what only the world decides.
     virtual: how far virtual axes may be off their line; only in a dry run. bounds: how far axes with `backlash` or
-    `correction` may be from their targets. racks: how far the motors of axes of two may be apart; pairs: how far pairs
+    `correction`, or of corrected groups, may be from their targets. followers: real axes that move along by errors of
+    others, by name with their group. racks: how far the motors of axes of two may be apart; pairs: how far pairs
     may be racked after any single fault.
     lines: of a scan that flies, how fast, and how long a line takes; path: of its first line.
 
@@ -50,6 +51,7 @@ class StepForecast(Model):
     path: PathReport | None = None
     virtual: dict[str, VirtualBound] = Field(default={})
     bounds: dict[str, PositionBound] = Field(default={})
+    followers: dict[str, str] = Field(default={}, exclude_if=lambda followers: not followers)
     racks: dict[str, RackBound] = Field(default={}, exclude_if=lambda racks: not racks)
     pairs: dict[str, PairBound] = Field(default={})
     lines: str = ""

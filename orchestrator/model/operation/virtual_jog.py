@@ -17,7 +17,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Id, Model
 from orchestrator.model.fleet import Axis
-from orchestrator.model.linear_map import LinearMap, MapError
+from orchestrator.model.linear_map import CorrectedMap, LinearMap, MapError
 from orchestrator.model.names import split_name
 from orchestrator.model.state import AxisState
 from orchestrator.model.virtual_axes import VirtualAxis
@@ -55,6 +55,12 @@ class VirtualJog(Model):
     low_by: str = ""
     high_by: str = ""
     reach: float | None = Field(default=None, exclude_if=lambda reach: reach is None)
+    lacks_tables: bool = Field(default=False, exclude_if=lambda lacks_tables: not lacks_tables)
+
+    @property
+    def is_common(self) -> bool:
+        """Whether it moves several real axes, which need a common ramp."""
+        return sum(1 for rate in self.rates if rate) > 1
 
 
 class RealJog(NamedTuple):
@@ -87,10 +93,13 @@ class _Reach(NamedTuple):
 def find_rates(virtual_map: VirtualMap, positions: Sequence[float]) -> dict[str, list[float]]:
     """The velocity of each real axis per unit/s of a virtual one, the others at rest, by its name in the group.
 
-    positions: of the real axes. Curved groups of several real axes have none: a jog would leave their curve. Raises
-    `MapError`.
+    positions: of the real axes. A corrected axis is jogged by its own real axis alone: the rates by which the others
+    would follow its tables are below the lowest speeds of controllers. Curved groups of several real axes have none: a
+    jog would leave their curve. Raises `MapError`.
     """
     names = [split_name(name)[1] for name in virtual_map.virtual]
+    if isinstance(virtual_map, CorrectedMap):
+        return {name: [float(number == column) for column in range(len(names))] for number, name in enumerate(names)}
     if isinstance(virtual_map, LinearMap):
         return {name: [row[number] for row in virtual_map.inverse_rows] for number, name in enumerate(names)}
     if len(names) > 1:
@@ -121,6 +130,8 @@ def find_jogs(
         sweeps = virtual_map.sweeps[number] if isinstance(virtual_map, LinearMap) else (0.0,)
         off_axes = {key: (sweep, errors[key]) for key, sweep in zip(rates, sweeps, strict=True) if key != name}
         jogs[name] = _make_jog(axes, name, _Motion(rates[name], reals, off_axes, apart_s), reach)
+        if isinstance(virtual_map, CorrectedMap):
+            jogs[name] = jogs[name].model_copy(update={"lacks_tables": True})
     return jogs
 
 
@@ -136,6 +147,8 @@ def _find_errors(virtual_map: VirtualMap, names: Iterable[str], reals: Sequence[
     """By virtual axis. A real axis alone moves no other virtual one."""
     if len(reals) == 1:
         return {name: _Errors(0.0, 0.0) for name in names}
+    if isinstance(virtual_map, CorrectedMap):
+        return {name: _Errors(0.0, span) for name, span in zip(names, virtual_map.spans, strict=True)}
     roundings = [abs(real.config.to_length(ROUNDED_COUNTS_S)) for real in reals]
     plays = [_find_play(real.config) for real in reals]
     rows = virtual_map.find_rows([])

@@ -147,12 +147,13 @@ class VirtualRamp:
         state = self._state_of(axis)
         name = split_name(axis)[1]
         unit = state.axes[name].unit
+        uncorrected_text = "by its own real axis alone, uncorrected" if jog.lacks_tables else ""
         offs = " and ".join(
             f"{split_name(axis)[0]}.{other_name} is off by at most {off + jog.play.get(other_name, 0.0):.3g} "
             f"{state.axes[other_name].unit}"
             for other_name, off in jog.off.items()
         )
-        off_text = f", where {offs}" if offs else ""
+        off_text = f", {uncorrected_text}, where {offs}" if uncorrected_text else f", where {offs}" if offs else ""
         return f"{axis} may jog at {jog.speed:.4g} {unit}/s at most{off_text}, not at {abs(velocity):g}"
 
     def _require_way(self, axis: str, velocity: float) -> None:
@@ -214,8 +215,8 @@ class VirtualRamp:
         return jog.acceleration * (math.hypot(AGE_S, math.sqrt(2 * way / jog.acceleration)) - AGE_S)
 
     def _is_ramped(self, axes: Collection[str]) -> bool:
-        """Whether several real axes move, which need a common ramp."""
-        return any(len(self._state_of(axis).of) > 1 for axis in axes)
+        """Whether one of them moves several real axes, which need a common ramp."""
+        return any(self._require_jog(axis).is_common for axis in axes)
 
 
 def _move_towards(begin: float, end: float, share: float) -> float:

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Id, Int53, Model
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.linear_map import MapError, Rows
+from orchestrator.model.linear_map import CorrectedMap, MapError, Rows
 from orchestrator.model.messages import Reply
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.pair_jog import find_pair_jogs
@@ -129,6 +129,14 @@ def _find_obstacle(axes: Mapping[str, tuple[ControllerState, AxisState]]) -> str
     return ""
 
 
+def _find_offset(virtual_map: VirtualMap, axes: Sequence[tuple[ControllerState, AxisState]]) -> str:
+    """That a real axis of a corrected group has a user offset, so that its errors are not known there."""
+    if not isinstance(virtual_map, CorrectedMap):
+        return ""
+    pairs = zip(virtual_map.real, axes, strict=True)
+    return next(filter(None, (virtual_map.explain_offset(name, axis.offset) for name, (_, axis) in pairs)), "")
+
+
 def _observe_jogs(
     group: str, fleet: Fleet, axes: Mapping[str, tuple[ControllerState, AxisState]]
 ) -> dict[str, VirtualJog]:
@@ -152,9 +160,9 @@ def _observe_jogs(
 def _observe_inside(
     virtual_map: VirtualMap, units: Sequence[str], axes: Sequence[tuple[ControllerState, AxisState]]
 ) -> tuple[dict[str, VirtualAxisState], str]:
-    """The virtual axes, or why the map has no answer where the real axes are."""
+    """The virtual axes, and why they are not known: where the map has no answer, they are left out."""
     try:
-        return _observe_axes(virtual_map, units, axes), ""
+        return _observe_axes(virtual_map, units, axes), _find_offset(virtual_map, axes)
     except MapError as error:
         return {}, str(error)
 

@@ -44,6 +44,9 @@ def find_stood_path(ended: EndedJob, step: FollowPath, *, is_recorded: bool) -> 
     fleet = ended.fleet
     axis_units = [Unit(fleet.axis(name).unit) for name in step.axes]
     frame = None if step.frame is None else find_frame(step, fleet.path_frames)
+    if frame is not None and frame.corrected is not None:
+        text = f"the path is in {step.frame}, whose tables of errors do not count where it is looked for on the path"
+        raise Refusal("not-compensated", text, "run the whole step again: `tutti job retry`")
     units = axis_units if frame is None else [frame.unit] * len(axis_units)
     axes = [PathAxis(name, unit, 1.0, 1.0) for name, unit in zip(step.axes, axis_units, strict=True)]
     path = resolve_path(step, axes, frame)

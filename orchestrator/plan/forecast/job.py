@@ -31,7 +31,8 @@ class JobForecaster(ForecastState):
 
     def take_in_parts(self, index: int, step: Step) -> Generator[None, None, StepForecast]:
         """`take`, with a break before each step inside a repeat or a scan, for the other work of a process."""
-        self.notes, self.bounds, self.racks, self.pairs, self.motion = {}, {}, {}, {}, None
+        self.notes, self.bounds, self.followers, self.racks, self.pairs = {}, {}, {}, {}, {}
+        self.motion = None
         span = yield from forecast_in_parts(self, ForecastContext(index, ("steps", index)), step)
         is_line = step.is_single and self.motion is not None and self.motion.line is not None
         if not step.is_motion and not is_line:
@@ -45,6 +46,7 @@ class JobForecaster(ForecastState):
             most_s=None if span.most is None else round(span.most, 6),
             conditions=list(self.notes),
             bounds=self.bounds,
+            followers=self.followers,
             racks=self.racks,
             pairs=self.pairs,
             path=path,

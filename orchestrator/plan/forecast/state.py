@@ -52,6 +52,7 @@ class ForecastState:
         self.conditions: dict[str, None] = {}
         self.notes: dict[str, None] = {}
         self.bounds: dict[str, PositionBound] = {}
+        self.followers: dict[str, str] = {}
         self.racks: dict[str, RackBound] = {}
         self.pairs: dict[str, PairBound] = {}
         self.outputs: dict[str, bool] = {}

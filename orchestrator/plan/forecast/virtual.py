@@ -6,6 +6,7 @@ from fractions import Fraction
 from orchestrator.model.errors import Refusal
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.numbers import name_step
+from orchestrator.plan.corrected import bound_ends, find_followers, require_no_offset
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
@@ -29,8 +30,10 @@ def take_virtual_targets(state: ForecastState, at: ForecastContext, ways: MoveWa
         if targets is None:
             ways.add_unknown(None)
             continue
+        state.followers |= dict.fromkeys(find_followers(state.fleet, group, names), group)
         for name, target in targets.items():
             take_target(state, at, ways, TargetField("to", name, state.fleet.axis(name), field), target)
+    state.bounds |= bound_ends(state.fleet, step, state.bounds)
     return len(state.problems) == problems
 
 
@@ -43,6 +46,10 @@ def _find_targets(
     for name in real_axes:
         state.require_ready(at, name, place)
     try:
+        offsets = {
+            name: axis.offset for name in real_axes if (axis := state.find_state(at, name)).offset_kind != "unknown"
+        }
+        require_no_offset(state.fleet, group, dict.fromkeys(real_axes, Fraction(0)) | offsets)
         targets = find_virtual_targets(state.fleet, step, group, find_positions(state, at, real_axes))
     except Refusal as error:
         state.add_problem(at, place, error)

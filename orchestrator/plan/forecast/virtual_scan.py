@@ -1,8 +1,8 @@
 """The forecast of a scan that positions virtual axes, without the steps at its points.
 
-Its real axes are at their extremes where the virtual ones are at some of theirs, because their maps are linear: so a
-scan of `axes` is run to each corner of its box, a table to its points, and limits hold at all others. Times follow from
-the distances between neighbouring points.
+Its real axes are at their extremes where the virtual ones are at some of theirs, because their maps are linear, or
+where their tables of errors have extremes: so a scan of `axes` is run to each of these, a table to its points, and
+limits hold at all others. Times follow from the distances between neighbouring points.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +10,8 @@ from fractions import Fraction
 from itertools import product
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.linear_map import LinearMap
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.linear_map import CorrectedMap, LinearMap
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import Unit, UnitError, parse_quantity
 from orchestrator.plan.forecast.context import ForecastContext
@@ -43,7 +44,7 @@ def forecast_virtual_scan(state: ForecastState, at: ForecastContext, step: Scan)
     units = [state.fleet.unit_of(name) for name in names]
     try:
         corners, kinds = find_corners(step, units), list(iterate_ways(step, units))
-        points = list(_list_points(step, corners, units))
+        points = list(_list_points(state.fleet, step, corners, units))
     except UnitError as error:
         state.add_problem(at, (), Refusal("bad-unit", str(error), "correct the unit"))
         return Span()
@@ -61,7 +62,7 @@ def forecast_virtual_scan(state: ForecastState, at: ForecastContext, step: Scan)
 
 
 def _list_points(
-    step: Scan, corners: Mapping[str, Sequence[ScanCorner]], units: Sequence[Unit]
+    fleet: Fleet, step: Scan, corners: Mapping[str, Sequence[ScanCorner]], units: Sequence[Unit]
 ) -> Iterator[tuple[Mapping[str, float], str]]:
     """The points to look at, the first and the last one of the scan at their ends, each with its words."""
     names, table = step.axis_names, step.points
@@ -73,11 +74,24 @@ def _list_points(
             point = dict(zip(names, map(float, values), strict=True))
             yield point, _describe(point)
     else:
-        extremes = [sorted({float(corner.position) for corner in corners[name]}) for name in names]
-        for values in product(*([ends[0], ends[-1]] for ends in extremes)):
+        positions = {name: sorted({float(corner.position) for corner in corners[name]}) for name in names}
+        ends = {name: (values[0], values[-1]) for name, values in positions.items()}
+        for values in product(*(sorted({*ends[name], *_find_extremes(fleet, step, name, ends)}) for name in names)):
             point = dict(zip(names, values, strict=True))
             yield point, _describe(point)
     yield last, _describe(last)
+
+
+def _find_extremes(fleet: Fleet, step: Scan, name: str, ends: Mapping[str, tuple[float, float]]) -> Iterator[float]:
+    """Where between its ends the tables of a corrected group have extremes along an axis. ends: of all axes of a
+    scan."""
+    for group in group_virtual(fleet, step):
+        virtual_map = fleet.virtual_axes.maps[group]
+        if isinstance(virtual_map, CorrectedMap) and name in virtual_map.virtual:
+            pairs = zip(virtual_map.virtual, virtual_map.box, strict=True)
+            yield from virtual_map.errors.list_extremes(
+                virtual_map.virtual.index(name), [ends.get(axis, span) for axis, span in pairs]
+            )
 
 
 def _describe(point: Mapping[str, float]) -> str:
@@ -105,7 +119,7 @@ def _find_real_distances(state: ForecastState, step: Scan, ends: Mapping[str, Wa
     distances = {name: end - begin for name, (begin, end) in ends.items() if name not in fleet.names.virtual}
     for group in group_virtual(fleet, step):
         virtual_map = fleet.virtual_axes.maps[group]
-        if not isinstance(virtual_map, LinearMap):
+        if not isinstance(virtual_map, LinearMap) or isinstance(virtual_map, CorrectedMap):
             return None
         steps = [ends[name][1] - ends[name][0] if name in ends else Fraction(0) for name in virtual_map.virtual]
         for name, row in zip(virtual_map.real, virtual_map.inverse, strict=True):
