@@ -4,7 +4,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from random import Random
 
-from orchestrator.campaign.probes import TOUCHES, find_probe
+from orchestrator.campaign.fleet_parts import find_traits
+from orchestrator.campaign.probes import find_probe
 from orchestrator.campaign.recording.recorder import RecordedRequest
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
 from orchestrator.clock.base import NS_PER_MS
@@ -15,8 +16,6 @@ CONTACT_SHARES = (0.15, 1.1)  # of a probe's way; more than all of it is never t
 MOST_BOUNCES = 2
 BOUNCE_MS = (1, 9)
 SPREAD_COUNTS = 2  # of the truth: rounding, and what an axis moves between two looks at its contact
-COMPUTER_MAKES = ("cia402",)
-"""The makes whose controllers capture a contact, and whose computer stops the axis."""
 
 
 @dataclass(slots=True)
@@ -53,11 +52,12 @@ class ContactChecker:
             config.axes[axis_name].motors[0],
         )
         way = request.fields["end_counts"] - unit.position(motor)
-        begin, sign, touch = unit.physical_position(motor), 1 if way >= 0 else -1, TOUCHES[config.adapter]
+        begin, sign, touch = unit.physical_position(motor), 1 if way >= 0 else -1, find_traits(config.adapter).touch
+        assert touch is not None
         bounces_ns = [
             self._draw.randrange(*BOUNCE_MS) * NS_PER_MS for _ in range(2 * self._draw.randrange(MOST_BOUNCES + 1))
         ]
-        place = ContactPlace(
+        contact_place = ContactPlace(
             axis=motor,
             at_counts=begin + way * self._draw.uniform(*CONTACT_SHARES),
             side=sign,
@@ -65,7 +65,7 @@ class ContactChecker:
             level=touch.active == "high",
             bounces_ns=bounces_ns,
         )
-        contact = process.run_inside(lambda: PhysicalContact(unit, self._fleet.clock, place))
+        contact = process.run_inside(lambda: PhysicalContact(unit, self._fleet.clock, contact_place))
         self._watched.append(_WatchedProbe(request, contact, sign, begin - unit.position(motor)))
 
     def check_phase(self, phase: CampaignPhase, steps: Sequence[StepRecord], untrusted: Collection[str]) -> None:
@@ -87,19 +87,21 @@ class ContactChecker:
             step = self._records.find_step(member, axis_name, motion, steps)
             if step is None or (step.job, step.index) != probe.request.step_id:
                 continue
-            went_on = probe.sign * (motion.end_counts - contact_counts)
-            allowed = fields["overtravel_counts"]
+            overtravel = probe.sign * (motion.end_counts - contact_counts)
+            allowed_counts = fields["overtravel_counts"]
             if self._may_reach_end(phase, probe):
-                allowed = max(allowed, probe.sign * (fields["end_counts"] - contact_counts))
-            if went_on > allowed + SPREAD_COUNTS:
-                text = f"{member}.{axis_name} went on by {went_on:.1f} counts behind its contact"
-                self._add_violation("20", f"{text}, and {allowed:.1f} were stated")
+                allowed_counts = max(allowed_counts, probe.sign * (fields["end_counts"] - contact_counts))
+            if overtravel > allowed_counts + SPREAD_COUNTS:
+                text = f"{member}.{axis_name} went on by {overtravel:.1f} counts behind its contact"
+                self._add_violation("20", f"{text}, and {allowed_counts:.1f} were stated")
 
     def _may_reach_end(self, phase: CampaignPhase, probe: _WatchedProbe) -> bool:
         """Whether a fault was in the way of the computer that stops the axis."""
         order = phase.jobs.get(probe.request.job_id)
         step = find_probe(order.job) if order is not None else None
         member = probe.request.member
-        by_computer = self._fleet.fleet.controllers[member].adapter in COMPUTER_MAKES
-        by_computer = by_computer or (step is not None and step.by == "host")
-        return by_computer and phase.fault_ns is not None and not phase.fault.harmless and member in phase.affected
+        touch = find_traits(self._fleet.fleet.controllers[member].adapter).touch
+        by_controller = touch is not None and touch.stops_by == "controller" and step is not None and step.by != "host"
+        return (
+            not by_controller and phase.fault_ns is not None and not phase.fault.harmless and member in phase.affected
+        )

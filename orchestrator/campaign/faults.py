@@ -7,7 +7,8 @@ from random import Random
 from typing import Literal
 
 from orchestrator.bus.base import Priority
-from orchestrator.campaign.fleets import find_traits, makes_with
+from orchestrator.campaign.fleet_parts import find_traits
+from orchestrator.campaign.fleets import makes_with
 from orchestrator.campaign.injection import disk_faults
 from orchestrator.campaign.injection.bus_faults import BusFaults
 from orchestrator.campaign.injection.repairs import Repair, do_nothing

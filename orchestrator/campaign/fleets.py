@@ -4,16 +4,15 @@ from collections.abc import Callable, Collection, Sequence
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT
-from orchestrator.campaign.pairs import PAIR_HOMING, PAIR_MAKES, add_pair
-from orchestrator.campaign.probes import TOUCHES, add_touch_inputs
+from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT, find_traits
+from orchestrator.campaign.pairs import add_pair
+from orchestrator.campaign.probes import add_touch_inputs
 from orchestrator.campaign.recording.recorder import Stage
 from orchestrator.campaign.virtual_moves import add_virtual_axes
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime import simulated_fleets as makes
 from orchestrator.runtime.example_fleet import load_example
-from sim.core.campaign import CampaignTraits, campaign_traits
-from sim.core.vectors import find_simulator
+from sim.core.campaign import CampaignTraits
 
 MAKES = ("smc4000", "smc2000", "shrc203", "ppsmc", "smc30", "cia402")
 
@@ -31,18 +30,22 @@ TRIGGER_MAKE = "smc4000"
 """The make whose controllers have an output with triggers."""
 AT_ONCE_MAKES = ("smc4000", "shrc203", "ppsmc", "smc30")
 """The makes whose controllers start steps at once."""
+PAIR_MAKES = (PATH_MAKE, SYNC_MAKE)
+"""The makes of two axes that carry one beam."""
+TOUCH_MAKES = tuple(make for make in MAKES if find_traits(make).touch is not None)
+"""The makes whose axes are stopped by an input."""
 STAGE_MAKES: dict[Stage, tuple[str, ...]] = {
     "chunk": (PATH_MAKE, "cia402"),
     "trigger": (TRIGGER_MAKE,),
     "at-once": AT_ONCE_MAKES,
     "flying": (PATH_MAKE, "cia402"),
     "pair": PAIR_MAKES,
-    "probe": tuple(TOUCHES),
+    "probe": TOUCH_MAKES,
 }
 """The makes that can reach a stage, where not all can."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
 
-HOME_ANYWHERE = (HOME_AT_CURRENT_POSITION, *PAIR_HOMING)
+HOME_ANYWHERE = (HOME_AT_CURRENT_POSITION, "index", "index_negative")
 """Homing methods whose reference depends on where the axis stands."""
 
 # Slower than the default rate, as with many controllers on one computer. A permit's controller is polled more often.
@@ -119,11 +122,6 @@ _DRAFTS: dict[str, Callable[[int, int, Random], FleetDraft]] = {
 }
 
 
-def find_traits(make: str) -> CampaignTraits:
-    """Return what the campaign has to know of a make."""
-    return campaign_traits(find_simulator(make))
-
-
 def makes_with(has: Callable[[CampaignTraits], bool]) -> tuple[str, ...]:
     """Return the makes of the campaign with a property."""
     return tuple(make for make in MAKES if has(find_traits(make)))
@@ -149,7 +147,7 @@ def make_stage_fleet(seed: int, wanted: Sequence[str], stages: Collection[Stage]
     if "virtual" in stages:
         fleet = add_virtual_axes(fleet, seed)
     if "pair" in stages:
-        fleet = add_pair(fleet)
+        fleet = add_pair(fleet, PAIR_MAKES)
     return add_touch_inputs(fleet) if "probe" in stages else fleet
 
 

@@ -2,20 +2,17 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from orchestrator.campaign.contact_checks import ContactChecker
 from orchestrator.campaign.faults import FaultKind
-from orchestrator.campaign.fleets import HOME_ANYWHERE, find_traits
-from orchestrator.campaign.flight_checks import FlightChecker
+from orchestrator.campaign.fleet_parts import find_traits
+from orchestrator.campaign.fleets import HOME_ANYWHERE
 from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.campaign.job_ends import check_end, check_live_job
 from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.motion_checks import MotionChecker
-from orchestrator.campaign.rack_checks import RackChecker
 from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
 from orchestrator.campaign.start_checks import AtOnceChecker, find_outlasted
-from orchestrator.campaign.triggers import TriggerChecker
-from orchestrator.campaign.virtual_lines import VirtualLineChecker
+from orchestrator.campaign.watched_axes import WatchedAxes
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
@@ -41,11 +38,7 @@ class InvariantChecker:
         self.starts = AtOnceChecker(fleet.journal, self.add_violation)
         self._changed_crystals: set[str] = set()
         self._records = PhaseRecords(fleet, recorder)
-        self._triggers = TriggerChecker(fleet, self._records, self.add_violation)
-        self._flights = FlightChecker(fleet, recorder.rows, self._records, self.add_violation)
-        self._virtual_lines = VirtualLineChecker(fleet, self._records, self.add_violation)
-        self._racks = RackChecker(fleet, self._records, self.add_violation)
-        self._contacts = ContactChecker(fleet, seed, self._records, self.add_violation)
+        self.watched = WatchedAxes(fleet, recorder, self._records, seed, self.add_violation)
         self._motions = MotionChecker(fleet, recorder, self._records, self._untrusted, self.add_violation)
 
     def add_violation(self, invariant: str, text: str) -> None:
@@ -53,22 +46,10 @@ class InvariantChecker:
 
     # During a run
 
-    def watch_axes(self, phase: CampaignPhase) -> None:
-        """Watch the true motions of axes that fly, of virtual axes and of pairs in a phase's jobs from now on."""
-        self._flights.watch(phase)
-        self._virtual_lines.watch(phase)
-        self._racks.watch()
-
-    def end_watching(self) -> None:
-        """Watch no more."""
-        self._flights.end()
-        self._virtual_lines.end()
-        self._racks.end()
-
     def note_request(self, request: RecordedRequest) -> None:
-        """Check a request to a member when it is sent and when it is answered, and bring about what it runs into."""
+        """Check a request to a member when it is sent and when it is answered."""
         self.starts.check_request(request)
-        self._contacts.note_request(request)
+        self.watched.note_request(request)
 
     def check_velocities(self, now_ns: int) -> None:
         """Check invariant 5 for moving axes: velocity, and its growth."""
@@ -136,11 +117,7 @@ class InvariantChecker:
                 self._motions.check_motion(phase, name, motion, steps, reports)
             if name not in phase.at_rest:
                 self.add_violation("3", f"{name} is not at rest after the end of all jobs")
-        self._flights.check_phase(phase, self._triggers.rises, self._untrusted)
-        self._virtual_lines.check_phase(phase, reports, self._untrusted)
-        self._racks.check_phase(phase, steps, reports)
-        self._contacts.check_phase(phase, steps, self._untrusted)
-        self._triggers.check_phase(phase, steps, reports, self._untrusted)
+        self.watched.check_phase(phase, steps, reports, self._untrusted)
         for job_id, report in reports.items():
             for step in report.steps if report is not None else []:
                 self._check_evidence(phase, job_id, step)

@@ -6,8 +6,8 @@ from itertools import chain
 from random import Random
 from typing import Any, Literal, NamedTuple
 
-from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD
-from orchestrator.campaign.fleets import PATH_MAKE, find_traits
+from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
+from orchestrator.campaign.fleets import PATH_MAKE
 from orchestrator.campaign.flown_scans import draw_flown_scan
 from orchestrator.campaign.pairs import find_paired_controllers, move_pairs_as_one
 from orchestrator.campaign.probes import draw_probe
@@ -198,9 +198,9 @@ def _group_inseparable(fleet: Fleet) -> list[list[str]]:
     paired_controllers = set(find_paired_controllers(fleet))
     paired_lines = [line for line in lines if paired_controllers & set(line)]
     if paired_controllers:
-        together = paired_controllers.union(*paired_lines)
+        beam_line = paired_controllers.union(*paired_lines)
         lines = [line for line in lines if line not in paired_lines]
-        lines.append([name for name in fleet.controllers if name in together])
+        lines.append([name for name in fleet.controllers if name in beam_line])
     drives = {name for line in lines for name in line}
     return lines + [[name] for name in fleet.controllers if name not in drives]
 

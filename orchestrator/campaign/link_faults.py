@@ -5,7 +5,7 @@ from contextvars import Context
 from dataclasses import replace
 from random import Random
 
-from orchestrator.campaign.fleets import find_traits
+from orchestrator.campaign.fleet_parts import find_traits
 from orchestrator.campaign.injection.arbitrary_replies import ArbitraryReplies
 from orchestrator.campaign.injection.repairs import Repair
 from orchestrator.clock.base import NS_PER_MS

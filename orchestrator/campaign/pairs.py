@@ -1,35 +1,26 @@
 """Pairs of axes that carry one beam, in the fault campaign: such a fleet, and its jobs with both moved as one."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import PAIR_GROUP
+from orchestrator.campaign.fleet_parts import PAIR_GROUP, find_traits
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
 
-PAIR_MAKES = ("smc4000", "cia402")
-"""The makes of both axes: each has a watchdog, and finds an index in a direction of its own."""
 _MAX_DEVIATION, _MAY_RACK = "3 mm", "60 mm"  # what faults at the campaign's speeds leave room for
-_SEARCH_SPEED = 0.5  # mm/s, of both
-_INDEX_COUNTS = 20
-_OPTIONS: Mapping[str, tuple[dict[str, Any], str, dict[str, Any]]] = {
-    "smc4000": ({"watchdog_s": 0.5}, "index", {"index_every": {"X": _INDEX_COUNTS, "Y": _INDEX_COUNTS}}),
-    "cia402": ({"watchdog_ms": 500}, "index_negative", {"index_every": _INDEX_COUNTS}),
-}
-"""By make: options of the controller, the homing method, and options of the simulator."""
-PAIR_HOMING = tuple(method for _, method, _ in _OPTIONS.values())
 
 
-def add_pair(fleet: Fleet) -> Fleet:
-    """The fleet with a beam on the first axes of the first controllers of both makes."""
+def add_pair(fleet: Fleet, makes: Sequence[str]) -> Fleet:
+    """The fleet with a beam on the first axes of the first controllers of two makes."""
     plain, carriers = fleet.to_plain(), list[str]()
-    for make in PAIR_MAKES:
+    for make in makes:
         name = next(name for name, config in fleet.controllers.items() if config.adapter == make)
-        config, (options, method, simulate) = plain["controllers"][name], _OPTIONS[make]
+        config, beam = plain["controllers"][name], find_traits(make).beam
+        assert beam is not None
         axis = next(iter(config["axes"]))
-        config["options"] = {**config.get("options", {}), **options}
-        config["simulate"]["options"] = {**config["simulate"].get("options", {}), **simulate}
-        config["axes"][axis]["homing"] = {"method": method, "speed": _SEARCH_SPEED, "search_speed": _SEARCH_SPEED}
+        config["options"] = {**config.get("options", {}), **beam.options}
+        config["simulate"]["options"] = {**config["simulate"].get("options", {}), **beam.simulate}
+        config["axes"][axis]["homing"] = dict(beam.homing)
         carriers.append(f"{name}.{axis}")
     pair = {"max_deviation": _MAX_DEVIATION, "may_rack": _MAY_RACK}
     plain["virtual"] = {PAIR_GROUP: {"of": carriers, "pair": pair, "axes": {"y": {"unit": "mm"}}}}
@@ -58,10 +49,10 @@ def _move_pair(fleet: Fleet, step: dict[str, Any]) -> dict[str, Any]:
     }
     if not paired_targets:
         return step
-    alone = {axis: target for axis, target in targets.items() if axis not in fleet.virtual_axes.pair_of}
+    alone_targets = {axis: target for axis, target in targets.items() if axis not in fleet.virtual_axes.pair_of}
     # They move in phase, and start by clocks.
-    others = {name: value for name, value in step.items() if name not in ("sync", "start")}
-    return {**others, "to": {**alone, **paired_targets}}
+    fields = {name: value for name, value in step.items() if name not in ("sync", "start")}
+    return {**fields, "to": {**alone_targets, **paired_targets}}
 
 
 def name_pairs(fleet: Fleet, axes: Iterable[str]) -> list[str]:

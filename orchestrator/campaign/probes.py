@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from random import Random
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
-from orchestrator.campaign.fleet_parts import PROBE_NAME, TOUCH_INPUT
+from orchestrator.campaign.fleet_parts import PROBE_NAME, TOUCH_INPUT, find_traits
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.probe import Probe
@@ -14,27 +14,7 @@ BACK_SPEED = 0.17
 PROBE_S = (1.5, 3.0)  # of its way, without a contact
 MIDDLE_S = 0.75  # of the soft limits, at the speed limit
 DIGITS = 4  # of a target
-HOST_CHANCE = 0.25  # of a make whose controllers stop an axis by themselves
-LINE_MAKES = ("smc2000", "smc30")
-"""The makes that may share a line: a poll of one in a chain takes longer than a probe by its computer allows."""
-
-
-class _Touch(NamedTuple):
-    """The input that stops an axis of a make."""
-
-    number: int
-    active: Literal["low", "high"]
-    by: Literal["controller", "host"]
-
-
-TOUCHES = {
-    "smc4000": _Touch(1, "low", "controller"),
-    "smc2000": _Touch(1, "low", "controller"),
-    "shrc203": _Touch(1, "high", "host"),
-    "smc30": _Touch(2, "high", "controller"),
-    "cia402": _Touch(2, "high", "controller"),
-}
-"""By make; other makes of the campaign have no input in its fleets."""
+HOST_CHANCE = 0.25  # of a make whose controllers stop an axis by themselves, each on a link of its own
 
 
 def add_touch_inputs(fleet: Fleet) -> Fleet:
@@ -43,7 +23,7 @@ def add_touch_inputs(fleet: Fleet) -> Fleet:
     plain = fleet.to_plain()
     plain.pop("wiring", None)
     for config in plain["controllers"].values():
-        touch = TOUCHES.get(config["adapter"])
+        touch = find_traits(config["adapter"]).touch
         if touch is not None:
             inputs = {name: point for name, point in config.get("inputs", {}).items() if name != "start"}
             config["inputs"] = {**inputs, TOUCH_INPUT: {"number": touch.number, "active": touch.active}}
@@ -55,17 +35,20 @@ def draw_probe(fleet: Fleet, member: str, positions: Mapping[str, float], draw: 
     unit."""
     config = fleet.controllers[member]
     axis = f"{member}.{next(iter(config.axes))}"
-    begin, velocity, touch = round(positions[axis], DIGITS), fleet.axis(axis).limits.velocity, TOUCHES[config.adapter]
+    begin, velocity = round(positions[axis], DIGITS), fleet.axis(axis).limits.velocity
     way = velocity * PROBE_SPEED * draw.uniform(*PROBE_S)
     end = round(begin + (way if begin < MIDDLE_S * velocity else -way), DIGITS)
-    by_host = draw.random() < HOST_CHANCE and config.adapter not in LINE_MAKES
+    traits = find_traits(config.adapter)
+    assert traits.touch is not None
+    # A poll of one of several on a line takes longer than a probe by its host allows.
+    by_host = traits.touch.stops_by == "host" or (draw.random() < HOST_CHANCE and traits.most_per_link == 1)
     probe = {
         "do": "probe",
         "name": PROBE_NAME,
         "to": {axis: end},
         "until": f"{member}.{TOUCH_INPUT}",
         "speed": PROBE_SPEED,
-        "by": "host" if by_host else touch.by,
+        "by": "host" if by_host else "controller",
         "else": "continue",
     }
     return [probe, {"do": "move", "to": {axis: begin}, "speed": BACK_SPEED}]

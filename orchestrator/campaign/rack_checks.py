@@ -1,6 +1,6 @@
 """Pairs in the fault campaign: by truth, their axes are never farther apart than was stated before they moved."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -54,7 +54,7 @@ class RackChecker:
     # After a phase
 
     def check_phase(
-        self, phase: CampaignPhase, steps: list[StepRecord], reports: Mapping[str, JobReport | None]
+        self, phase: CampaignPhase, steps: Sequence[StepRecord], reports: Mapping[str, JobReport | None]
     ) -> None:
         """Check invariant 22 for the steps of a phase that move a pair, each until the next one or a homing."""
         if phase.fault.name in UNBOUND_FAULTS:
@@ -69,7 +69,7 @@ class RackChecker:
         for samples in self._samples.values():
             samples.clear()
 
-    def _find_next_begin(self, steps: list[StepRecord], step: StepRecord, pair: Pair) -> int:
+    def _find_next_begin(self, steps: Sequence[StepRecord], step: StepRecord, pair: Pair) -> int:
         """When another step, or a homing, of one of both axes was requested; else when the run is over."""
         members = {split_name(axis)[0] for axis in pair.real}
         requested_ns = (record.requested_ns for record in steps if members & set(record.axes))
@@ -77,11 +77,13 @@ class RackChecker:
         return min(later_ns, default=self._fleet.clock.now_ns())
 
     def _check_step(self, group: str, t0_ns: int, until_ns: int, most: float, phase: CampaignPhase) -> None:
-        begins = [apart for at_ns, apart in self._samples[group] if t0_ns - EARLY_NS < at_ns < t0_ns]
-        racks = [(at_ns, abs(apart - begins[-1])) for at_ns, apart in self._samples[group] if t0_ns <= at_ns < until_ns]
+        begins = [distance for at_ns, distance in self._samples[group] if t0_ns - EARLY_NS < at_ns < t0_ns]
+        racks = [
+            (at_ns, abs(distance - begins[-1])) for at_ns, distance in self._samples[group] if t0_ns <= at_ns < until_ns
+        ]
         if not begins or not racks:
             return
         at_ns, rack = max(racks, key=lambda sample: sample[1])
         if rack > most + TRUTH:
-            after = f"{(at_ns - t0_ns) / NS_PER_S:.3f} s after T0 ({phase.fault.name} of {phase.member})"
-            self._add_violation("22", f"{group} came {rack:.3f} apart {after}, and {most:.3f} was stated")
+            moment = f"{(at_ns - t0_ns) / NS_PER_S:.3f} s after T0 ({phase.fault.name} of {phase.member})"
+            self._add_violation("22", f"{group} came {rack:.3f} apart {moment}, and {most:.3f} was stated")

@@ -36,8 +36,8 @@ from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
 from orchestrator.campaign.recording.recorder import STAGES, STATED_STAGES, BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.recording.rest import find_at_rest
 from orchestrator.campaign.records import CampaignPhase
-from orchestrator.campaign.rest import find_at_rest
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -68,6 +68,7 @@ SINGLE_MEMBER_STAGES: tuple[Stage, ...] = (
     "home",
 )  # a fault of the fleet affects only one member in these stages
 
+_SEARCHES: tuple[Stage, ...] = ("home", "probe")
 _KINDS: dict[Stage, MainKind] = {
     "home": "home",
     "chain": "chain",
@@ -189,7 +190,7 @@ class _Scenario:
                     break
         looking.cancel()
         self._programs.cancel_all()
-        self.checker.end_watching()
+        self.checker.watched.end()
         self._check_leaders()
 
     def _log_event(self, text: str) -> None:
@@ -198,11 +199,10 @@ class _Scenario:
     async def _poll_velocities(self) -> None:
         while True:
             self.checker.check_velocities(self._clock.now_ns())
-            phase = self._phase
-            if phase is not None:
-                self.checker.watch_axes(phase)
-            if phase is not None and (phase.fault_ns is None or not phase.fault.must_stop):
-                self._paths.check_positions(phase)
+            if (phase := self._phase) is not None:
+                self.checker.watched.watch(phase)
+                if phase.fault_ns is None or not phase.fault.must_stop:
+                    self._paths.check_positions(phase)
             await sleep_ns(self._clock, POLL_NS)
 
     async def _prepare_axes(self, client: Tutti, axes: list[str], homing: list[str]) -> bool:
@@ -482,7 +482,7 @@ class _Scenario:
         at = self._stage_times.setdefault((request.step_id, request.member), {})
         now_ns = self._clock.now_ns()
         at.setdefault(request.verb, now_ns)
-        if request.verb in ("home", "probe") and request.answered_ns is not None:
+        if request.verb in _SEARCHES and request.answered_ns is not None:
             at["found"] = now_ns
         self.checker.note_request(request)
         if request.verb in ("go", "start-at-once") and request.accepted:
@@ -504,7 +504,7 @@ class _Scenario:
         if row is None or row.state in FINISHED_STATES:
             return None
         at = self._stage_times[step, member]
-        for search in ("home", "probe"):
+        for search in _SEARCHES:
             if search in at:
                 return None if "found" in at else search
         if "t0" in at and self._clock.now_ns() > at["t0"] + FIRE_WINDOW_NS:

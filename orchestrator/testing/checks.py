@@ -11,8 +11,8 @@ from orchestrator.campaign.faults import FaultKind
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.recording.recorder import BusRecorder
+from orchestrator.campaign.recording.rest import find_at_rest
 from orchestrator.campaign.records import CampaignPhase, JogRecord
-from orchestrator.campaign.rest import find_at_rest
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.coordinator.journal.records import DamagedRecord

@@ -1,10 +1,10 @@
 """What the fault campaign has to know of a make. A simulator states it as its attribute `campaign`; without it, the
 make has none of these properties."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from random import Random
-from typing import Any, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 from orchestrator.model.fleet import Controller
 from orchestrator.model.state import StartClass
@@ -14,6 +14,26 @@ class SecondMaster(Protocol):
     """The bytes by which a second client changes one thing of a controller."""
 
     def __call__(self, config: Controller, draw: Random, *, at_rest: bool) -> bytes: ...
+
+
+@dataclass(frozen=True, slots=True)
+class TouchInput:
+    """An input that stops an axis. stops_by: what does that; a controller that captures the contact may leave it to
+    its computer."""
+
+    number: int
+    active: Literal["low", "high"]
+    stops_by: Literal["controller", "computer", "host"]
+
+
+@dataclass(frozen=True, slots=True)
+class BeamCarrier:
+    """An axis with a watchdog, which finds an index near by. options, homing, simulate: fields of its controller, of
+    its axis, and of its simulator."""
+
+    options: Mapping[str, Any]
+    homing: Mapping[str, Any]
+    simulate: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +49,8 @@ class CampaignTraits:
     verifies_reference: a controller with a reference verifies its position when it is homed, and does not move.
     keeps_half_open: it keeps connections that were cut without a close.
     change_one_thing: what a second client sends; None: it has no other connection.
+    touch: the input of its controllers that a probe is stopped by; None: the campaign probes with none.
+    beam: how one of its axes carries a beam with that of another controller; None: the campaign has none such.
     """
 
     refuse_reply: Callable[[bytes], bytes] | None = None
@@ -39,6 +61,8 @@ class CampaignTraits:
     verifies_reference: bool = False
     keeps_half_open: bool = False
     change_one_thing: SecondMaster | None = None
+    touch: TouchInput | None = None
+    beam: BeamCarrier | None = None
 
 
 def campaign_traits(simulator: object) -> CampaignTraits:

@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.model.fleet import Controller
-from sim.core.campaign import CampaignTraits
+from sim.core.campaign import CampaignTraits, TouchInput
 from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.smc30.bench import Smc30Bench
@@ -31,6 +31,7 @@ class Smc30Simulator:
         start_class="host",
         starts_link_together=True,
         references_at_limit=True,
+        touch=TouchInput(2, "high", "controller"),
     )
 
     @property

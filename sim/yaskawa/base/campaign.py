@@ -3,7 +3,7 @@
 from random import Random
 
 from orchestrator.model.fleet import Controller
-from sim.core.campaign import CampaignTraits
+from sim.core.campaign import BeamCarrier, CampaignTraits, TouchInput
 
 
 def _refuse_reply(data: bytes) -> bytes:
@@ -17,7 +17,17 @@ def _change_one_thing(config: Controller, draw: Random, *, at_rest: bool) -> byt
     return f"DP{motor}=50000\r".encode() if zero else f"IT{motor}=0.02\r".encode()
 
 
+_TOUCH = TouchInput(1, "low", "controller")
 ON_ETHERNET = CampaignTraits(
-    refuse_reply=_refuse_reply, start_class="clock", keeps_half_open=True, change_one_thing=_change_one_thing
+    refuse_reply=_refuse_reply,
+    start_class="clock",
+    keeps_half_open=True,
+    change_one_thing=_change_one_thing,
+    touch=_TOUCH,
+    beam=BeamCarrier(
+        options={"watchdog_s": 0.5},
+        homing={"method": "index", "speed": 0.5, "search_speed": 0.5},
+        simulate={"index_every": {"X": 20, "Y": 20}},
+    ),
 )
-IN_A_CHAIN = CampaignTraits(refuse_reply=_refuse_reply, start_class="clock", most_per_link=3)
+IN_A_CHAIN = CampaignTraits(refuse_reply=_refuse_reply, start_class="clock", most_per_link=3, touch=_TOUCH)

@@ -14,7 +14,6 @@ ONE_MODULE = {
 # Modules of under 15 lines, and why each is one.
 SHORT = {
     "benches/__main__.py": "what `python -m benches` runs, and nothing else",
-    "orchestrator/campaign/fleet_parts.py": "names that the fleets and the checks of the campaign share",
     "orchestrator/campaign/injection/repairs.py": "what faults and stages share, without importing each other",
     "orchestrator/cli/base/codes.py": "exit codes, which the quick commands import without anything else",
     "orchestrator/cli/entry.py": "what the command runs: it imports nothing before it can be interrupted",
