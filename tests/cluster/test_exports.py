@@ -12,11 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from cluster.recordings import RecordedFleet
-from cluster.worlds import PREPARE, demo_job, job, run_fleet
+from cluster.worlds import PREPARE, demo_job, job, run_fleet, virtual_demo_fleet
 
 from orchestrator.bus.base import BusSample
 from orchestrator.cli.main import main as command
 from orchestrator.client.results import JobResult
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.report import JobReport, PointRecord
 from orchestrator.model.state import ControllerState
 from orchestrator.monitor.export.dataframe import NoDataFrames, make_dataframe
@@ -41,14 +42,16 @@ class Run:
         self.published: dict[tuple[str, int], float] = {}
         self.reports: list[JobReport] = []
         self.points: list[PointRecord] = []
-        run_fleet(self._record)
+        run_fleet(self._record, virtual_demo_fleet())
 
     async def _record(self, virtual: VirtualFleet) -> None:
         recorded = RecordedFleet(virtual, self.folder)
         await recorded.recorder.start()
         running = asyncio.ensure_future(recorded.recorder.run())
         tutti = virtual.make_client("anna")
-        await virtual.net.join_process("listener").subscribe(virtual.keys.state(), self._note)
+        listener = virtual.net.join_process("listener")
+        await listener.subscribe(virtual.keys.state(), self._note)
+        await listener.subscribe(virtual.keys.virtual(), self._note_virtual)
         for each in (PREPARE, demo_job(), SCAN):
             self.reports.append(await tutti.wait_for_job(await tutti.submit(each)))
         self.points = await tutti.load_points(self.reports[-1].job_id)
@@ -61,6 +64,12 @@ class Run:
         if state.read_fleet_ns is not None:
             for name, axis in state.axes.items():
                 self.published[f"{state.controller}.{name}", state.read_fleet_ns] = axis.position
+
+    def _note_virtual(self, sample: BusSample) -> None:
+        state = VirtualState.model_validate_json(sample.payload)
+        if state.fleet_ns is not None:
+            for name, axis in state.axes.items():
+                self.published[f"{state.group}.{name}", state.fleet_ns] = axis.position
 
     def load(self, number: int) -> RecordedRun:
         """What is recorded of a job, by its number."""
@@ -82,6 +91,18 @@ def test_samples_are_the_readings_of_the_bus(run: Run) -> None:
     assert all(run.published[axis, at_ns] == position for axis, at_ns, position in rows)
     times = list(columns["fleet_ns"])
     assert times == sorted(times)
+
+
+def test_virtual_axes_are_in_all_tables_and_marked(run: Run) -> None:
+    recorded = run.load(1)
+    samples, grid = make_samples_table(recorded).columns, make_grid_table(recorded).columns
+    modes = dict(zip(samples["axis"], samples["mode"], strict=True))
+    virtual = {axis for axis in modes if axis.startswith("turned.")}
+    assert virtual and {axis for axis, mode in modes.items() if mode == "virtual"} == virtual
+    for axis in virtual:
+        positions = [value for value in grid[f"{axis}.position"] if not math.isnan(value)]
+        assert max(positions) - min(positions) > 1
+    assert recorded.units["turned.u"] == "mm"
 
 
 def test_the_grid_has_the_readings_at_their_instants_and_the_plans(run: Run) -> None:

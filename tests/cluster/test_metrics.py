@@ -8,7 +8,7 @@ from urllib.request import urlopen
 
 import pytest
 from cluster.recordings import RecordedFleet
-from cluster.worlds import PREPARE, demo_job, job, run_fleet
+from cluster.worlds import PREPARE, demo_job, job, run_fleet, virtual_demo_fleet
 from prometheus_client import CollectorRegistry, Gauge, generate_latest
 
 from orchestrator.model.report import JobReport
@@ -26,7 +26,7 @@ class Measured:
     def __init__(self, folder: Path) -> None:
         self.reports: list[JobReport] = []
         self.metrics: FleetMetrics
-        self.text = run_fleet(lambda virtual: self._measure(virtual, folder))
+        self.text = run_fleet(lambda virtual: self._measure(virtual, folder), virtual_demo_fleet())
 
     async def _measure(self, virtual: VirtualFleet, folder: Path) -> str:
         recorded = RecordedFleet(virtual, folder)
@@ -87,6 +87,7 @@ def test_what_is_now_is_shown_as_it_is(measured: Measured) -> None:
     assert measured.value("tutti_controller_online", controller="stage") == 0
     assert measured.value("tutti_link_losses_total", controller="stage") == 1
     assert measured.value("tutti_estop_latched", controller="gantry") == 1
+    assert measured.value("tutti_virtual_ready", group="turned") == 0
     assert 0 <= measured.value("tutti_controller_state_age_seconds", controller="gantry") < 2
     assert 0 < measured.value("tutti_clock_bound_seconds", controller="gantry") < 1e-2
     assert abs(measured.value("tutti_clock_rate_ppm", controller="gantry")) < 500

@@ -2,11 +2,13 @@
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from math import nan
 from typing import NamedTuple
 
 from pydantic import ValidationError
 
 from orchestrator.model.operation.recording import JobPoints, RecordedTriggers, StepSamples
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.report import JobReport, PointRecord, StepRecording
 from orchestrator.model.state import ControllerEvent, ControllerState
 from orchestrator.monitor.recording.reader import Recording
@@ -15,7 +17,8 @@ from orchestrator.monitor.recording.reader import Recording
 class RecordedReading(NamedTuple):
     """One reading of an axis. fleet_ns: when the answer to the poll had arrived; utc_ns: the same instant.
 
-    The others as in `state.AxisState`, with the mode of its controller.
+    The others as in `state.AxisState`, with the mode of its controller. Of a virtual axis the mode is `virtual`, and
+    `commanded` is where it would be at the commanded positions of its real axes; it has no motor and no counts (NaN).
     """
 
     fleet_ns: int
@@ -65,6 +68,8 @@ def load_run(recording: Recording) -> RecordedRun:
                 run.unread += 1
             elif (kind, leaf) == ("ctl", "state"):
                 _add_state(run, ControllerState.read_message(message.payload), message.published_ns)
+            elif (kind, leaf) == ("virtual", "state"):
+                _add_virtual_state(run, VirtualState.read_message(message.payload), message.published_ns)
             elif (kind, leaf) == ("ctl", "event"):
                 run.events.append(ControllerEvent.read_message(message.payload))
             elif (kind, leaf) == ("job", "plan"):
@@ -101,5 +106,27 @@ def _add_state(run: RecordedRun, state: ControllerState, utc_ns: int) -> None:
                     unit=axis.unit,
                     moving=axis.moving,
                     mode=state.mode,
+                )
+            )
+
+
+def _add_virtual_state(run: RecordedRun, state: VirtualState, utc_ns: int) -> None:
+    if state.fleet_ns is None:
+        return
+    for name, axis in state.axes.items():
+        readings = run.readings[f"{state.group}.{name}"]
+        if not readings or readings[-1].fleet_ns < state.fleet_ns:
+            readings.append(
+                RecordedReading(
+                    fleet_ns=state.fleet_ns,
+                    utc_ns=utc_ns,
+                    position=axis.position,
+                    commanded=axis.target,
+                    velocity=axis.velocity,
+                    motor_position=nan,
+                    raw_counts=nan,
+                    unit=axis.unit,
+                    moving=state.moving,
+                    mode="virtual",
                 )
             )

@@ -15,6 +15,7 @@ from orchestrator.clock.executor import ThreadLock
 from orchestrator.model.base import Model
 from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.report import FINISHED_STATES, JobReport, QueueState, StepReport
 from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
@@ -37,6 +38,7 @@ class FleetMetrics(Collector):
         self._mappings: dict[str, ClockMapping] = {}
         self._links: dict[str, LinkTotals] = {}
         self._alarms: dict[str, AlarmRecord] = {}
+        self._virtual: dict[str, VirtualState] = {}
         self._queue: QueueState | None = None
         self._leader: tuple[int, LeaderHeartbeat] | None = None
         make = self.registry
@@ -73,6 +75,8 @@ class FleetMetrics(Collector):
                 self._mappings[message.controller] = message
             elif isinstance(message, LinkTotals):
                 self._links[message.controller] = message
+            elif isinstance(message, VirtualState):
+                self._virtual[message.group] = message
             elif isinstance(message, AlarmRecord):
                 self._alarms[message.id] = message
             elif isinstance(message, QueueState):
@@ -95,10 +99,12 @@ class FleetMetrics(Collector):
             self._states = {name: state for name, state in self._states.items() if now_ns - state[0] < FORGET_NS}
             states, mappings, links = dict(self._states), dict(self._mappings), dict(self._links)
             queue, leader, alarms = self._queue, self._leader, list(self._alarms.values())
+            virtual = list(self._virtual.values())
         yield from _collect_controllers(now_ns, states)
         yield from _collect_clocks(mappings)
         yield _collect_links(links)
         yield _collect_alarms(alarms)
+        yield _collect_virtual(virtual)
         yield from _collect_fleet(now_ns, queue, leader)
         written_count, dropped_count, invalid = self._counts()
         yield CounterMetricFamily("tutti_recorder_messages", "Messages that were recorded.", value=written_count)
@@ -180,6 +186,13 @@ def _collect_alarms(alarms: Iterable[AlarmRecord]) -> GaugeMetricFamily:
     alarm_counts = CountedValues((alarm.priority, alarm.state) for alarm in open_alarms)
     for (priority, state), count in alarm_counts.items():
         family.add_metric([priority, state], count)
+    return family
+
+
+def _collect_virtual(groups: Iterable[VirtualState]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily("tutti_virtual_ready", "1: its virtual axes can be moved.", labels=["group"])
+    for group in groups:
+        family.add_metric([group.group], not group.obstacle)
     return family
 
 

@@ -4,7 +4,9 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from orchestrator.model.base import Model
+from orchestrator.model.names import controller_of
 from orchestrator.model.operation.recording import AxisReading, JobBegun, StepStart
+from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.report import FINISHED_STATES, JobProgress, JobReport, LeaseState, QueueState
 from orchestrator.model.state import ControllerEvent, ControllerState, TimeInterval
 from orchestrator.monitor.recording.channels import Channel
@@ -78,6 +80,9 @@ class JobTracker:
             return [parts[1]] if parts[1] in self.running else []
         if parts[0] in ("ctl", "lease"):
             return [job.job_id for job in self.running.values() if parts[1] in job.controllers]
+        if isinstance(message, VirtualState):
+            controllers = {controller_of(axis) for axis in message.of}
+            return [job.job_id for job in self.running.values() if controllers & job.controllers]
         if isinstance(message, StepStart):
             return [message.job_id] if message.job_id in self.running else []
         return []
