@@ -1,6 +1,6 @@
 """Probes in the fault campaign: contacts in front of their axes, and by truth how far these go on behind them."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from random import Random
 
@@ -9,6 +9,7 @@ from orchestrator.campaign.probes import find_probe
 from orchestrator.campaign.recording.recorder import RecordedRequest
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.report import JobReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 from sim.core.contact import ContactPlace, PhysicalContact
 
@@ -68,13 +69,20 @@ class ContactChecker:
         contact = process.run_inside(lambda: PhysicalContact(unit, self._fleet.clock, contact_place))
         self._watched.append(_WatchedProbe(request, contact, sign, begin - unit.position(motor)))
 
-    def check_phase(self, phase: CampaignPhase, steps: Sequence[StepRecord], untrusted: Collection[str]) -> None:
-        """Check invariant 20 for the probes of a phase, and remove their contacts. untrusted: controllers whose links
-        and crystals are outside the model."""
+    def check_phase(
+        self,
+        phase: CampaignPhase,
+        steps: Sequence[StepRecord],
+        reports: Mapping[str, JobReport | None],
+        untrusted: Collection[str],
+    ) -> None:
+        """Check invariants 8 and 20 for the probes of a phase, and remove their contacts. untrusted: controllers whose
+        links and crystals are outside the model."""
         for probe in self._watched:
             probe.contact.remove()
             if probe.contact.made and probe.request.member not in untrusted:
                 self._check_probe(phase, steps, probe)
+                self._check_evidence(reports.get(probe.request.job_id), probe)
         self._watched.clear()
 
     def _check_probe(self, phase: CampaignPhase, steps: Sequence[StepRecord], probe: _WatchedProbe) -> None:
@@ -94,6 +102,20 @@ class ContactChecker:
             if overtravel > allowed_counts + SPREAD_COUNTS:
                 text = f"{member}.{axis_name} went on by {overtravel:.1f} counts behind its contact"
                 self._add_violation("20", f"{text}, and {allowed_counts:.1f} were stated")
+
+    def _check_evidence(self, report: JobReport | None, probe: _WatchedProbe) -> None:
+        """The place of a contact that a report states contains the true one."""
+        member, (axis_name,) = probe.request.member, probe.request.fields["axes"]
+        for step in report.steps if report is not None else []:
+            evidence = step.probe
+            if step.index != probe.request.step_id[1] or evidence is None or not evidence.touched:
+                continue
+            axis = self._fleet.fleet.controllers[member].axes[axis_name]
+            counts = [contact.counts - probe.shift for contact in probe.contact.made]
+            positions = [axis.to_unit(count) for count in counts]
+            if not any(evidence.least <= position <= evidence.most for position in positions):
+                text = f"{member}.{axis_name} touched at {positions}, claimed {evidence.least} to {evidence.most}"
+                self._add_violation("8", text)
 
     def _may_reach_end(self, phase: CampaignPhase, probe: _WatchedProbe) -> bool:
         """Whether a fault was in the way of the computer that stops the axis."""

@@ -59,5 +59,5 @@ class WatchedAxes:
         self._flights.check_phase(phase, self._triggers.rises, untrusted)
         self._virtual_lines.check_phase(phase, reports, untrusted)
         self._racks.check_phase(phase, steps, reports)
-        self._contacts.check_phase(phase, steps, untrusted)
+        self._contacts.check_phase(phase, steps, reports, untrusted)
         self._triggers.check_phase(phase, steps, reports, untrusted)

@@ -47,12 +47,12 @@ class HostProbe:
     async def _watch(self, axis: str, move: ProbeMove, sign: int, stopped_ns: int) -> ProbedContact | None:
         began_ns, passive = self._clock.now_ns(), self._status.require_online()
         while True:
-            reading = await self._read(axis)
+            reading, read_ns = await self._read(axis), self._clock.now_ns()
             if self._status.stopped_ns != stopped_ns:
                 raise Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")
             if reading.inputs.get(move.point.number, False) == move.level:
                 await self._bring_to_rest(axis)
-                return _find_contact(axis, move, sign, (passive, reading))
+                return _find_contact(axis, move, sign, (passive, reading), read_ns)
             passive, axis_reading = reading, reading.axes[axis]
             is_at_end = abs(axis_reading.actual_counts - move.end_counts) <= REST_COUNTS
             if not axis_reading.moving and (is_at_end or self._clock.now_ns() - began_ns > BEGIN_NS):
@@ -87,19 +87,17 @@ class HostProbe:
 
 
 def _find_contact(
-    axis: str, move: ProbeMove, sign: int, readings: tuple[ControllerReading, ControllerReading]
+    axis: str, move: ProbeMove, sign: int, readings: tuple[ControllerReading, ControllerReading], read_ns: int
 ) -> ProbedContact:
-    """The contact between two readings. An input may be sampled at another instant of a poll than a position, and was
-    changed earlier by its isolation."""
+    """The contact between two readings. An input may be sampled at another instant of a poll than a position, behind it
+    too, and was changed earlier by its isolation. read_ns: when the second reading was complete."""
     passive, active = readings
-    windows_s: list[float] = []
-    for reading in readings:
-        window = reading.sampled or HostInterval(reading.at_ns, reading.at_ns)
-        windows_s.append((window.latest_ns - window.earliest_ns) / NS_PER_S)
+    earlier, later = (reading.sampled or HostInterval(reading.at_ns, reading.at_ns) for reading in readings)
+    early_s = (earlier.latest_ns - earlier.earliest_ns) / NS_PER_S + INPUT_S
+    late_s = (max(read_ns, later.latest_ns) - later.earliest_ns) / NS_PER_S
     ends = (
-        passive.axes[axis].actual_counts - sign * (move.speed_counts_s * (windows_s[0] + INPUT_S) + READ_COUNTS),
-        active.axes[axis].actual_counts + sign * (move.speed_counts_s * windows_s[1] + READ_COUNTS),
+        passive.axes[axis].actual_counts - sign * (move.speed_counts_s * early_s + READ_COUNTS),
+        active.axes[axis].actual_counts + sign * (move.speed_counts_s * late_s + READ_COUNTS),
     )
-    first_ns = (passive.sampled.earliest_ns if passive.sampled else passive.at_ns) - round(INPUT_S * NS_PER_S)
-    last_ns = active.sampled.latest_ns if active.sampled else active.at_ns
-    return ProbedContact(min(ends), max(ends), HostInterval(first_ns, last_ns))
+    first_ns = earlier.earliest_ns - round(INPUT_S * NS_PER_S)
+    return ProbedContact(min(ends), max(ends), HostInterval(first_ns, max(read_ns, later.latest_ns)))
