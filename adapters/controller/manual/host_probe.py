@@ -90,14 +90,16 @@ def _find_contact(
     axis: str, move: ProbeMove, sign: int, readings: tuple[ControllerReading, ControllerReading], read_ns: int
 ) -> ProbedContact:
     """The contact between two readings. An input may be sampled at another instant of a poll than a position, behind it
-    too, and was changed earlier by its isolation. read_ns: when the second reading was complete."""
+    too, and was changed before by its isolation. read_ns: when the second reading was complete."""
     passive, active = readings
-    earlier, later = (reading.sampled or HostInterval(reading.at_ns, reading.at_ns) for reading in readings)
-    early_s = (earlier.latest_ns - earlier.earliest_ns) / NS_PER_S + INPUT_S
-    late_s = (max(read_ns, later.latest_ns) - later.earliest_ns) / NS_PER_S
+    passive_window, active_window = (
+        reading.sampled or HostInterval(reading.at_ns, reading.at_ns) for reading in readings
+    )
+    early_s = (passive_window.latest_ns - passive_window.earliest_ns) / NS_PER_S + INPUT_S
+    late_s = (max(read_ns, active_window.latest_ns) - active_window.earliest_ns) / NS_PER_S
     ends = (
         passive.axes[axis].actual_counts - sign * (move.speed_counts_s * early_s + READ_COUNTS),
         active.axes[axis].actual_counts + sign * (move.speed_counts_s * late_s + READ_COUNTS),
     )
-    first_ns = earlier.earliest_ns - round(INPUT_S * NS_PER_S)
-    return ProbedContact(min(ends), max(ends), HostInterval(first_ns, max(read_ns, later.latest_ns)))
+    first_ns = passive_window.earliest_ns - round(INPUT_S * NS_PER_S)
+    return ProbedContact(min(ends), max(ends), HostInterval(first_ns, max(read_ns, active_window.latest_ns)))
