@@ -42,14 +42,17 @@ class ProbeAbilities:
             text = f"{step.axis}: the make {self.make} cannot stop an axis by an input"
             raise Refusal("no-probe", text, PROBE_BY_HOST, member)
         point, numbers = fleet.controllers[member].inputs[split_name(step.until)[1]], ability.inputs.get(axis, [])
+        way = ability.find_way(axis, point.number, step.level)
+        if way is not None:
+            return way
+        if ability.slower is not None:
+            numbers = sorted({*numbers, *ability.slower.inputs.get(axis, [])})
         if point.number not in numbers:
             fitting = " or ".join(f"input {number}" for number in numbers) or "no input"
             text = f"{step.until} is input {point.number}, which does not stop {step.axis}; {fitting} does"
             raise Refusal("probe-input", text, f"connect the signal there, or {PROBE_BY_HOST}", member)
-        if step.level not in ability.levels:
-            text = f"the make {self.make} stops an axis when an input becomes {' or '.join(ability.levels)} only"
-            raise Refusal("probe-input", text, PROBE_BY_HOST, member)
-        return ability
+        text = f"the make {self.make} stops an axis when an input becomes {' or '.join(ability.levels)} only"
+        raise Refusal("probe-input", text, PROBE_BY_HOST, member)
 
 
 def find_probe_speed(step: Probe, axis: Axis) -> float:

@@ -11,7 +11,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis, DigitalInput
 from orchestrator.model.messages import ProbeReply, ProbeRequest
-from orchestrator.model.state import PROBE_BY_HOST
+from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
 
 SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
 OVERTRAVEL_TOLERANCE = 1e-6
@@ -80,10 +80,17 @@ class AxisProbing:
     async def _probe_axis(self, name: str, move: ProbeMove, request: ProbeRequest) -> ProbedContact | None:
         if request.by == "host":
             return await self._host.probe_axis(name, move)
-        if self._driver is None or move.point.number not in self._driver.probe_ability.inputs.get(name, ()):
+        if self._driver is None or self._find_way(name, move) is None:
             text = f"axis {name}: this make cannot stop it by input {move.point.number}"
             raise Refusal("no-probe", text, PROBE_BY_HOST)
         return await self._driver.probe_axis(name, move)
+
+    def _find_way(self, name: str, move: ProbeMove) -> ProbeAbility | None:
+        """What stops an axis by its controller; None: nothing does."""
+        if self._driver is None:
+            return None
+        level = "active" if move.active else "passive"
+        return self._driver.probe_ability.find_way(name, move.point.number, level)
 
     def _find_point(self, name: str) -> DigitalInput:
         point = self._config.inputs.get(name)
@@ -135,7 +142,7 @@ class AxisProbing:
 
     def _require_bound(self, name: str, axis: Axis, move: ProbeMove, request: ProbeRequest) -> None:
         """Raise `Refusal` where what stops the axis has a longer overtravel than the request states."""
-        ability = self._host.ability if request.by == "host" else self._driver and self._driver.probe_ability
+        ability = self._host.ability if request.by == "host" else self._find_way(name, move)
         if ability is None:
             return
         most = ability.find_overtravel(move.speed_counts_s, move.ramp_counts_s2)

@@ -45,9 +45,10 @@ from adapters.yaskawa.pairs.checks import find_pair_problems
 from adapters.yaskawa.pairs.gearing import find_pairs, gear_motors, join_readings
 from adapters.yaskawa.pairs.homing import PairHoming
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
-from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
+from adapters.yaskawa.triggers.latch import LATCH_INPUTS, LATCHES, PositionLatch
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
 from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability, require_encoder
+from adapters.yaskawa.triggers.program_probe import ProgramProbe, find_program_ability
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from adapters.yaskawa.wire.exchange import parse_reply
@@ -229,7 +230,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
 
     @property
     def probe_ability(self) -> ProbeAbility:
-        return find_ability(self._motors, LATCHES)
+        by_program = find_program_ability(list(self._motors), self._options)
+        return find_ability(self._motors, LATCHES).model_copy(update={"slower": by_program})
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
         """Axes of two motors come first, one after the other."""
@@ -261,10 +263,14 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
     async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
         require_encoder(axis, self._steppers)
         self._jogging.drop_jogs([axis])
-        latch = PositionLatch(self._device, self._clock, self._motors)
+        device, index = self._device, self._motors[axis]
+        if not move.active or move.point.number != LATCH_INPUTS[index]:
+            with log_refusals(self._log, "the probe"):
+                return await ProgramProbe(device, self._clock, self._options, self.traits, index).run(axis, move)
+        latch = PositionLatch(device, self._clock, self._motors)
         target = LatchTarget(LATCH_TARGET_OFF, self.traits, self._watch)
         with log_refusals(self._log, "the probe"):
-            return await LatchProbe(self._device, self._clock, latch, target, self._motors[axis]).run(axis, move)
+            return await LatchProbe(device, self._clock, latch, target, index).run(axis, move)
 
     # Steps
 
