@@ -335,6 +335,11 @@ class ControllerInfo(Model):
         exclude_if=lambda ability: ability is None,
         description="How it stops an axis by an input; left out: it does not.",
     )
+    limit_probe: ProbeAbility | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How a limit switch stops its axis, for probes; left out: the make does not state it.",
+    )
     host_probe: ProbeAbility | None = Field(
         default=None,
         exclude_if=lambda ability: ability is None,

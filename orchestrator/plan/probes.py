@@ -7,7 +7,7 @@ from typing import NamedTuple
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import split_name
-from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
+from orchestrator.model.state import PROBE_BY_HOST, ControllerInfo, ProbeAbility
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import UnitError, parse_rate
@@ -23,15 +23,27 @@ class ContactRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ProbeAbilities:
-    """How a controller stops axes by its inputs, itself and by its host; None: it does not. make: its name."""
+    """How a controller stops axes by its inputs, itself and by its host, and by limit switches; None: it does not.
+    make: its name."""
 
     make: str
     controller: ProbeAbility | None
     host: ProbeAbility | None
+    limit: ProbeAbility | None
+
+    @classmethod
+    def of(cls, info: ControllerInfo) -> "ProbeAbilities":
+        """Those that a controller states."""
+        return cls(info.make, info.probe, info.host_probe, info.limit_probe)
 
     def require_ability(self, fleet: Fleet, step: Probe) -> ProbeAbility:
         """What stops the axis of a step. Raises `Refusal` that says what would."""
         member, axis = split_name(step.axis)
+        if step.limit is not None:
+            if self.limit is None:
+                text = f"{step.axis}: the make {self.make} does not state how its limit switches stop an axis"
+                raise Refusal("no-probe", text, "probe until an input changes", member)
+            return self.limit
         if step.by == "host":
             if self.host is None:
                 text = f"{step.axis}: the make {self.make} cannot jog, and so cannot probe"

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import ceil
 
-from adapters.contract import HostInterval, ProbedContact, ProbeMove
+from adapters.contract import HostInterval, LimitMove, ProbedContact, ProbeMove
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.registers import exact_ramp, exact_speed
 from adapters.yaskawa.common.watch import SettingsWatch
@@ -70,7 +70,7 @@ class ProbeRegisters:
     distance: int
 
     @classmethod
-    def find(cls, axis: str, move: ProbeMove, tick_s: float, model: ModelTraits) -> "ProbeRegisters":
+    def find(cls, axis: str, move: LimitMove, tick_s: float, model: ModelTraits) -> "ProbeRegisters":
         """Raises `Refusal` for a speed or a ramp that the registers do not have."""
         speed = exact_speed(axis, move.speed_counts_s, tick_s, model)
         ramp = exact_ramp(axis, move.ramp_counts_s2, tick_s, model)

@@ -28,7 +28,7 @@ def find_stated(world: World) -> float:
 
 def begin_probe(world: World, end: int) -> asyncio.Future[ProbedContact | None]:
     assert isinstance(world.driver, SMC4000Driver)
-    return asyncio.ensure_future(world.driver.probe_axis("x", ProbeMove(TOUCH, True, end, SPEED, RAMP)))
+    return asyncio.ensure_future(world.driver.probe_axis("x", ProbeMove(end, SPEED, RAMP, point=TOUCH, active=True)))
 
 
 async def touch(world: World, after_ns: int) -> tuple[float, int]:
