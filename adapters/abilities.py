@@ -12,6 +12,7 @@ from adapters.contract import (
     Driver,
     JogMove,
     LatchedPosition,
+    LimitMove,
     PathChunk,
     ProbedContact,
     ProbeMove,
@@ -162,6 +163,21 @@ class ProbeDriver(Protocol):
         the axis stop. Raises `Refusal`: the axis has not moved (code `probe-input` for an input that does not stop the
         axis, `line-level` if it has that level already), or it was stopped (code `stopped`, `probe-broken`).
         """
+        ...
+
+
+@runtime_checkable
+class LimitProbeDriver(Protocol):
+    """A driver that finds a limit switch. Without it no probe ends by one."""
+
+    @property
+    def limit_ability(self) -> ProbeAbility | None:
+        """How a limit switch stops its axis; the inputs have no meaning. Known before it is connected; None: as
+        without this protocol."""
+        ...
+
+    async def probe_limit(self, axis: str, move: LimitMove) -> ProbedContact | None:
+        """As `ProbeDriver.probe_axis`, with the limit switch that the axis moves to."""
         ...
 
 

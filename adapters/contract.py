@@ -333,18 +333,24 @@ class LatchedPosition:
 
 
 @dataclass(frozen=True, slots=True)
-class ProbeMove:
-    """A move of one axis that an input stops, in counts of the controller.
+class LimitMove:
+    """A move of one axis that something stops, in counts of the controller: its limit switch, unless this is a
+    `ProbeMove`.
 
-    point, active: the input, and what it becomes. end_counts: where the axis comes to rest without that.
-    ramp_counts_s2: of its acceleration and of each of its stops.
+    end_counts: where the axis comes to rest without that. ramp_counts_s2: of its acceleration and of each of its stops.
     """
 
-    point: DigitalInput
-    active: bool
     end_counts: int
     speed_counts_s: float
     ramp_counts_s2: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeMove(LimitMove):
+    """A move of one axis that an input stops. point, active: the input, and what it becomes."""
+
+    point: DigitalInput
+    active: bool
 
     @property
     def level(self) -> bool:

@@ -19,4 +19,4 @@ class GalilDevice(SmcDevice):
         return self.family.make_format(min(axes, MAX_AXES))
 
     def _make_program(self) -> tuple[str, ...]:
-        return program_lines(self.record_format.axes, self.gate, contours=False)
+        return program_lines(self.record_format.axes, self.gate, contours=False, probes=False)

@@ -64,6 +64,10 @@ class GalilDriver(SMC4000Driver):
     def probe_ability(self) -> ProbeAbility:
         return find_ability({}, 0)  # its latch has no target in any manual that was compared
 
+    @property
+    def limit_ability(self) -> ProbeAbility | None:
+        return None
+
 
 _EXAMPLE = """\
 adapter: galil # DMC-21x3 and DMC-40x0; never tried on hardware

@@ -658,12 +658,13 @@ class LatchReply(Reply):
 
 class ProbeRequest(LeasedRequest):
     """Move the one axis of `axes` to `end_counts` at `speed` (its unit/s), and stop it when `input` becomes active, or
-    passive. The reply comes when it is at rest.
+    passive; without an input its limit switch `limit` does. The reply comes when it is at rest.
 
     by: what stops it, the controller or its adapter host. overtravel_counts: how far it may go behind the contact.
     """
 
-    input: Id
+    input: Id | None = None
+    limit: Literal["forward", "reverse"] | None = None
     active: bool
     end_counts: Int53
     speed: float = Field(gt=0)

@@ -278,7 +278,8 @@ class ProbeAbility(Model):
     inputs: by axis, the numbers of the inputs that can stop it. levels: what such an input may become.
     reaction_s: at the speed of the probe, until the ramp is in effect. ramp_share: the ramp is at least this share of
     the acceleration. margin_counts: beyond that. contact_s, contact_counts: the axis was at most the way of that time,
-    and these counts, before the position that is captured.
+    and these counts, before the position that is captured. slower: what stops axes by further inputs, or at other
+    levels of these.
     """
 
     inputs: dict[Id, list[int]]
@@ -288,6 +289,13 @@ class ProbeAbility(Model):
     margin_counts: float
     contact_s: float
     contact_counts: float
+    slower: Self | None = Field(default=None, exclude_if=lambda ability: ability is None)
+
+    def find_way(self, axis: str, number: int, level: Literal["active", "passive"]) -> Self | None:
+        """What stops an axis when an input becomes `level`; None: nothing does."""
+        if number in self.inputs.get(axis, ()) and level in self.levels:
+            return self
+        return None if self.slower is None else self.slower.find_way(axis, number, level)
 
     def find_overtravel(self, speed: float, ramp: float) -> float:
         """How far the axis goes behind the contact at most, in counts."""
@@ -326,6 +334,11 @@ class ControllerInfo(Model):
         default=None,
         exclude_if=lambda ability: ability is None,
         description="How it stops an axis by an input; left out: it does not.",
+    )
+    limit_probe: ProbeAbility | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How a limit switch stops its axis, for probes; left out: the make does not state it.",
     )
     host_probe: ProbeAbility | None = Field(
         default=None,

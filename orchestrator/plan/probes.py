@@ -7,7 +7,7 @@ from typing import NamedTuple
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import split_name
-from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
+from orchestrator.model.state import PROBE_BY_HOST, ControllerInfo, ProbeAbility
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import UnitError, parse_rate
@@ -23,15 +23,27 @@ class ContactRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ProbeAbilities:
-    """How a controller stops axes by its inputs, itself and by its host; None: it does not. make: its name."""
+    """How a controller stops axes by its inputs, itself and by its host, and by limit switches; None: it does not.
+    make: its name."""
 
     make: str
     controller: ProbeAbility | None
     host: ProbeAbility | None
+    limit: ProbeAbility | None
+
+    @classmethod
+    def of(cls, info: ControllerInfo) -> "ProbeAbilities":
+        """Those that a controller states."""
+        return cls(info.make, info.probe, info.host_probe, info.limit_probe)
 
     def require_ability(self, fleet: Fleet, step: Probe) -> ProbeAbility:
         """What stops the axis of a step. Raises `Refusal` that says what would."""
         member, axis = split_name(step.axis)
+        if step.limit is not None:
+            if self.limit is None:
+                text = f"{step.axis}: the make {self.make} does not state how its limit switches stop an axis"
+                raise Refusal("no-probe", text, "probe until an input changes", member)
+            return self.limit
         if step.by == "host":
             if self.host is None:
                 text = f"{step.axis}: the make {self.make} cannot jog, and so cannot probe"
@@ -42,14 +54,17 @@ class ProbeAbilities:
             text = f"{step.axis}: the make {self.make} cannot stop an axis by an input"
             raise Refusal("no-probe", text, PROBE_BY_HOST, member)
         point, numbers = fleet.controllers[member].inputs[split_name(step.until)[1]], ability.inputs.get(axis, [])
+        way = ability.find_way(axis, point.number, step.level)
+        if way is not None:
+            return way
+        if ability.slower is not None:
+            numbers = sorted({*numbers, *ability.slower.inputs.get(axis, [])})
         if point.number not in numbers:
             fitting = " or ".join(f"input {number}" for number in numbers) or "no input"
             text = f"{step.until} is input {point.number}, which does not stop {step.axis}; {fitting} does"
             raise Refusal("probe-input", text, f"connect the signal there, or {PROBE_BY_HOST}", member)
-        if step.level not in ability.levels:
-            text = f"the make {self.make} stops an axis when an input becomes {' or '.join(ability.levels)} only"
-            raise Refusal("probe-input", text, PROBE_BY_HOST, member)
-        return ability
+        text = f"the make {self.make} stops an axis when an input becomes {' or '.join(ability.levels)} only"
+        raise Refusal("probe-input", text, PROBE_BY_HOST, member)
 
 
 def find_probe_speed(step: Probe, axis: Axis) -> float:

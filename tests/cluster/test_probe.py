@@ -132,9 +132,7 @@ def test_a_contact_that_is_lost_again_while_the_axis_brakes_is_one() -> None:
     ("step", "fleet", "code", "words"),
     [
         (PROBE, with_touch(), "not-touched", "gantry.touch has not become active up to 15 mm of gantry.x"),
-        (PROBE, with_touch(number=2), "probe-input", "gantry.touch is input 2, which does not stop gantry.x"),
         (PROBE, with_touch("high"), "latch-input", "falling edge"),
-        (PROBE.replace("speed", "level: passive, speed"), with_touch(), "probe-input", "active only"),
         (PROBE.replace("15", "399.999"), with_touch(), "soft-limit", "a contact there ends it at 400.009"),
     ],
 )
@@ -465,6 +463,23 @@ def test_an_smc2000_stops_by_its_latch(address: int | None) -> None:
         assert moved.state == "done", moved.reason
 
     run_bench(main, with_press(address=address), "press.x", PRESS_READY)
+
+
+@pytest.mark.parametrize(
+    ("number", "more", "words"),
+    [
+        (2, "", "press.touch is input 2, which does not stop press.x; input 1 does"),
+        (1, ", level: passive", "stops an axis when an input becomes active only"),
+    ],
+)
+def test_what_an_smc2000_cannot_stop_by_is_refused(number: int, more: str, words: str) -> None:
+    async def main(bench: Bench) -> None:
+        report = await bench.run(f"{{do: probe, to: {{press.x: 15}}, until: press.touch, speed: 1 mm/s{more}}}")
+        refused = report.steps[-1].refused
+        assert refused is not None and refused.code == "probe-input" and words in refused.text, refused
+        assert bench.find_rest() == bench.start
+
+    run_bench(main, with_press(number), "press.x", PRESS_READY)
 
 
 # An SMC30, by its stop condition

@@ -30,6 +30,7 @@ AHEAD_MM, END_MM, SPEED_MM_S = 1.0, 5.0, 1.0
 
 MAKES = {
     "smc4000": (with_touch(), "gantry.x", READY, PROBE),
+    "smc4000 program": (with_touch("low", 5), "gantry.x", READY, PROBE),
     "cia402": (drive_fleet("touch"), "lift.z", LIFT_READY, LIFT_PROBE),
     "shrc203": (with_stage_touch(), "stage.u", STAGE_READY, STAGE_PROBE.replace("speed", "by: host, speed")),
 }
@@ -38,9 +39,14 @@ MAKES = {
 def find_stated_mm(fleet: Fleet, axis: str, make: str, fault: str) -> float:
     """What the make states at 1 mm/s, mm; where a host stops the axis, and may be dead, what its guardian adds."""
     acceleration = fleet.axis(axis).limits.acceleration
-    reaction_s, counts = {"smc4000": (0.005, 4), "cia402": (0.08, 4), "shrc203": (0.3, 3)}[make]
+    reaction_s, counts = {
+        "smc4000": (0.005, 4),
+        "smc4000 program": (0.013, 4),
+        "cia402": (0.08, 4),
+        "shrc203": (0.3, 3),
+    }[make]
     stated = SPEED_MM_S * reaction_s + SPEED_MM_S**2 / acceleration + counts / float(fleet.axis(axis).scale)
-    if make == "smc4000" or fault not in ("cut", "kill-host", "freeze-host"):
+    if make.startswith("smc4000") or fault not in ("cut", "kill-host", "freeze-host"):
         return stated
     # What its computer stops cannot be stopped without a link: then it goes to the end of the probe.
     return END_MM - AHEAD_MM if fault == "cut" else stated + SPEED_MM_S * DETECTION_S
@@ -65,7 +71,10 @@ async def inject(bench: Bench, fault: str) -> None:
 async def run_seed(bench: Bench, step: str, make: str, fault: str, seed: int) -> float:
     """Probe with a fault; how far the axis has gone behind the contact by truth, mm."""
     draw, scale = Random(f"{make} {fault} {seed}"), float(bench.virtual.fleet.axis(bench.axis).scale)
-    bench.put_contact(AHEAD_MM * scale, [draw.randrange(1, 9) * NS_PER_MS for _ in range(2 * draw.randrange(3))])
+    shortest_ms = 3 if make == "smc4000 program" else 1
+    bench.put_contact(
+        AHEAD_MM * scale, [draw.randrange(shortest_ms, 9) * NS_PER_MS for _ in range(2 * draw.randrange(3))]
+    )
     await bench.client.submit(job(f"[{step}]"))
     await sleep_ns(bench.virtual.clock, round(draw.uniform(0.0, 1.6) * NS_PER_S))
     await inject(bench, fault)

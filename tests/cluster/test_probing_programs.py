@@ -106,8 +106,8 @@ def test_what_follows_is_checked_for_all_that_a_contact_may_be(tmp_path: Path) -
     [
         ("G90\nG38.2 Z19 F120\nG0 Z20", "[5, 20]", "not-touched", "up to 19 mm"),
         ("G90\nG38.2 Z8 F120\nG0 Z20", "[5, 19]", "other-start", "gantry.x is at 20 mm; the probe begins at 19 mm"),
-        ("G90\nG38.4 Z8 F120\nG0 Z20", "[5, 20]", "probe-input", "becomes active only"),
-        ("G90\nG38.2 Y8 F120\nG0 Y20", "[5, 20]", "probe-input", "which does not stop gantry.y; input 2 does"),
+        ("G90\nG38.4 Z8 F120\nG0 Z20", "[5, 20]", "line-level", "input touch is passive already"),
+        ("G90\nG38.2 Y8 F120\nG0 Y20", "[5, 20]", "not-touched", "up to 8 mm of gantry.y"),
     ],
 )
 def test_what_the_machine_cannot_do_is_refused_with_its_line(

@@ -1,7 +1,7 @@
 """Probes: an axis moves until an input changes. Checked here for all makes; its controller stops it, or its host."""
 
-from adapters.abilities import ProbeDriver
-from adapters.contract import ProbedContact, ProbeMove
+from adapters.abilities import LimitProbeDriver, ProbeDriver
+from adapters.contract import AxisReading, ControllerReading, LimitMove, ProbedContact, ProbeMove
 from adapters.controller.manual.host_probe import HostProbe
 from adapters.controller.monitoring.polling import StatePolling
 from adapters.controller.monitoring.settling import SettlingMonitor
@@ -11,7 +11,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis, DigitalInput
 from orchestrator.model.messages import ProbeReply, ProbeRequest
-from orchestrator.model.state import PROBE_BY_HOST
+from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
 
 SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
 OVERTRAVEL_TOLERANCE = 1e-6
@@ -29,6 +29,7 @@ class AxisProbing:
     ) -> None:
         self._context = context
         self._driver = context.driver if isinstance(context.driver, ProbeDriver) else None
+        self._limits = context.driver if isinstance(context.driver, LimitProbeDriver) else None
         self._host = HostProbe(context, status, polling)
         self._config = context.config
         self._status = status
@@ -38,7 +39,7 @@ class AxisProbing:
     async def probe(self, request: ProbeRequest) -> ProbeReply:
         """Move an axis until an input changes, and answer when it is at rest. Raises `Refusal`."""
         name, status = request.axes[0], self._status
-        point = self._find_point(request.input)
+        point = None if request.input is None else self._find_point(request.input)
         status.require_no_fault()
         status.require_enabled([name])
         status.probing.add(name)
@@ -47,7 +48,7 @@ class AxisProbing:
         finally:
             status.probing.discard(name)
 
-    async def _run(self, name: str, point: DigitalInput, request: ProbeRequest) -> ProbeReply:
+    async def _run(self, name: str, point: DigitalInput | None, request: ProbeRequest) -> ProbeReply:
         status, stopped_ns = self._status, self._status.stopped_ns
         # The checks are of this moment: before it, the axis or the input may have been changed by another client.
         await self._polling.poll_and_publish()
@@ -74,16 +75,30 @@ class AxisProbing:
             latest_ns=latest_ns,
             start_counts=start_counts,
             rest_counts=rest_counts,
-            released=reading.inputs.get(point.number) == (not move.level),
+            released=_is_released(name, move, request, reading),
         )
 
-    async def _probe_axis(self, name: str, move: ProbeMove, request: ProbeRequest) -> ProbedContact | None:
+    async def _probe_axis(self, name: str, move: LimitMove, request: ProbeRequest) -> ProbedContact | None:
+        if not isinstance(move, ProbeMove):
+            if self._limits is None or self._limits.limit_ability is None:
+                text = f"axis {name}: this make does not state how its limit switches stop an axis"
+                raise Refusal("no-probe", text, "probe until an input changes")
+            return await self._limits.probe_limit(name, move)
         if request.by == "host":
             return await self._host.probe_axis(name, move)
-        if self._driver is None or move.point.number not in self._driver.probe_ability.inputs.get(name, ()):
+        if self._driver is None or self._find_way(name, move) is None:
             text = f"axis {name}: this make cannot stop it by input {move.point.number}"
             raise Refusal("no-probe", text, PROBE_BY_HOST)
         return await self._driver.probe_axis(name, move)
+
+    def _find_way(self, name: str, move: LimitMove) -> ProbeAbility | None:
+        """What stops an axis by its controller; None: nothing does."""
+        if not isinstance(move, ProbeMove):
+            return self._limits and self._limits.limit_ability
+        if self._driver is None:
+            return None
+        level = "active" if move.active else "passive"
+        return self._driver.probe_ability.find_way(name, move.point.number, level)
 
     def _find_point(self, name: str) -> DigitalInput:
         point = self._config.inputs.get(name)
@@ -92,7 +107,7 @@ class AxisProbing:
             raise Refusal("unknown-input", f"no input {name}; inputs: {input_names}", "correct the name")
         return point
 
-    def _make_move(self, name: str, point: DigitalInput, request: ProbeRequest) -> ProbeMove:
+    def _make_move(self, name: str, point: DigitalInput | None, request: ProbeRequest) -> LimitMove:
         """The move for the driver after all checks. Raises `Refusal`."""
         axis, reading = self._config.axes[name], self._status.require_online()
         axis_reading, limits = reading.axes[name], axis.limits
@@ -106,18 +121,15 @@ class AxisProbing:
             raise Refusal("velocity-limit", text, "probe more slowly")
         sign = 1 if request.end_counts >= axis_reading.commanded_counts else -1
         self._require_room(name, axis, request.end_counts, sign * request.overtravel_counts)
-        limit = "none" if axis_reading.limit_inferred else axis_reading.limit
-        if limit in ("both", "forward" if sign > 0 else "reverse"):
-            raise Refusal("limit-switch", f"axis {name} is on its {limit} limit switch", "probe in the other direction")
-        move = ProbeMove(
-            point=point,
-            active=request.active,
-            end_counts=request.end_counts,
-            speed_counts_s=request.speed * float(axis.scale),
-            ramp_counts_s2=limits.acceleration * float(axis.scale),
-        )
+        _require_direction(name, axis_reading, request, "forward" if sign > 0 else "reverse")
+        scale = float(axis.scale)
+        move = LimitMove(request.end_counts, request.speed * scale, limits.acceleration * scale)
+        if point is not None:
+            move = ProbeMove(
+                move.end_counts, move.speed_counts_s, move.ramp_counts_s2, point=point, active=request.active
+            )
         self._require_bound(name, axis, move, request)
-        if reading.inputs.get(point.number) != (not move.level):
+        if isinstance(move, ProbeMove) and reading.inputs.get(move.point.number) != (not move.level):
             word = "active" if request.active else "passive"
             text = f"input {request.input} is {word} already"
             raise Refusal("line-level", text, "move the axis away from the contact first, or check the input's wire")
@@ -133,12 +145,29 @@ class AxisProbing:
             )
             raise Refusal("soft-limit", text, "end the probe earlier, probe more slowly, or change the soft limits")
 
-    def _require_bound(self, name: str, axis: Axis, move: ProbeMove, request: ProbeRequest) -> None:
+    def _require_bound(self, name: str, axis: Axis, move: LimitMove, request: ProbeRequest) -> None:
         """Raise `Refusal` where what stops the axis has a longer overtravel than the request states."""
-        ability = self._host.ability if request.by == "host" else self._driver and self._driver.probe_ability
+        ability = self._host.ability if request.by == "host" else self._find_way(name, move)
         if ability is None:
             return
         most = ability.find_overtravel(move.speed_counts_s, move.ramp_counts_s2)
         if most > request.overtravel_counts * (1 + OVERTRAVEL_TOLERANCE):
             text = f"axis {name} goes on by at most {abs(axis.to_length(most)):g} {axis.unit} behind a contact"
             raise Refusal("overtravel", f"{text}, which is more than was stated", "run the job again")
+
+
+def _require_direction(name: str, reading: AxisReading, request: ProbeRequest, direction: str) -> None:
+    """Raise `Refusal` for an axis that is on the limit switch of this direction, or is to find that of the other."""
+    limit = "none" if reading.limit_inferred else reading.limit
+    if limit in ("both", direction):
+        raise Refusal("limit-switch", f"axis {name} is on its {limit} limit switch", "probe in the other direction")
+    if request.limit not in (None, direction):
+        text = f"axis {name} moves away from its {request.limit} limit switch"
+        raise Refusal("probe-input", text, "name the other one: directions are those of the controller's counts")
+
+
+def _is_released(name: str, move: LimitMove, request: ProbeRequest, reading: ControllerReading) -> bool:
+    """Whether what has stopped the axis has changed back since."""
+    if isinstance(move, ProbeMove):
+        return reading.inputs.get(move.point.number) == (not move.level)
+    return reading.axes[name].limit not in (request.limit, "both")

@@ -282,11 +282,11 @@ class SmcDevice:
             self.stop_counts.count_axis(index)
         self.brake_axes(axis_indices)
 
-    def brake_axes(self, indices: Iterable[int]) -> None:
-        """Send `ST` to these axes, now; programs and other axes continue (L10124)."""
+    def brake_axes(self, indices: Iterable[int], *halts: str) -> None:
+        """Send `ST` to these axes, now; other axes and programs continue (L10124), but for those that `halts` end."""
         letters = "".join(AXIS_LETTERS[index] for index in indices)
         if letters:  # without letters it would stop all axes
-            self._write_stop(f"ST{letters}")
+            self._write_stop(*halts, f"ST{letters}")
 
     def stop_all(self, *, abort: bool) -> None:
         """Stop everything, now, without waiting for any reply."""

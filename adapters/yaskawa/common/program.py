@@ -50,6 +50,8 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XRV    level that it sets the output to XRT    array: samples after XT0, then the stamps
     XRM    mask of it as a ring             XRF    samples before which a trigger is far
     XRE    1: the ring ends where it is
+    XKI    input that ends a probe, as AI takes it; 0: there is no probe
+    XKT    sample after its edge; 0 before  XK1..4 positions of encoders before that
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
@@ -79,6 +81,7 @@ LINE_VARIABLES = ("XLI", "XLO", "XLV", "XLH")
 TABLE = "XRT"  # of triggers
 TABLE_VARIABLES = ("XRN", "XRI", "XRV")
 RING_VARIABLES = ("XRM", "XRF", "XRE")
+PROBE_INPUT, PROBE_TIME = "XKI", "XKT"
 PULSE_LABEL, LEVEL_LABEL = "#PULSE", "#LEVEL"
 RING_PULSE_LABEL, RING_LEVEL_LABEL = "#RPULSE", "#RLEVEL"
 FAR_TICKS = 8  # from one look for the next trigger of a ring to another
@@ -89,10 +92,14 @@ BEGIN_VARIABLE = "XB"
 FOLLOWING_VARIABLES = ("XFT", "XFGO", "XFARM", "XFL", "XFA", "XFOK", "XOFF", "XZT", "XZA")
 VARIABLES = (
     *("XT0", "XGO", "XOK", "XARM", "XLATE", "XACT", "XDONE", "XE1", "XE2", "XE3", "XE4"),
-    *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *RING_VARIABLES),
+    *("XDL", "XDOG", *LINE_VARIABLES, *TABLE_VARIABLES, *RING_VARIABLES, PROBE_INPUT, PROBE_TIME),
     *CONTOUR_VARIABLES,
     *FOLLOWING_VARIABLES,
-    *(f"{name}{number}" for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ") for number in range(1, 5)),
+    *(
+        f"{name}{number}"
+        for name in (*REGISTER_VARIABLES.values(), BEGIN_VARIABLE, "XZ", "XK")
+        for number in range(1, 5)
+    ),
 )
 TAIL = "XTD"
 
@@ -118,13 +125,24 @@ def at_once_label(mask: int, *, quick: bool) -> str:
     return f"#{'Q' if quick else 'O'}{mask}"
 
 
+def probe_label(index: int) -> str:
+    """Return the label that begins a probe of an axis."""
+    return f"#PROBE{index + 1}"
+
+
+def probe_position(index: int) -> str:
+    """Return the variable that has the position of an axis at the contact."""
+    return f"XK{index + 1}"
+
+
 def axis_letters(mask: int) -> str:
     """Return the axes of `mask` in the controller's notation."""
     return "".join(letter for index, letter in enumerate(AXIS_LETTERS) if mask >> index & 1)
 
 
-def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tuple[str, ...]:
-    """Return the program's lines for a controller of `axes` axes. contours: whether it has entries for them."""
+def program_lines(axes: int, gate: GateTiming, *, contours: bool = True, probes: bool = True) -> tuple[str, ...]:
+    """Return the program's lines for a controller of `axes` axes. contours, probes: whether it has entries for
+    them."""
     lines = ["#TUTTI;EN"]
     for mask in range(1 << axes):
         letters = axis_letters(mask)
@@ -147,6 +165,7 @@ def program_lines(axes: int, gate: GateTiming, *, contours: bool = True) -> tupl
         *edge_lines(),
         *trigger_lines(),
         *(ring_lines() if contours else ()),
+        *(probe_lines(axes) if probes else ()),
         "#GATE;XOK=0;XLATE=0;XACT=0;XDONE=0;XARM=XT0",
         f"#HOLD;WT {STEP_TICKS};JP #HOLD,(XGO=0)&((XT0-TIME)>{gate.decided_before})",
         f"XOK=XGO&((XT0-TIME)>{gate.wait_after_gate})",
@@ -336,6 +355,19 @@ def ring_lines() -> tuple[str, ...]:
         "XRV=1-XRV;XRI=(XRI+1)&XRM",
         f"JP #LNEAR,{is_near}",
         "JP #LFAR",
+    )
+
+
+def probe_lines(axes: int) -> tuple[str, ...]:
+    """Return the lines that begin an axis and stop it by an input.
+
+    AI tests the level (L2491), so a contact that is made before the axis begins stops it, too. The stop comes first;
+    the position behind it is one after the edge, while the axis moves no faster than before.
+    """
+    return tuple(
+        f"{probe_label(index)};BG{letter};AI {PROBE_INPUT};ST{letter};"
+        f"{probe_position(index)}=_TP{letter};{PROBE_TIME}=TIME;EN"
+        for index, letter in enumerate(AXIS_LETTERS[:axes])
     )
 
 

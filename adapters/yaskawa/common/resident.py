@@ -4,7 +4,14 @@ from contextlib import suppress
 
 from adapters.yaskawa.common import arrays
 from adapters.yaskawa.common.options import YaskawaOptions
-from adapters.yaskawa.common.program import EDGE_THREAD, OUTPUT_PASSIVE, VARIABLES, WATCHDOG_THREAD, axis_letters
+from adapters.yaskawa.common.program import (
+    EDGE_THREAD,
+    OUTPUT_PASSIVE,
+    PROBE_INPUT,
+    VARIABLES,
+    WATCHDOG_THREAD,
+    axis_letters,
+)
 from adapters.yaskawa.shapes.model import LEAVE_CONTOUR
 from adapters.yaskawa.wire.exchange import SmcCommandRefused
 from adapters.yaskawa.wire.session import CommandSession
@@ -31,9 +38,11 @@ class ResidentProgram:
             # The adapter's own program may still wait for a start that will never be released, or play a contour to its
             # end.
             (status,), _ = await session.read_numbers("_TB")
-            if int(status) & CONTOURING:
-                session.log.warning("a contour of an earlier session is in progress; it is stopped by its ramps")
-                # Without its program a contour would stop abruptly (L13968): stop it by its ramps.
+            is_contour = bool(int(status) & CONTOURING)
+            if is_contour or await self._is_probing(session):
+                motion = "contour" if is_contour else "probe"
+                session.log.warning(f"a {motion} of an earlier session is in progress; it is stopped by its ramps")
+                # Without its program a contour would stop abruptly (L13968), and a probe would not stop at its contact.
                 await session.send_command(f"ST{axis_letters((1 << axes) - 1)}")
             await self.unload(session)
         else:
@@ -64,6 +73,15 @@ class ResidentProgram:
     async def list_lines(self, session: CommandSession, first: int, last: int) -> list[str]:
         """Return lines of the program by their numbers (LS, L7093), as far as it has them."""
         return [line.partition(" ")[2].rstrip() for line in await session.query_all(f"LS {first},{last}")]
+
+    async def _is_probing(self, session: CommandSession) -> bool:
+        """Return whether the program watches the input of a probe. A controller that was off meanwhile, with its
+        program stored, does not have the variable."""
+        try:
+            (number,), _ = await session.read_numbers(PROBE_INPUT)
+        except SmcCommandRefused:
+            return False
+        return bool(number)
 
     async def _require_replaceable(self, session: CommandSession, present: list[str]) -> None:
         thread_states, _ = await session.read_numbers(*(f"_HX{thread}" for thread in range(4)))

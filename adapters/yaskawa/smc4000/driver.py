@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from adapters.abilities import LatchDriver, ProbeDriver
+from adapters.abilities import LatchDriver, LimitProbeDriver, ProbeDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -14,6 +14,7 @@ from adapters.contract import (
     DriverSetup,
     ExamplePlace,
     LatchedPosition,
+    LimitMove,
     Lowered,
     ProbedContact,
     ProbeMove,
@@ -45,9 +46,11 @@ from adapters.yaskawa.pairs.checks import find_pair_problems
 from adapters.yaskawa.pairs.gearing import find_pairs, gear_motors, join_readings
 from adapters.yaskawa.pairs.homing import PairHoming
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
-from adapters.yaskawa.triggers.latch import LATCHES, PositionLatch
+from adapters.yaskawa.triggers.latch import LATCH_INPUTS, LATCHES, PositionLatch
+from adapters.yaskawa.triggers.limit_probe import LimitProbe, find_limit_ability
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
 from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability, require_encoder
+from adapters.yaskawa.triggers.program_probe import ProgramProbe, find_program_ability
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from adapters.yaskawa.triggers.traits import SMC4000_TRIGGERS
 from adapters.yaskawa.wire.exchange import parse_reply
@@ -87,7 +90,7 @@ LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
-class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
+class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver, LimitProbeDriver):
     """One SMC-4000."""
 
     # After the first ones the controller accepts no commands; QR is answered by a record.
@@ -229,7 +232,8 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
 
     @property
     def probe_ability(self) -> ProbeAbility:
-        return find_ability(self._motors, LATCHES)
+        by_program = find_program_ability(list(self._motors), self._options)
+        return find_ability(self._motors, LATCHES).model_copy(update={"slower": by_program})
 
     async def home_axes(self, axes: Sequence[str], found: Callable[[str], None]) -> Mapping[str, Refusal]:
         """Axes of two motors come first, one after the other."""
@@ -261,10 +265,24 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver):
     async def probe_axis(self, axis: str, move: ProbeMove) -> ProbedContact | None:
         require_encoder(axis, self._steppers)
         self._jogging.drop_jogs([axis])
-        latch = PositionLatch(self._device, self._clock, self._motors)
+        device, index = self._device, self._motors[axis]
+        if not move.active or move.point.number != LATCH_INPUTS[index]:
+            with log_refusals(self._log, "the probe"):
+                return await ProgramProbe(device, self._clock, self._options, self.traits, index).run(axis, move)
+        latch = PositionLatch(device, self._clock, self._motors)
         target = LatchTarget(LATCH_TARGET_OFF, self.traits, self._watch)
         with log_refusals(self._log, "the probe"):
-            return await LatchProbe(self._device, self._clock, latch, target, self._motors[axis]).run(axis, move)
+            return await LatchProbe(device, self._clock, latch, target, index).run(axis, move)
+
+    @property
+    def limit_ability(self) -> ProbeAbility | None:
+        return find_limit_ability(self._options)
+
+    async def probe_limit(self, axis: str, move: LimitMove) -> ProbedContact | None:
+        self._jogging.drop_jogs([axis])
+        ability = find_limit_ability(self._options)
+        with log_refusals(self._log, "the probe"):
+            return await LimitProbe(self._device, self.traits, ability, self._motors[axis]).run(axis, move)
 
     # Steps
 

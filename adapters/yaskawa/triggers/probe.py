@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from math import ceil
 
-from adapters.contract import HostInterval, ProbedContact, ProbeMove
+from adapters.contract import HostInterval, LimitMove, ProbedContact, ProbeMove
 from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.registers import exact_ramp, exact_speed
 from adapters.yaskawa.common.watch import SettingsWatch
@@ -48,7 +48,7 @@ def find_ability(motors: Mapping[str, int], latches: int) -> ProbeAbility:
 def require_encoder(axis: str, steppers: Collection[str]) -> None:
     """Raise `Refusal` for the axis of a step motor: the latch captures an encoder, and LT counts from there."""
     if axis in steppers:
-        text = f"axis {axis} has a step motor, and the latch captures the position of an encoder"
+        text = f"axis {axis} has a step motor, and the position of a contact is that of an encoder"
         raise Refusal("no-probe", text, PROBE_BY_HOST)
 
 
@@ -62,17 +62,28 @@ class LatchTarget:
 
 
 @dataclass(frozen=True, slots=True)
-class _Registers:
+class ProbeRegisters:
     """Speed and ramp of a probe, and the distance from the latched position to its rest, counts."""
 
     speed: int
     ramp: int
     distance: int
 
-    def list_commands(self, letter: str, end: int) -> tuple[str, ...]:
-        """The commands that load them and arm the latch, for a move to `end`."""
-        ramps = (f"AC{letter}={self.ramp}", f"DC{letter}={self.ramp}")
-        return (*ramps, f"SP{letter}={self.speed}", f"AL{letter}", f"LT{letter}={self.distance}", f"PA{letter}={end}")
+    @classmethod
+    def find(cls, axis: str, move: LimitMove, tick_s: float, model: ModelTraits) -> "ProbeRegisters":
+        """Raises `Refusal` for a speed or a ramp that the registers do not have."""
+        speed = exact_speed(axis, move.speed_counts_s, tick_s, model)
+        ramp = exact_ramp(axis, move.ramp_counts_s2, tick_s, model)
+        speed_counts_s, ramp_counts_s2 = speed / SPEED_UNIT / tick_s, ramp / RAMP_UNIT / tick_s**2
+        if ramp_counts_s2 < RAMP_SHARE * move.ramp_counts_s2:
+            text = f"axis {axis}: of its acceleration the controller has only a ramp of {ramp_counts_s2:g} counts/s²"
+            raise Refusal("too-gentle", text, "give the axis another acceleration in the fleet file")
+        distance = ceil(speed_counts_s**2 / (2 * ramp_counts_s2) + speed_counts_s * REACTION_S) + 1
+        return cls(speed, ramp, distance)
+
+    def list_commands(self, letter: str) -> tuple[str, ...]:
+        """The commands that load speed and ramp."""
+        return (f"AC{letter}={self.ramp}", f"DC{letter}={self.ramp}", f"SP{letter}={self.speed}")
 
 
 class LatchProbe:
@@ -111,9 +122,10 @@ class LatchProbe:
         def require_no_stop() -> None:
             device.stop_counts.require_no_stop(axis, self._index, stops)
 
-        registers = self._find_registers(axis, move)
+        registers = ProbeRegisters.find(axis, move, device.samples.tick_ns * 1e-9, self._target.model)
+        latching = (f"AL{letter}", f"LT{letter}={registers.distance}", f"PA{letter}={move.end_counts}")
         async with device.exclusive_turn():
-            await device.session.send_settings(registers.list_commands(letter, move.end_counts), require_no_stop)
+            await device.session.send_settings((*registers.list_commands(letter), *latching), require_no_stop)
             record, (is_armed,) = await device.read_record_with(f"_AL{letter}")
             if not is_armed:
                 text = f"the input of axis {axis} became active before the probe began"
@@ -121,18 +133,6 @@ class LatchProbe:
             await device.begin_motion(axis, self._index, stops)
         sign = 1 if move.end_counts >= record.axes[self._index].commanded else -1
         return await self._wait(axis, move, registers.distance, sign)
-
-    def _find_registers(self, axis: str, move: ProbeMove) -> _Registers:
-        """Raises `Refusal` for a speed or a ramp that the registers do not have."""
-        tick_s, model = self._device.samples.tick_ns * 1e-9, self._target.model
-        speed = exact_speed(axis, move.speed_counts_s, tick_s, model)
-        ramp = exact_ramp(axis, move.ramp_counts_s2, tick_s, model)
-        speed_counts_s, ramp_counts_s2 = speed / SPEED_UNIT / tick_s, ramp / RAMP_UNIT / tick_s**2
-        if ramp_counts_s2 < RAMP_SHARE * move.ramp_counts_s2:
-            text = f"axis {axis}: of its acceleration the controller has only a ramp of {ramp_counts_s2:g} counts/s²"
-            raise Refusal("too-gentle", text, "give the axis another acceleration in the fleet file")
-        distance = ceil(speed_counts_s**2 / (2 * ramp_counts_s2) + speed_counts_s * REACTION_S) + 1
-        return _Registers(speed, ramp, distance)
 
     async def _wait(self, axis: str, move: ProbeMove, distance: int, sign: int) -> ProbedContact | None:
         """Wait for rest, and return the contact."""

@@ -102,7 +102,7 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     )
     require_no_play(step.axis, axis, "contact")
     require_single_motor(step.axis, axis, "probe")
-    ability = ProbeAbilities(info.make, info.probe, info.host_probe).require_ability(view.fleet, step)
+    ability = ProbeAbilities.of(info).require_ability(view.fleet, step)
     speed = find_probe_speed(step, axis)
     await _require_start(context, step)
     target = _find_target(context, step, axis, state)
@@ -151,7 +151,8 @@ async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeRepl
         **context.request_fields,
         axes=[axis],
         holder=context.holder,
-        input=split_name(step.until)[1],
+        input=None if step.limit is not None else split_name(step.until)[1],
+        limit=step.limit,
         active=step.level == "active",
         end_counts=planned.end_counts,
         speed=planned.speed,

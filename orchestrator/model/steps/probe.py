@@ -1,7 +1,7 @@
 """An axis moves until an input changes, or to a position."""
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
@@ -11,6 +11,9 @@ from orchestrator.model.steps.base import Step, TargetResolver
 from orchestrator.model.steps.measured import MEASURED, MeasuredTarget, name_contacts, split_measured
 from orchestrator.model.steps.speed import MANUAL, read_speed, scale_speed
 from orchestrator.model.units import AxisQuantity, Quantity
+
+Direction = Literal["forward", "reverse"]
+"""Of a limit switch, in the direction of the controller's counts."""
 
 
 def _read_probe_speed(value: object) -> float | str:
@@ -41,7 +44,10 @@ class Probe(Step):
     start: dict[str, AxisQuantity] = Field(
         default={}, description="Where axes must stand before, within a count; nothing moves otherwise."
     )
-    until: str = Field(description="controller.input, of the same controller as the axis.")
+    until: str = Field(
+        description="controller.input, of the same controller as the axis; or controller.axis.forward or "
+        "controller.axis.reverse: its own limit switch, as the state names it."
+    )
     level: Literal["active", "passive"] = Field(
         default="active", description="What the input becomes; it must be the other one at the beginning."
     )
@@ -82,12 +88,21 @@ class Probe(Step):
             raise ValueError(f"a probe moves one axis, and `to` has {len(axes)} ({number}); write one probe for each")
         if controller_of(self.axis) != controller_of(self.until):
             raise ValueError(f"{self.until} cannot stop {self.axis}: name an input of the same controller")
+        if self.until.count(".") > 1 and self.limit is None:
+            raise ValueError(f"{self.until} is no limit switch of {self.axis}: {self.axis}.forward or .reverse")
+        if self.limit is not None and (self.level, self.by) != ("active", "controller"):
+            raise ValueError(f"a limit switch stops {self.axis} by its controller, when it becomes active")
         return self
 
     @property
     def axis(self) -> str:
         """The axis that it moves."""
         return next(iter((*self.to, *self.measured)))
+
+    @property
+    def limit(self) -> Direction | None:
+        """The limit switch that ends it; None: an input does."""
+        return next((way for way in get_args(Direction) if self.until == f"{self.axis}.{way}"), None)
 
     @property
     def named_axes(self) -> list[str]:
@@ -103,7 +118,7 @@ class Probe(Step):
 
     @property
     def awaited_inputs(self) -> list[str]:
-        return [self.until]
+        return [] if self.limit is not None else [self.until]
 
     @property
     def relative_axes(self) -> list[str]:

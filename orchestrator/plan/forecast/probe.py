@@ -23,7 +23,7 @@ def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Sp
     """Run a probe forward: its axis is somewhere on its way afterwards."""
     field_place = ("to", step.axis)
     axis = state.find_axis(at, step.axis, field_place, "axis")
-    if axis is None or not state.check_name(at, step.until, "input"):
+    if axis is None or (step.limit is None and not state.check_name(at, step.until, "input")):
         return Span()
     state.require_ready(at, step.axis, field_place)
     if step.otherwise == "fail":

@@ -52,7 +52,7 @@ class JobRehearsal:
             with suppress(BusError):
                 info = await view.query_info(name)
                 orders[name], chunks[name] = max(info.orders), make_chunk_ability(info)
-                probes[name] = ProbeAbilities(info.make, info.probe, info.host_probe)
+                probes[name] = ProbeAbilities.of(info)
                 alone_times[name] = info.alone_s
         forecaster = JobForecaster(view.fleet, axes, orders, chunks, probes)
         forecaster.alone = alone_times
