@@ -66,9 +66,9 @@ def digest_seed(seed: int) -> dict[str, Any]:
     parts: list[tuple[VirtualFleet, BusRecorder]] = []
     init = InvariantChecker.__init__
 
-    def keep_parts(checker: InvariantChecker, fleet: VirtualFleet, recorder: BusRecorder) -> None:
+    def keep_parts(checker: InvariantChecker, fleet: VirtualFleet, recorder: BusRecorder, contacts: int) -> None:
         parts.append((fleet, recorder))
-        init(checker, fleet, recorder)
+        init(checker, fleet, recorder, contacts)
 
     with patch.object(InvariantChecker, "__init__", keep_parts):
         run = run_seed(seed)

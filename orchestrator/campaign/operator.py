@@ -22,12 +22,13 @@ until it is reached; not for ever."""
 
 
 class NamedCommands:
-    """Runs the commands named in the reasons of waiting jobs. run_step: runs a job of one step, as the command does,
-    and returns when it has ended; it ends with its command."""
+    """Runs the commands named in the reasons of waiting jobs; with `squares` what failed ones name to square a beam.
+    run_step: runs a job of one step, as the command does, and returns when it has ended; it ends with its command."""
 
-    def __init__(self, client: Tutti, run_step: Callable[[Job, QueueTerms], Awaitable[None]]) -> None:
+    def __init__(self, client: Tutti, run_step: Callable[[Job, QueueTerms], Awaitable[None]], *, squares: bool) -> None:
         self._client = client
         self._run_step = run_step
+        self._squares = squares
         self.commands: list[str] = []
         self._remedied = set[str]()
 
@@ -56,7 +57,7 @@ class NamedCommands:
     async def _run_remedy(self) -> str:
         """Run the move that the newest failed job names, which squares a beam, once for each job; return the command,
         empty if none is named. Raises `Refusal`."""
-        jobs = (await self._client.list_jobs(limit=1, state="failed")).jobs
+        jobs = (await self._client.list_jobs(limit=1, state="failed")).jobs if self._squares else []
         if not jobs or jobs[0].id in self._remedied:
             return ""
         self._remedied.add(jobs[0].id)

@@ -367,7 +367,8 @@ class _Scenario:
         if phase.fault.name == "fleet-restarted":
             await sleep_ns(self._clock, OPERATOR_DELAY_NS)
         phase.queue_started_ns = since_ns = self._clock.now_ns()
-        operator = NamedCommands(client, partial(self._run_step, client, phase))
+        has_beam = bool(self._seed_run.fleet.virtual_axes.pairs)
+        operator = NamedCommands(client, partial(self._run_step, client, phase), squares=has_beam)
         while True:
             waiting_entries: list[QueueEntry] = []
             with suppress(Refusal):
