@@ -9,6 +9,7 @@ from contextlib import suppress
 
 from orchestrator.client.api import Tutti
 from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.restart import RESTART
 from orchestrator.model.queue import QueueTerms
@@ -22,13 +23,13 @@ until it is reached; not for ever."""
 
 
 class NamedCommands:
-    """Runs the commands named in the reasons of waiting jobs; with `squares` what failed ones name to square a beam.
+    """Runs the commands named in the reasons of waiting jobs, and in those of failed ones if the fleet has a beam.
     run_step: runs a job of one step, as the command does, and returns when it has ended; it ends with its command."""
 
-    def __init__(self, client: Tutti, run_step: Callable[[Job, QueueTerms], Awaitable[None]], *, squares: bool) -> None:
+    def __init__(self, client: Tutti, run_step: Callable[[Job, QueueTerms], Awaitable[None]], fleet: Fleet) -> None:
         self._client = client
         self._run_step = run_step
-        self._squares = squares
+        self._squares = bool(fleet.virtual_axes.pairs)
         self.commands: list[str] = []
         self._remedied = set[str]()
 

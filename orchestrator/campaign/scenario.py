@@ -367,8 +367,7 @@ class _Scenario:
         if phase.fault.name == "fleet-restarted":
             await sleep_ns(self._clock, OPERATOR_DELAY_NS)
         phase.queue_started_ns = since_ns = self._clock.now_ns()
-        has_beam = bool(self._seed_run.fleet.virtual_axes.pairs)
-        operator = NamedCommands(client, partial(self._run_step, client, phase), squares=has_beam)
+        operator = NamedCommands(client, partial(self._run_step, client, phase), self._seed_run.fleet)
         while True:
             waiting_entries: list[QueueEntry] = []
             with suppress(Refusal):
