@@ -72,8 +72,8 @@ def test_a_program_that_probes_asks_for_the_input(tmp_path: Path) -> None:
         assert (refused["problems"][0]["line"], "needs the input of the probe" in str(refused["problems"])) == (2, True)
         (field,) = [field for field in refused["parameters"] if field["name"] == "probe"]
         assert field["choices"] == ["not chosen", "gantry.door", "gantry.touch"]
-        wrong = await check(gateway, text, probe="gantry.door")
-        assert wrong["problems"][0]["line"] == 2 and "which does not stop gantry.y" in wrong["problems"][0]["text"]
+        # Not the latch of the axis: the controller's program stops it.
+        assert not (await check(gateway, text, probe="gantry.door"))["problems"]
         checked = await check(gateway, text, probe="gantry.touch")
         assert not checked["problems"] and [step["do"] for step in checked["job"]["steps"]] == [
             *("probe", "move", "set-position", "path")
@@ -171,7 +171,7 @@ def test_a_program_of_the_page_goes_on_by_command(tmp_path: Path) -> None:
 def test_a_cancelled_program_goes_on_by_where_its_axes_stand(tmp_path: Path) -> None:
     async def main(fleet: VirtualFleet) -> None:
         gateway = await open_gateway(fleet, tmp_path)
-        job_id = await stop_midway(fleet, gateway, "cancel", 0.2)
+        job_id = await stop_midway(fleet, gateway, "cancel", 0.25)
         back = await check(gateway, LAPS, job_id)
         assert back["program"]["line"] == 3
         assert "as the job kept no record" in back["parameters"][2]["description"]

@@ -32,6 +32,8 @@ STAGE_NAMES = (
     "armed-waiting",
     "flying",
     "virtual",
+    "pair",
+    "probe",
 )
 """Those of the campaign, which is not loaded for the help text."""
 
@@ -47,7 +49,7 @@ STAGE_NAMES = (
     multiple=True,
     type=click.Choice(STAGE_NAMES),
     help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk, trigger, "
-    "at-once, live, armed-waiting, flying and virtual.",
+    "at-once, live, armed-waiting, flying, virtual, pair and probe.",
 )
 @click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")
