@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
+from orchestrator.campaign.records import CampaignPhase, StepRecord
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.names import split_name
@@ -20,9 +20,8 @@ UNBOUND_FAULTS = ("firmware-hung", "stall")
 class RackChecker:
     """Watches the pairs of a fleet while jobs run. add_violation: called with the invariant and a text."""
 
-    def __init__(self, fleet: VirtualFleet, records: PhaseRecords, add_violation: Callable[[str, str], None]) -> None:
+    def __init__(self, fleet: VirtualFleet, add_violation: Callable[[str, str], None]) -> None:
         self._fleet = fleet
-        self._records = records
         self._add_violation = add_violation
         self._samples: dict[str, list[tuple[int, float]]] = {}
         self._tasks = TaskOwner()

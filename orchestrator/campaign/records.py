@@ -107,27 +107,22 @@ class PhaseRecords:
         for go in self._recorder.find_requests("go"):
             if go.job_id in phase.jobs:
                 _add_to_part(releases.setdefault(go.step_id, []), go)
-        homes = [
-            request
-            for verb in ("home", "probe")
-            for request in self._recorder.find_requests(verb)
-            if request.job_id in phase.jobs
-        ]
+        searches = [request for request in self._recorder.find_searches() if request.job_id in phase.jobs]
         records: list[StepRecord] = []
-        for home in homes:
+        for search in searches:
             # A controller that hung executes earlier commands whenever it resumes; commands in transit at a stop take
             # effect until the stop arrives.
-            until_ns = home.answered_ns
+            until_ns = search.answered_ns
             if until_ns is not None:
-                until_ns = None if home.member in phase.unstoppable else until_ns + IN_TRANSIT_NS
-            axes_of = {home.member: home.fields["axes"]}
-            begins_ns = {(home.member, axis): home.sent_ns for axis in home.fields["axes"]}
-            job, index = home.step_id
+                until_ns = None if search.member in phase.unstoppable else until_ns + IN_TRANSIT_NS
+            axes_of = {search.member: search.fields["axes"]}
+            begins_ns = {(search.member, axis): search.sent_ns for axis in search.fields["axes"]}
+            job, index = search.step_id
             records.append(
                 StepRecord(
                     job=job,
                     index=index,
-                    requested_ns=home.sent_ns,
+                    requested_ns=search.sent_ns,
                     begins_ns=begins_ns,
                     until_ns=until_ns,
                     t0_ns=None,
@@ -244,11 +239,10 @@ class PhaseRecords:
             elif go.step_id != step and t0_ns > t0_host_ns:
                 # Also of a step that was withdrawn before: it may have been meant to begin later than this one.
                 yield max(self.earliest_motion_ns(go.step_id, t0_ns, name, axis), (t0_host_ns + t0_ns) // 2)
-        searches = (*self._recorder.find_requests("home"), *self._recorder.find_requests("probe"))
-        homes = (request for request in searches if request.member == name)
-        homed_ns = (home.sent_ns for home in homes if axis in home.fields["axes"])
+        searches = (request for request in self._recorder.find_searches() if request.member == name)
+        searched_ns = (search.sent_ns for search in searches if axis in search.fields["axes"])
         jogs = (jog.from_ns for jog in phase.jogs if (jog.controller, jog.motor) == (name, motor))
-        yield from (begin_ns for begin_ns in (*homed_ns, *jogs) if begin_ns > t0_host_ns)
+        yield from (begin_ns for begin_ns in (*searched_ns, *jogs) if begin_ns > t0_host_ns)
 
 
 def _add_to_part(parts: list[list[RecordedRequest]], go: RecordedRequest) -> None:

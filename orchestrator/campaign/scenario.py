@@ -35,7 +35,14 @@ from orchestrator.campaign.jobs import (
 from orchestrator.campaign.operator import NamedCommands
 from orchestrator.campaign.paths import PathChecker
 from orchestrator.campaign.program import run_program
-from orchestrator.campaign.recording.recorder import STAGES, STATED_STAGES, BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.recording.recorder import (
+    SEARCHES,
+    STAGES,
+    STATED_STAGES,
+    BusRecorder,
+    RecordedRequest,
+    Stage,
+)
 from orchestrator.campaign.recording.rest import find_at_rest
 from orchestrator.campaign.records import CampaignPhase
 from orchestrator.client.api import Tutti
@@ -68,7 +75,6 @@ SINGLE_MEMBER_STAGES: tuple[Stage, ...] = (
     "home",
 )  # a fault of the fleet affects only one member in these stages
 
-_SEARCHES: tuple[Stage, ...] = ("home", "probe")
 _KINDS: dict[Stage, MainKind] = {
     "home": "home",
     "chain": "chain",
@@ -482,7 +488,7 @@ class _Scenario:
         at = self._stage_times.setdefault((request.step_id, request.member), {})
         now_ns = self._clock.now_ns()
         at.setdefault(request.verb, now_ns)
-        if request.verb in _SEARCHES and request.answered_ns is not None:
+        if request.verb in SEARCHES and request.answered_ns is not None:
             at["found"] = now_ns
         self.checker.note_request(request)
         if request.verb in ("go", "start-at-once") and request.accepted:
@@ -504,7 +510,7 @@ class _Scenario:
         if row is None or row.state in FINISHED_STATES:
             return None
         at = self._stage_times[step, member]
-        for search in _SEARCHES:
+        for search in SEARCHES:
             if search in at:
                 return None if "found" in at else search
         if "t0" in at and self._clock.now_ns() > at["t0"] + FIRE_WINDOW_NS:

@@ -28,7 +28,7 @@ class WatchedAxes:
         self._triggers = TriggerChecker(fleet, records, add_violation)
         self._flights = FlightChecker(fleet, recorder.rows, records, add_violation)
         self._virtual_lines = VirtualLineChecker(fleet, records, add_violation)
-        self._racks = RackChecker(fleet, records, add_violation)
+        self._racks = RackChecker(fleet, add_violation)
         self._contacts = ContactChecker(fleet, seed, records, add_violation)
 
     def watch(self, phase: CampaignPhase) -> None:

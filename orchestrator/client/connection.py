@@ -138,10 +138,12 @@ class FleetConnection:
             if self._leader:
                 try:
                     return await self._ask(key, request, reply, timeout_s, self._leader)
-                except (NoReply, RequestRefused) as error:
-                    # Then another coordinator leads now; what it has accepted already, it answers again.
-                    if isinstance(error, RequestRefused) and str(error) != NOT_LEADER:
+                except NoReply:
+                    pass  # then another coordinator leads now
+                except RequestRefused as error:
+                    if str(error) != NOT_LEADER:
                         raise
+                    # What the leader has accepted already, it answers again.
             self._leader = await self._find_leader(min(timeout_s, LEADER_S))
             return await self._ask(key, request, reply, timeout_s, self._leader)
         except BusError as error:

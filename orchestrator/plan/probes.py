@@ -67,6 +67,12 @@ class ProbeAbilities:
         raise Refusal("probe-input", text, PROBE_BY_HOST, member)
 
 
+def make_other_start(name: str, position_here: float, begin: Fraction, axis: Axis) -> Refusal:
+    """The refusal of a probe for an axis that stands elsewhere than where it begins, user positions."""
+    text = f"axis {name} is at {position_here:g} {axis.unit}; the probe begins at {float(begin):g} {axis.unit}"
+    return Refusal("other-start", text, f"move it there before: a step `do: move` to {float(begin):g}")
+
+
 def find_probe_speed(step: Probe, axis: Axis) -> float:
     """The speed of a probe in the axis's unit/s. Raises `Refusal`."""
     limit = axis.limits.velocity

@@ -4,7 +4,9 @@ from fractions import Fraction
 from math import floor
 from typing import Literal
 
+from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis
+from orchestrator.model.units import Quantity, Unit, UnitError, parse_quantity
 from orchestrator.plan.step import AxisMove
 
 # Of the acceleration of an axis without a jerk limit: profiles of constant jerk have no steps of it.
@@ -71,3 +73,11 @@ def make_axis_move(name: str, axis: Axis, start_counts: int, target_counts: int,
         jerk=None if axis.limits.jerk is None else axis.limits.jerk * scale,
         order=order,
     )
+
+
+def parse_target(name: str, value: Quantity, unit: Unit) -> Fraction:
+    """The value of a target in the unit of its axis `name`. Raises `Refusal`."""
+    try:
+        return parse_quantity(value, unit)
+    except UnitError as error:
+        raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None

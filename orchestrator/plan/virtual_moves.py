@@ -16,9 +16,9 @@ from orchestrator.model.linear_map import CorrectedMap, MapError
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.move import Move
-from orchestrator.model.units import UnitError, parse_quantity
 from orchestrator.model.virtual_maps import VirtualMap
 from orchestrator.plan.pairs import find_pair_targets
+from orchestrator.plan.targets import parse_target
 
 
 def find_virtual_names(fleet: Fleet, step: Step) -> list[str]:
@@ -121,11 +121,11 @@ def _find_stated_targets(
     for number, name in enumerate(virtual_map.virtual):
         target: Fraction | None = None
         if name in step.to:
-            target = _parse_amount(fleet, name, step.to[name])
+            target = parse_target(name, step.to[name], fleet.unit_of(name))
         elif name in step.by:
             if positions is None:
                 return None
-            target = positions[number] + _parse_amount(fleet, name, step.by[name])
+            target = positions[number] + parse_target(name, step.by[name], fleet.unit_of(name))
         if target is not None:
             beyond_limits = fleet.virtual_axes.explain_beyond_limits(name, target)
             if beyond_limits is not None:
@@ -139,10 +139,3 @@ def _map(convert: Callable[[Sequence[Fraction]], Sequence[Fraction]], values: Se
         return convert(values)
     except MapError as error:
         raise Refusal("outside-map", str(error), "choose other targets") from None
-
-
-def _parse_amount(fleet: Fleet, name: str, value: int | float | str) -> Fraction:
-    try:
-        return parse_quantity(value, fleet.unit_of(name))
-    except UnitError as error:
-        raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None

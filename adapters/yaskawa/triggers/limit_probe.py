@@ -8,14 +8,22 @@ from adapters.yaskawa.common.device import SmcDevice
 from adapters.yaskawa.common.options import YaskawaOptions
 from adapters.yaskawa.language.words import stop_code_meaning
 from adapters.yaskawa.shapes.model import ModelTraits
-from adapters.yaskawa.triggers.probe import LOOK_NS, MARGIN_COUNTS, RAMP_SHARE, REACTION_S, ProbeRegisters
+from adapters.yaskawa.triggers.probe import (
+    AT_END,
+    LOOK_NS,
+    MARGIN_COUNTS,
+    RAMP_SHARE,
+    REACTION_S,
+    ProbeRegisters,
+    brake_probe,
+    make_stopped,
+)
 from adapters.yaskawa.wire.record import AXIS_LETTERS
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
-from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal
 from orchestrator.model.state import ProbeAbility
 
-AT_END, AT_FORWARD, AT_REVERSE = 1, 2, 3  # stop codes (L9858-9899)
+AT_FORWARD, AT_REVERSE = 2, 3  # stop codes (L9858-9899)
 POSITION_COUNTS = 1.0  # by which positions at rest are off
 
 
@@ -48,7 +56,7 @@ class LimitProbe:
         try:
             return await self._run(axis, move, self._device.stop_counts.stop_count(self._index))
         except BaseException:
-            self._brake()
+            brake_probe(self._device, self._index)
             raise
 
     async def _run(self, axis: str, move: LimitMove, stops: int) -> ProbedContact | None:
@@ -73,7 +81,7 @@ class LimitProbe:
             if not state.is_stopping:
                 moving_ns = record.sent_ns
             if await device.stop_counts.sleep_to_stop(LOOK_NS):
-                raise Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")
+                raise make_stopped(axis)
         if int(code) == AT_END:
             return None
         if int(code) != (AT_FORWARD if sign > 0 else AT_REVERSE):
@@ -85,9 +93,3 @@ class LimitProbe:
         # The switch was pressed before the controller showed it, by its isolation and a sample.
         pressed_ns = moving_ns - round(self._ability.reaction_s * NS_PER_S)
         return ProbedContact(min(early, late), max(early, late), HostInterval(pressed_ns, record.received_ns))
-
-    def _brake(self) -> None:
-        try:
-            self._device.brake_axes([self._index])
-        except LinkClosed:
-            return

@@ -7,6 +7,7 @@ reading shows it, and the axis is stopped.
 """
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil
 
@@ -109,7 +110,7 @@ class LatchProbe:
         try:
             return await self._move(axis, move, stops)
         except BaseException:
-            self._brake()
+            brake_probe(self._device, self._index)
             raise
         finally:
             # A latch target that is left would end a later move at a contact.
@@ -151,7 +152,7 @@ class LatchProbe:
                 text = f"axis {axis} goes on behind its latch target"
                 raise Refusal("probe-broken", text, "was the contact made before it moved? Probe from farther away")
             if await self._device.stop_counts.sleep_to_stop(LOOK_NS):
-                raise Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")
+                raise make_stopped(axis)
         # The latch may have captured between its last reading and the end of the move.
         operands = (f"_AL{letter}", f"_RL{letter}", f"_SC{letter}")
         (is_armed, latched_counts, code), answer = await self._device.session.read_numbers(*operands)
@@ -171,8 +172,13 @@ class LatchProbe:
             text = f"input {move.point.number} is active, and the latch of axis {axis} has not captured it"
             raise Refusal("probe-broken", text, "see the wire of the input, and CN of the controller")
 
-    def _brake(self) -> None:
-        try:
-            self._device.brake_axes([self._index])
-        except LinkClosed:
-            return
+
+def brake_probe(device: SmcDevice, index: int, *halts: str) -> None:
+    """Stop the axis of a probe that is given up, as far as the link is open. halts: see `SmcDevice.brake_axes`."""
+    with suppress(LinkClosed):
+        device.brake_axes([index], *halts)
+
+
+def make_stopped(axis: str) -> Refusal:
+    """The refusal of a probe whose axis was stopped."""
+    return Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")

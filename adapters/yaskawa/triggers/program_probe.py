@@ -19,16 +19,24 @@ from adapters.yaskawa.common.program import (
 )
 from adapters.yaskawa.language.words import stop_code_meaning
 from adapters.yaskawa.shapes.model import ModelTraits
-from adapters.yaskawa.triggers.probe import LOOK_NS, MARGIN_COUNTS, RAMP_SHARE, REACTION_S, ProbeRegisters
+from adapters.yaskawa.triggers.probe import (
+    AT_END,
+    LOOK_NS,
+    MARGIN_COUNTS,
+    RAMP_SHARE,
+    REACTION_S,
+    ProbeRegisters,
+    brake_probe,
+    make_stopped,
+)
 from adapters.yaskawa.wire.record import AXIS_LETTERS, DataRecord
 from orchestrator.clock.base import NS_PER_S, NS_PER_US, Clock
-from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import Refusal
 from orchestrator.model.state import ProbeAbility
 
 POSITION_COUNTS = 1.0  # by which a position is rounded
 BEGIN_COMMANDS = 8  # in which the program has begun the axis, and reads its first input
-STOPPED, AT_END = 4, 1  # stop codes (L9858-9899)
+STOPPED = 4  # stop code (L9858-9899)
 
 
 def find_program_ability(axes: list[str], options: YaskawaOptions) -> ProbeAbility:
@@ -76,7 +84,7 @@ class ProgramProbe:
             begun_ns = self._clock.now_ns()
             return await self._wait(axis, move, HostInterval(checked_ns, begun_ns))
         except BaseException:
-            self._brake()
+            brake_probe(self._device, self._index, f"HX{STEP_THREAD}")
             raise
         finally:
             # Behind this a new connection finds no probe to stop.
@@ -108,7 +116,7 @@ class ProgramProbe:
             await device.session.send_command(f"XQ {probe_label(self._index)},{STEP_THREAD}", require_no_stop)
         require_no_stop()
         if await device.stop_counts.sleep_to_stop(BEGIN_COMMANDS * self._options.interleaved_us * NS_PER_US):
-            raise _make_stopped(axis)
+            raise make_stopped(axis)
         return record.sent_ns
 
     async def _wait(self, axis: str, move: ProbeMove, begin: HostInterval) -> ProbedContact | None:
@@ -122,7 +130,7 @@ class ProgramProbe:
                 await self._require_watched(axis, move, running=bool(is_running), touched=was_touched)
             was_touched = self._is_touched(move, record)
             if await self._device.stop_counts.sleep_to_stop(LOOK_NS):
-                raise _make_stopped(axis)
+                raise make_stopped(axis)
         await self._device.session.send_command(f"HX{STEP_THREAD}")
         record, (seen_tick, position, code) = await self._device.read_record_with(
             PROBE_TIME, probe_position(self._index), f"_SC{self._letter}"
@@ -170,13 +178,3 @@ class ProgramProbe:
 
     def _is_touched(self, move: ProbeMove, record: DataRecord) -> bool:
         return bool(record.inputs >> move.point.number - 1 & 1) == move.level
-
-    def _brake(self) -> None:
-        try:
-            self._device.brake_axes([self._index], f"HX{STEP_THREAD}")
-        except LinkClosed:
-            return
-
-
-def _make_stopped(axis: str) -> Refusal:
-    return Refusal("stopped", f"axis {axis} was stopped while it probed", "probe again")

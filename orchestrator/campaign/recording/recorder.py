@@ -4,7 +4,8 @@ promise."""
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from itertools import chain
+from typing import Any, Literal, get_args
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler
 from orchestrator.bus.memory.bus import MemoryBus
@@ -38,23 +39,16 @@ a step that starts at once is requested, and waits for the end of the one before
 for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`;
 flying: several lines of a scan are flown in one motion; virtual: a step of virtual axes moves; pair: two axes that
 carry one beam move; probe: an axis moves until it is stopped by an input."""
-STAGES: tuple[Stage, ...] = ("jog", "home", "propose", "arm", "commit", "go", "fire", "motion", "chain")
-STATED_STAGES: tuple[Stage, ...] = (
-    "chain",
-    "chunk",
-    "trigger",
-    "at-once",
-    "live",
-    "armed-waiting",
-    "flying",
-    "virtual",
-    "pair",
-    "probe",
-)
+_ALL: tuple[Stage, ...] = get_args(Stage)
+_CHAIN = _ALL.index("chain")
+STAGES = _ALL[: _CHAIN + 1]
+STATED_STAGES = _ALL[_CHAIN:]
 """Those that the requests of a step alone do not show: a fault that was drawn for one of them counts for it."""
 
+SEARCHES: tuple[Stage, ...] = ("home", "probe")
+"""The requests by which an axis moves until it finds something; each is a stage of its own."""
 _RECORDED_VERBS = (
-    *("lease", "home", "probe", "propose", "arm", "commit", "go"),
+    *("lease", *SEARCHES, "propose", "arm", "commit", "go"),
     *("load-chunk", "release-chunk", "start-at-once"),
 )
 
@@ -116,6 +110,10 @@ class BusRecorder:
     def find_requests(self, verb: str) -> Iterator[RecordedRequest]:
         """Return all requests of one verb, in order."""
         return iter(self._by_verb.get(verb, ()))
+
+    def find_searches(self) -> Iterator[RecordedRequest]:
+        """Return all requests by which axes search, by their verbs."""
+        return chain.from_iterable(map(self.find_requests, SEARCHES))
 
     def find_armed_axes(self, step: tuple[str, int], member: str) -> Sequence[str]:
         """Return the axes that a member was armed to move in a step; none for one that only drives a trigger line."""

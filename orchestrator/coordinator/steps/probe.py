@@ -15,12 +15,11 @@ from orchestrator.model.names import split_name
 from orchestrator.model.report import ProbeReport
 from orchestrator.model.state import AxisState, ControllerState, TimeInterval
 from orchestrator.model.steps.probe import Probe
-from orchestrator.model.units import Quantity, UnitError, parse_quantity
 from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
-from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed
+from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed, make_other_start
 from orchestrator.plan.racks import require_single_motor
-from orchestrator.plan.targets import choose_turn, explain_beyond_limits
+from orchestrator.plan.targets import choose_turn, explain_beyond_limits, parse_target
 
 SPARE_S = 5.0  # to begin, to come to rest, and to read
 
@@ -118,23 +117,15 @@ async def _require_start(context: StepContext, step: Probe) -> None:
     view = context.fleet.view
     for name, value in step.start.items():
         axis, state = view.fleet.axis(name), await require_axis(view, name)
-        begin = _parse(name, value, axis)
+        begin = parse_target(name, value, axis.unit)
         if abs(axis.to_counts(begin - state.offset) - state.axis_counts) > MAX_START_COUNTS:
-            text = f"axis {name} is at {state.position:g} {axis.unit}; the probe begins at {float(begin):g} {axis.unit}"
-            raise Refusal("other-start", text, f"move it there before: a step `do: move` to {float(begin):g}")
-
-
-def _parse(name: str, value: Quantity, axis: Axis) -> Fraction:
-    try:
-        return parse_quantity(value, axis.unit)
-    except UnitError as error:
-        raise Refusal("bad-unit", f"{name}: {error}", "correct the unit") from None
+            raise make_other_start(name, state.position, begin, axis)
 
 
 def _find_target(context: StepContext, step: Probe, axis: Axis, state: AxisState) -> Fraction:
     """The motor position where the probe ends. Raises `Refusal`."""
     ((name, value),) = step.to.items()
-    amount = _parse(name, value, axis)
+    amount = parse_target(name, value, axis.unit)
     position_here = context.targets.exact_position(name, state.commanded_counts, axis.to_position(state.axis_counts))
     target = choose_turn(axis, position_here, amount - state.offset, state.offset)
     beyond_limits = explain_beyond_limits(name, axis, target, state.offset)

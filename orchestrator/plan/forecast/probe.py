@@ -15,7 +15,7 @@ from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
-from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed
+from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed, make_other_start
 from orchestrator.plan.racks import require_single_motor
 
 
@@ -94,9 +94,7 @@ def _check_start(state: ForecastState, at: ForecastContext, step: Probe) -> None
         if not state_before.known or state_before.offset_kind != "motor":
             state.notes[f"{name} stands at {float(amount):g} {axis.unit} when the probe begins"] = None
         elif abs(position_here - amount) * axis.scale > MAX_START_COUNTS:
-            ends = f"at {float(position_here):g} {axis.unit}; the probe begins at {float(amount):g} {axis.unit}"
-            remedy = f"move it there before: a step `do: move` to {float(amount):g}"
-            state.add_problem(at, ("start", name), Refusal("other-start", f"axis {name} is {ends}", remedy))
+            state.add_problem(at, ("start", name), make_other_start(name, float(position_here), amount, axis))
 
 
 def _find_end(state: ForecastState, at: ForecastContext, step: Probe) -> ContactRange | None:
