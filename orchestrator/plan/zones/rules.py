@@ -1,0 +1,210 @@
+"""The rules of a fleet file, and whether a step keeps them."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import permutations
+
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.profile import Profile
+from orchestrator.model.units import Unit, parse_quantity
+from orchestrator.model.zone_fields import LEAST_DISTANCE, ZoneRule, find_relation_axis, read_relation
+from orchestrator.model.zone_problems import find_range, list_zone_axes
+from orchestrator.plan.zones.chain import Body, Box, make_body, resolve_axis
+from orchestrator.plan.zones.clearance import (
+    Constraint,
+    End,
+    OutOfWork,
+    PairClearance,
+    RelationConstraint,
+    Search,
+    find_violation,
+)
+from orchestrator.plan.zones.course import Course, find_margin, make_moving_axis
+from orchestrator.plan.zones.shapes import make_shape
+
+SLOWER = (2, 4, 8)
+"""By how much slower a step is tried, to say what would fit."""
+MOST_ORDERED = 3
+"""Axes whose orders are tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class RuleCheck:
+    """A rule of a fleet file, by its name, and what must hold."""
+
+    name: str
+    constraint: Constraint
+    trust_step: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Where a step may break a rule. positions: by axis; None: within the work that is allowed it was not decided, and
+    `nearest` is the smallest distance seen, mm."""
+
+    rule: RuleCheck
+    instant_s: float
+    positions: Mapping[str, float] | None
+    nearest: float
+
+
+class FleetZones:
+    """The rules of a fleet, as they are checked. rules: in the order of the file. ranges: where each real axis that a
+    rule depends on can be, in its unit."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        zones = fleet.zones
+        assert zones is not None, "the fleet has zones"
+        self._fleet = fleet
+        self.skew_s = zones.step_skew
+        self.bodies: dict[str, Body] = {name: make_body(fleet, zones.bodies, name) for name in zones.bodies}
+        self.rules = [
+            RuleCheck(name, self._make_constraint(fleet, name, rule), rule.trust_step)
+            for name, rule in zones.rules.items()
+        ]
+        self.ranges: dict[str, tuple[float, float]] = {}
+        for axis in list_zone_axes(zones, fleet):
+            ends = find_range(zones, fleet, axis)
+            assert ends is not None, "the zones are valid"
+            self.ranges[axis] = float(ends[0]), float(ends[1])
+
+    def _make_constraint(self, fleet: Fleet, name: str, rule: ZoneRule) -> Constraint:
+        if rule.apart is not None:
+            first, second = (self.bodies[body] for body in rule.apart.bodies)
+            return PairClearance(first, second, _find_distance(rule.apart.distance))
+        if rule.keep_out is not None:
+            region = Body(f"the region of {name}", make_shape(rule.keep_out.region))
+            return PairClearance(self.bodies[rule.keep_out.body], region, _find_distance(rule.keep_out.distance))
+        assert rule.when is not None and rule.forbid is not None, "the rule is valid"
+        width = float(parse_quantity(rule.hysteresis, fleet.unit_of(find_relation_axis(rule.when))))
+        words = f"{rule.when} forbids {rule.forbid}"
+        return RelationConstraint(_make_end(fleet, rule.when, width), _make_end(fleet, rule.forbid), words)
+
+    def make_course(
+        self,
+        profiles: Mapping[str, Profile],
+        positions: Box,
+        alone: Mapping[str, float | None],
+        adrift: Collection[str] = (),
+    ) -> Course:
+        """The course of a step. profiles: of the axes that it moves from a known position. positions: between what
+        motor positions axes that it does not move are; without one they may be anywhere in their range. alone: for how
+        long controllers go on without their adapters, s, as of `make_fault_reach`. adrift: axes that it moves from
+        where is not known."""
+        moving = {name: make_moving_axis(self._fleet, name, profiles[name], alone) for name in profiles}
+        standing: dict[str, tuple[float, float]] = {}
+        for name, ends in self.ranges.items():
+            low, high = positions.get(name, ends)
+            margin = find_margin(self._fleet.axis(name))
+            standing[name] = low - margin, high + margin
+        duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
+        unknown = [name for name in self.ranges if name not in positions and name not in profiles]
+        return Course(moving, standing, duration_s, self.skew_s, unknown, adrift)
+
+    def find_violations(self, course: Course) -> Iterator[Violation]:
+        """Where a step may break each rule that depends on an axis that it moves."""
+        for rule in self.rules:
+            if not course.moved.isdisjoint(rule.constraint.axes):
+                violation = find_rule_violation(rule, course)
+                if violation is not None:
+                    yield violation
+
+    def is_clear(self, course: Course) -> bool:
+        """Whether a step surely keeps all rules."""
+        return next(self.find_violations(course), None) is None
+
+
+def _find_distance(distance: float | str) -> float:
+    return float(max(parse_quantity(distance, Unit.MM), LEAST_DISTANCE))
+
+
+def _make_end(fleet: Fleet, text: str, hysteresis: float = 0.0) -> End:
+    """A side of a relation. hysteresis: by how much more of the way it counts as held: the axis may have been there."""
+    name = find_relation_axis(text)
+    unit = fleet.unit_of(name)
+    relation = read_relation(text, unit)
+    end = float(relation.end) + (hysteresis if relation.is_below else -hysteresis)
+    return End(name, unit, resolve_axis(fleet, name), relation.is_below, end)
+
+
+def find_rule_violation(rule: RuleCheck, course: Course, *, trust_step: bool | None = None) -> Violation | None:
+    """Where a step may break a rule; None: it keeps it, for all instants, margins and single stops. trust_step: as of
+    the rule by default."""
+    constraint, trust = rule.constraint, rule.trust_step if trust_step is None else trust_step
+    finest_s = course.find_resolution(constraint.axes, trust_step=trust)
+    search, spans = Search(), [(0.0, course.duration_s)]
+    begin_s = 0.0
+    try:
+        while spans:
+            begin_s, end_s = spans.pop()
+            box = course.find_box(constraint.axes, begin_s, end_s, trust_step=trust)
+            if search.look(constraint, box).holds:
+                continue
+            if end_s - begin_s > finest_s:
+                middle_s = (begin_s + end_s) / 2
+                spans += [(middle_s, end_s), (begin_s, middle_s)]
+                continue
+            positions = find_violation(search, constraint, box)
+            if positions is not None:
+                return Violation(rule, begin_s, positions, search.nearest)
+    except OutOfWork:
+        return Violation(rule, begin_s, None, search.nearest)
+    return None
+
+
+def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Refusal:
+    """The refusal of a step that may break a rule: code `zone`."""
+    rule = violation.rule
+    prefix = f"zone {rule.name}: "
+    if violation.positions is None:
+        text = (
+            f"{prefix}cannot be decided within {Search().most} looks; nearest known distance {violation.nearest:.4g} mm"
+        )
+        return Refusal("zone", text, "move in shorter steps, or give the bodies fewer parts that turn")
+    text = f"{prefix}{violation.instant_s:.3g} s after its start {rule.constraint.describe(violation.positions)}"
+    unknown = [axis for axis in rule.constraint.axes if axis in course.unknown]
+    positions = ", ".join(f"{axis} {violation.positions[axis]:.6g}" for axis in rule.constraint.axes)
+    text += f" ({positions})"
+    if unknown:
+        text += f"; the position of {', '.join(unknown)} is not known, and counts as anywhere in its range"
+        return Refusal("zone", text, f"home {', '.join(unknown)} first, away from the other body")
+    is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
+    if not is_trusted:
+        text += "; it does while all axes keep step, and not where one of them stops and the others go on"
+    return Refusal("zone", text, _find_remedy(zones, course, trusted=is_trusted))
+
+
+def _find_remedy(zones: FleetZones, course: Course, *, trusted: bool) -> str:
+    """What would fit, tried by the same check."""
+    remedies = list(_list_fitting(zones, course))
+    if not trusted:
+        remedies.append("state `trust_step: true` on the rule, which relies on no axis stopping alone")
+    return (
+        "; or ".join(remedies) if remedies else "move another way: first away from the other body, or to other targets"
+    )
+
+
+def _list_fitting(zones: FleetZones, course: Course) -> Iterator[str]:
+    if len(course.moving) > 1:
+        for factor in SLOWER:
+            if zones.is_clear(course.stretch(factor)):
+                yield f"move at 1/{factor} of the speed (`speed`)"
+                break
+        order = _find_order(zones, course)
+        if order is not None:
+            yield f"move {', then '.join(order)}, each in a step of its own"
+
+
+def _find_order(zones: FleetZones, course: Course) -> Collection[str] | None:
+    """An order in which the axes can move one after another."""
+    if len(course.moving) > MOST_ORDERED:
+        return None
+    for order in permutations(course.moving):
+        rest, is_clear = course, True
+        for axis in order:
+            alone, rest = rest.take_alone(axis)
+            is_clear = is_clear and zones.is_clear(alone)
+        if is_clear:
+            return order
+    return None
