@@ -146,8 +146,9 @@ class Carrier(Model):
     about: Direction | None = Field(
         default=None, description="Of an axis of angle: about what it turns, right-handed; x, -y, or [x, y, z]."
     )
-    through: Place = Field(
-        default=[0, 0, 0], description="With `about`: a point of the axis of rotation, with all axes before it at 0."
+    through: Place | None = Field(
+        default=None,
+        description="With `about`: a point of the axis of rotation, with all axes before it at 0; default: [0, 0, 0].",
     )
 
     @model_validator(mode="after")
@@ -155,14 +156,14 @@ class Carrier(Model):
         if (self.body is None) == (self.axis is None):
             raise ValueError("it needs either `body` or `axis`")
         ways = [name for name in ("along", "about") if getattr(self, name) is not None]
-        if self.body is not None and (ways or "through" in self.model_fields_set):
+        if self.body is not None and (ways or self.through is not None):
             raise ValueError(f"it rides on the body {self.body} as that moves; leave {(*ways, 'through')[0]} out")
         if self.axis is not None and len(ways) != 1:
             raise ValueError(f"{self.axis} needs either `along` or `about`")
         direction = self.about if self.along is None else self.along
         if isinstance(direction, list) and not math.hypot(*direction) > 1e-9:
             raise ValueError(f"{direction} is no direction; at least one of the three must not be 0")
-        if self.along is not None and "through" in self.model_fields_set:
+        if self.along is not None and self.through is not None:
             raise ValueError("`along` has no `through`; leave it out")
         return self
 
@@ -215,8 +216,9 @@ class ZoneRule(Model):
     forbid: str | None = Field(
         default=None, max_length=200, description='Another one, which is forbidden meanwhile, "sample.x > 120 mm".'
     )
-    hysteresis: Quantity = Field(
-        default=0, description="How far the axis of `when` must have left its end before the other one is free again."
+    hysteresis: Quantity | None = Field(
+        default=None,
+        description="How far the axis of `when` must have left its end before the other one is free again.",
     )
     trust_step: bool = Field(
         default=False,
@@ -229,7 +231,7 @@ class ZoneRule(Model):
         names = [name for name in ("apart", "keep_out", "when") if getattr(self, name) is not None]
         if len(names) != 1 or (self.when is None) != (self.forbid is None):
             raise ValueError("state exactly one of `apart`, `keep_out`, and `when` with `forbid`")
-        if self.when is None and "hysteresis" in self.model_fields_set:
+        if self.when is None and self.hysteresis is not None:
             raise ValueError("`hysteresis` belongs to `when`; leave it out")
         for field in ("when", "forbid"):
             text = getattr(self, field)

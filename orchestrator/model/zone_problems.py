@@ -111,7 +111,7 @@ def _find_relation_problems(zones: Zones, fleet: "Fleet") -> Iterator[Problem]:
         axis = None if rule.when is None else find_relation_axis(rule.when)
         if axis is not None and explain_axis(fleet, axis) is None:
             try:
-                width = parse_quantity(rule.hysteresis, fleet.unit_of(axis), axis)
+                width = parse_quantity(rule.hysteresis or 0, fleet.unit_of(axis), axis)
                 text = f"hysteresis is {rule.hysteresis}; it must not be below 0" if width < 0 else None
             except UnitError as error:
                 text = str(error)

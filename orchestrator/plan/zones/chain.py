@@ -197,5 +197,9 @@ def _make_joints(fleet: Fleet, bodies: Mapping[str, ZoneBody], carriers: Sequenc
             joints.append(Joint(way, to_direction(carrier.along)))
         elif carrier.about is not None:
             way = resolve_axis(fleet, carrier.axis, convert_units(Fraction(1), unit, Unit.RAD))
-            joints.append(Joint(way, to_direction(carrier.about), to_vector(carrier.through)))
+            joints.append(
+                Joint(
+                    way, to_direction(carrier.about), ORIGIN if carrier.through is None else to_vector(carrier.through)
+                )
+            )
     return joints

@@ -15,7 +15,7 @@ MAX_LOOKS = 1_000
 """Boxes that are looked at for one rule and one step."""
 FINEST = 1e-4
 """mm. A box in which bodies move by less is not divided any more; of a relation, in the unit of its axis."""
-ROUNDING = 1e-6
+ROUNDING = 1e-5
 """mm. Bodies that are nearer than their distance by less are as far apart as they must be."""
 
 

@@ -12,8 +12,10 @@ from orchestrator.model.zone_fields import Vector
 from orchestrator.plan.zones.vectors import add, dot, length, scale, subtract
 
 MAX_ROUNDS = 40
-NEAR = 1e-9
-"""Of the bodies' size: nearer together than that, bounds are the distance; supports are rounded by less."""
+NEAR = 1e-10
+"""Of the bodies' size: nearer together than that, bounds are the distance."""
+ROUNDED = 1e-12
+"""Of the bodies' size: supports are rounded by less."""
 Support = Callable[[Vector], Vector]
 
 
@@ -46,7 +48,7 @@ def find_separation(
             return Separation(0.0, 0.0, best_direction)
         direction = scale(nearest, 1.0 / most)
         corner = support(scale(direction, -1.0))
-        gap = dot(corner, direction) - NEAR * size
+        gap = dot(corner, direction) - ROUNDED * size
         if gap > least:
             least, best_direction = gap, direction
         if most - least <= 4 * NEAR * size or (enough is not None and (least >= enough or most < enough)):

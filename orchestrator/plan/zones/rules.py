@@ -77,7 +77,7 @@ class FleetZones:
             region = Body(f"the region of {name}", make_shape(rule.keep_out.region))
             return PairClearance(self.bodies[rule.keep_out.body], region, _find_distance(rule.keep_out.distance))
         assert rule.when is not None and rule.forbid is not None, "the rule is valid"
-        width = float(parse_quantity(rule.hysteresis, fleet.unit_of(find_relation_axis(rule.when))))
+        width = float(parse_quantity(rule.hysteresis or 0, fleet.unit_of(find_relation_axis(rule.when))))
         words = f"{rule.when} forbids {rule.forbid}"
         return RelationConstraint(_make_end(fleet, rule.when, width), _make_end(fleet, rule.forbid), words)
 
