@@ -115,6 +115,16 @@ class FleetZones:
         return next(self.find_violations(course), None) is None
 
 
+def require_zones(
+    fleet: Fleet, profiles: Mapping[str, Profile], positions: Box, alone: Mapping[str, float | None]
+) -> None:
+    """Raise `Refusal` (code `zone`) for a step that may break a rule. The arguments are those of `make_course`."""
+    zones = FleetZones(fleet)
+    course = zones.make_course(profiles, positions, alone)
+    for violation in zones.find_violations(course):
+        raise make_refusal(zones, course, violation)
+
+
 def _find_distance(distance: float | str) -> float:
     return float(max(parse_quantity(distance, Unit.MM), LEAST_DISTANCE))
 
@@ -172,6 +182,8 @@ def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Ref
     is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
     if not is_trusted:
         text += "; it does while all axes keep step, and not where one of them stops and the others go on"
+    if find_violation(Search(), rule.constraint, course.find_box(rule.constraint.axes, 0.0, 0.0, trust_step=True)):
+        return Refusal("zone", text, "the bodies stand so where the step begins: jog them apart first")
     return Refusal("zone", text, _find_remedy(zones, course, trusted=is_trusted))
 
 
