@@ -79,10 +79,14 @@ def find_violation(search: Search, constraint: Constraint, box: Box) -> dict[str
             continue
         if result.holds is False or result.widest is None:
             return find_middle(part)
-        low, high = part[result.widest]
-        halves = (low, (low + high) / 2), ((low + high) / 2, high)
-        boxes += [{**part, result.widest: half} for half in halves]
+        boxes += [{**part, result.widest: half} for half in halve(part, result.widest)]
     return None
+
+
+def halve(box: Box, axis: str) -> list[tuple[float, float]]:
+    """The two halves of the range of an axis."""
+    low, high = box[axis]
+    return [(low, (low + high) / 2), ((low + high) / 2, high)]
 
 
 def find_middle(box: Box) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """The rules of a fleet file, and whether a step keeps them."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 from orchestrator.model.errors import Refusal
@@ -19,6 +19,7 @@ from orchestrator.plan.zones.clearance import (
     RelationConstraint,
     Search,
     find_violation,
+    halve,
 )
 from orchestrator.plan.zones.course import Course, find_margin, make_moving_axis
 from orchestrator.plan.zones.shapes import make_shape
@@ -143,24 +144,39 @@ def find_rule_violation(rule: RuleCheck, course: Course, *, trust_step: bool | N
     the rule by default."""
     constraint, trust = rule.constraint, rule.trust_step if trust_step is None else trust_step
     finest_s = course.find_resolution(constraint.axes, trust_step=trust)
-    search, spans = Search(), [(0.0, course.duration_s)]
-    begin_s = 0.0
+    search, spans = Search(), [Span(0.0, course.duration_s, {})]
+    span = spans[0]
     try:
         while spans:
-            begin_s, end_s = spans.pop()
-            box = course.find_box(constraint.axes, begin_s, end_s, trust_step=trust)
-            if search.look(constraint, box).holds:
+            span = spans.pop()
+            box = course.find_box(constraint.axes, span.begin_s, span.end_s, trust_step=trust)
+            box = {**box, **span.standing}
+            look = search.look(constraint, box)
+            if look.holds:
                 continue
-            if end_s - begin_s > finest_s:
-                middle_s = (begin_s + end_s) / 2
-                spans += [(middle_s, end_s), (begin_s, middle_s)]
-                continue
-            positions = find_violation(search, constraint, box)
-            if positions is not None:
-                return Violation(rule, begin_s, positions, search.nearest)
+            if look.widest is not None and look.widest not in course.moving:
+                spans += [
+                    replace(span, standing={**span.standing, look.widest: half}) for half in halve(box, look.widest)
+                ]
+            elif span.end_s - span.begin_s > finest_s:
+                middle_s = (span.begin_s + span.end_s) / 2
+                spans += [replace(span, begin_s=middle_s), replace(span, end_s=middle_s)]
+            else:
+                positions = find_violation(search, constraint, box)
+                if positions is not None:
+                    return Violation(rule, span.begin_s, positions, search.nearest)
     except OutOfWork:
-        return Violation(rule, begin_s, None, search.nearest)
+        return Violation(rule, span.begin_s, None, search.nearest)
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A part of a step: a span of time, s, and parts of the ranges of axes that it does not move."""
+
+    begin_s: float
+    end_s: float
+    standing: Box
 
 
 def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Refusal:
@@ -177,8 +193,10 @@ def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Ref
     positions = ", ".join(f"{axis} {violation.positions[axis]:.6g}" for axis in rule.constraint.axes)
     text += f" ({positions})"
     if unknown:
-        text += f"; the position of {', '.join(unknown)} is not known, and counts as anywhere in its range"
-        return Refusal("zone", text, f"home {', '.join(unknown)} first, away from the other body")
+        axes = ", ".join(unknown)
+        text += f"; the position of {axes} is not known (not referenced, offline, or moved by something else)"
+        text += ", and counts as anywhere in its range"
+        return Refusal("zone", text, f"home {axes}, or wait until what moves it has ended")
     is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
     if not is_trusted:
         text += "; it does while all axes keep step, and not where one of them stops and the others go on"
