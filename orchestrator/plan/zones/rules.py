@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import NamedTuple
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -39,6 +40,16 @@ class RuleCheck:
     trust_step: bool
 
 
+class RuleState(NamedTuple):
+    """A rule with all axes at some positions. distance: mm; None for a relation. text: in words."""
+
+    rule: str
+    holds: bool
+    distance: float | None
+    trust_step: bool
+    text: str
+
+
 @dataclass(frozen=True, slots=True)
 class Violation:
     """Where a step may break a rule. positions: by axis; None: within the work that is allowed it was not decided, and
@@ -52,7 +63,7 @@ class Violation:
 
 class FleetZones:
     """The rules of a fleet, as they are checked. rules: in the order of the file. ranges: where each real axis that a
-    rule depends on can be, in its unit."""
+    rule depends on can be, in its unit; margins: how far it may be from where it is said to be."""
 
     def __init__(self, fleet: Fleet) -> None:
         zones = fleet.zones
@@ -69,6 +80,7 @@ class FleetZones:
             ends = find_range(zones, fleet, axis)
             assert ends is not None, "the zones are valid"
             self.ranges[axis] = float(ends[0]), float(ends[1])
+        self.margins = {axis: find_margin(fleet.axis(axis)) for axis in self.ranges}
 
     def _make_constraint(self, fleet: Fleet, name: str, rule: ZoneRule) -> Constraint:
         if rule.apart is not None:
@@ -97,8 +109,7 @@ class FleetZones:
         standing: dict[str, tuple[float, float]] = {}
         for name, ends in self.ranges.items():
             low, high = positions.get(name, ends)
-            margin = find_margin(self._fleet.axis(name))
-            standing[name] = low - margin, high + margin
+            standing[name] = low - self.margins[name], high + self.margins[name]
         duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
         unknown = [name for name in self.ranges if name not in positions and name not in profiles]
         return Course(moving, standing, duration_s, self.skew_s, unknown, adrift)
@@ -110,6 +121,20 @@ class FleetZones:
                 violation = find_rule_violation(rule, course)
                 if violation is not None:
                     yield violation
+
+    def find_states(self, positions: Mapping[str, float]) -> list[RuleState]:
+        """Each rule with axes at rest at positions, without margins."""
+        box = {axis: (position, position) for axis, position in positions.items()}
+        return [
+            RuleState(
+                rule.name,
+                rule.constraint.look(box).holds is True,
+                rule.constraint.find_distance(positions)[0] if isinstance(rule.constraint, PairClearance) else None,
+                rule.trust_step,
+                rule.constraint.describe(positions),
+            )
+            for rule in self.rules
+        ]
 
     def is_clear(self, course: Course) -> bool:
         """Whether a step surely keeps all rules."""
