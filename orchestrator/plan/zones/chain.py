@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.linear_map import LinearMap
@@ -112,7 +113,7 @@ class PlacedShape:
         return self.pose.place(self.shape.find_support(turn_back(self.pose.rotation, direction)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Body:
     """A shape on a chain of joints, from the machine's frame outwards. name: as messages call it."""
 
@@ -124,6 +125,20 @@ class Body:
     def axes(self) -> list[str]:
         """The real axes that it depends on."""
         return list(dict.fromkeys(axis for joint in self.joints for axis, _ in joint.way.factors))
+
+    @cached_property
+    def _slides(self) -> Rates | None:
+        """How fast it moves with each axis, if nothing turns it: everywhere the same."""
+        if any(joint.through is not None for joint in self.joints):
+            return None
+        return self._find_rates(dict.fromkeys(self.axes, (0.0, 0.0)))
+
+    def find_ball(self, box: Box) -> tuple[Vector, float]:
+        """Middle and radius of a ball that it does not leave while its axes are in a box, mm."""
+        middle = self.place_at({axis: (box[axis][0] + box[axis][1]) / 2 for axis in self.axes}).middle
+        rates = self.find_rates(box)
+        reach = sum(length(rate) * _half(box[axis]) for axis, rate in rates.along.items())
+        return middle, self.shape.radius + reach + sum(rate * _half(box[axis]) for axis, rate in rates.beside.items())
 
     def without_first(self, count: int) -> "Body":
         """The body as seen from its joint number `count`."""
@@ -137,7 +152,11 @@ class Body:
         return PlacedShape(self.shape, pose)
 
     def find_rates(self, box: Box) -> Rates:
-        """How fast its points move with each axis while all axes are in a box.
+        """How fast its points move with each axis while all axes are in a box."""
+        return self._slides or self._find_rates(box)
+
+    def _find_rates(self, box: Box) -> Rates:
+        """The same, worked out.
 
         A translation before any rotation moves all points alike. One behind a rotation moves them by as much, in a
         direction that changes. A rotation moves a point by its distance from the axis of rotation, which is at most
@@ -168,6 +187,10 @@ class Body:
                 else:
                     rates.beside[axis] = rates.beside.get(axis, 0.0) + abs(factor) * arm
         return rates
+
+
+def _half(ends: tuple[float, float]) -> float:
+    return (ends[1] - ends[0]) / 2
 
 
 def _follow(pose: Pose, joint: Joint, way: float) -> Pose:

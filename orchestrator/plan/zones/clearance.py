@@ -98,6 +98,7 @@ class PairClearance:
     """Two bodies that are to be apart by `distance`, mm. What carries both moves neither against the other."""
 
     def __init__(self, first: Body, second: Body, distance: float) -> None:
+        self.bodies = first, second
         common = 0
         for one, two in zip(first.joints, second.joints, strict=False):
             if one != two:

@@ -1,14 +1,14 @@
 """Where the axes of a step can be while it moves: as planned, or after any one of them has stopped by itself."""
 
 from bisect import bisect_right
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
 from orchestrator.model.operation.pair_reach import DETECTION_S
-from orchestrator.model.profile import Profile, find_turning_points
+from orchestrator.model.profile import MotionState, Profile, find_turning_points
 from orchestrator.plan.zones.chain import Box
 
 PARTS = 256
@@ -36,10 +36,14 @@ class MovingAxis:
     def _starts(self) -> list[float]:
         return [segment.start_s for segment in self.profile.segments]
 
+    @cached_property
+    def _at(self) -> Callable[[float], MotionState]:
+        return self.profile.make_evaluator()
+
     def find_extent(self, begin_s: float, end_s: float) -> tuple[float, float]:
         """Between which positions it is from one instant of its profile to another, in its unit, margins included."""
         profile = self.profile
-        ends = [profile.state_at(begin_s).position, profile.state_at(end_s).position]
+        ends = [self._at(begin_s).position, self._at(end_s).position]
         first = max(bisect_right(self._starts, begin_s) - 1, 0)
         for segment in profile.segments[first:]:
             if segment.start_s >= end_s:
@@ -68,6 +72,12 @@ class Course:
     def moved(self) -> set[str]:
         """All axes that it moves."""
         return {*self.moving, *self.adrift}
+
+    @cached_property
+    def whole_box(self) -> Box:
+        """Where all axes can be in all of it."""
+        ends = {name: axis.find_extent(0.0, self.duration_s) for name, axis in self.moving.items()}
+        return {**self.standing, **ends}
 
     def find_box(self, axes: Collection[str], begin_s: float, end_s: float, *, trust_step: bool) -> Box:
         """Where axes can be together from one instant to another.

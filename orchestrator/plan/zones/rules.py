@@ -9,7 +9,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, parse_quantity
-from orchestrator.model.zone_fields import LEAST_DISTANCE, ZoneRule, find_relation_axis, read_relation
+from orchestrator.model.zone_fields import LEAST_DISTANCE, Vector, ZoneRule, find_relation_axis, read_relation
 from orchestrator.model.zone_problems import find_range, list_zone_axes
 from orchestrator.plan.zones.chain import Body, Box, make_body, resolve_axis
 from orchestrator.plan.zones.clearance import (
@@ -24,6 +24,7 @@ from orchestrator.plan.zones.clearance import (
 )
 from orchestrator.plan.zones.course import Course, find_margin, make_moving_axis
 from orchestrator.plan.zones.shapes import make_shape
+from orchestrator.plan.zones.vectors import length, subtract
 
 SLOWER = (2, 4, 8)
 """By how much slower a step is tried, to say what would fit."""
@@ -116,8 +117,10 @@ class FleetZones:
 
     def find_violations(self, course: Course) -> Iterator[Violation]:
         """Where a step may break each rule that depends on an axis that it moves."""
+        moved = course.moved
+        balls = _Balls(course)
         for rule in self.rules:
-            if not course.moved.isdisjoint(rule.constraint.axes):
+            if not moved.isdisjoint(rule.constraint.axes) and not balls.show_far(rule):
                 violation = find_rule_violation(rule, course)
                 if violation is not None:
                     yield violation
@@ -149,6 +152,27 @@ def require_zones(
     course = zones.make_course(profiles, positions, alone)
     for violation in zones.find_violations(course):
         raise make_refusal(zones, course, violation)
+
+
+class _Balls:
+    """Balls around bodies, which these do not leave in all of a step."""
+
+    def __init__(self, course: Course) -> None:
+        self._course = course
+        self._balls: dict[str, tuple[Vector, float]] = {}
+
+    def show_far(self, rule: RuleCheck) -> bool:
+        """Whether they show that the bodies of a rule are always far enough apart."""
+        if not isinstance(rule.constraint, PairClearance):
+            return False
+        (first, first_radius), (second, second_radius) = map(self._find_ball, rule.constraint.bodies)
+        return length(subtract(first, second)) - first_radius - second_radius > rule.constraint.distance
+
+    def _find_ball(self, body: Body) -> tuple[Vector, float]:
+        ball = self._balls.get(body.name)
+        if ball is None:
+            ball = self._balls[body.name] = body.find_ball(self._course.whole_box)
+        return ball
 
 
 def _find_distance(distance: float | str) -> float:
