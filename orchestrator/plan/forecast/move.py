@@ -50,7 +50,9 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
 
 def _forecast_rest(state: ForecastState, at: ForecastContext, step: Move) -> Span:
     """Run a move forward that is left without targets that are not known: it takes at least as long."""
-    return Span(forecast_move(state, at, step).least if step.to or step.by else 0.0, None)
+    least_s = forecast_move(state, at, step).least if step.to or step.by else 0.0
+    state.zones_checked = False  # the axes that were left out move, too
+    return Span(least_s, None)
 
 
 def _take_real_targets(state: ForecastState, at: ForecastContext, ways: MoveWays, step: Move) -> None:
