@@ -627,7 +627,7 @@ class Fleet(Model):
     zones: Zones | None = Field(
         default=None,
         exclude_if=lambda zones: zones is None,
-        description="Bodies that never meet, and positions that exclude each other: software, no safety function.",
+        description="Bodies that must not collide, positions that exclude each other: software, no safety function.",
     )
     routers: list[str] = Field(
         default=[],

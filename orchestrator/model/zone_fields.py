@@ -1,4 +1,4 @@
-"""Keep-out zones in a fleet file: bodies that ride on axes, and rules of which bodies and positions never meet.
+"""Keep-out zones in a fleet file: bodies that ride on axes, and rules of which bodies and positions exclude each other.
 
 Lengths are in mm and positions are motor positions, like soft limits: a user offset does not move a body.
 """
@@ -92,12 +92,12 @@ class PolygonSize(Model):
         count, turns = len(corners), 0.0
         size = max(math.hypot(b[0] - a[0], b[1] - a[1]) for a in corners for b in corners)
         for number, (x, y) in enumerate(corners):
-            before, after = corners[number - 1], corners[(number + 1) % count]
-            one, two = (x - before[0], y - before[1]), (after[0] - x, after[1] - y)
-            cross = one[0] * two[1] - one[1] * two[0]
+            corner_before, corner_after = corners[number - 1], corners[(number + 1) % count]
+            edge, next_edge = (x - corner_before[0], y - corner_before[1]), (corner_after[0] - x, corner_after[1] - y)
+            cross = edge[0] * next_edge[1] - edge[1] * next_edge[0]
             if abs(cross) <= 1e-9 * size * size:
                 raise ValueError(f"corner {number + 1} is on a line with its neighbours; leave it out")
-            angle = math.atan2(cross, one[0] * two[0] + one[1] * two[1])
+            angle = math.atan2(cross, edge[0] * next_edge[0] + edge[1] * next_edge[1])
             if turns and (turns > 0) != (angle > 0):
                 raise ValueError(
                     f"the outline is not convex at corner {number + 1}, or crosses itself; divide it into convex bodies"
@@ -130,8 +130,8 @@ class ZoneShape(Model):
     def _check_shape(self) -> Self:
         names = [name for name in ("box", "cylinder", "sphere", "polygon") if getattr(self, name) is not None]
         if len(names) != 1:
-            stated = " and ".join(names) or "none"
-            raise ValueError(f"it has {stated}; state exactly one of box, cylinder, sphere and polygon")
+            names_text = " and ".join(names) or "none"
+            raise ValueError(f"it has {names_text}; state exactly one of box, cylinder, sphere and polygon")
         return self
 
 

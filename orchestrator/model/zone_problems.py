@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from orchestrator.model.linear_map import CorrectedMap, LinearMap
 from orchestrator.model.names import split_name
 from orchestrator.model.problems import Problem
-from orchestrator.model.units import Unit, UnitError, find_dimension, parse_quantity
-from orchestrator.model.zone_fields import Carrier, ZoneBody, Zones, find_relation_axis, read_relation
+from orchestrator.model.units import UnitError, find_dimension, parse_quantity
+from orchestrator.model.zone_fields import Carrier, ZoneBody, ZoneRule, Zones, find_relation_axis, read_relation
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -28,22 +28,22 @@ def find_zone_problems(zones: Zones, fleet: "Fleet") -> list[Problem]:
 
 def _find_body_problems(zones: Zones) -> Iterator[Problem]:
     """Names of bodies that do not exist, and bodies that ride on themselves."""
-    listed = f"bodies: {', '.join(zones.bodies) or 'none'}"
+    body_list = f"bodies: {', '.join(zones.bodies) or 'none'}"
     for name, body in zones.bodies.items():
         carrier = body.on[0].body if body.on else None
         if carrier is not None and carrier not in zones.bodies:
-            yield Problem(("bodies", name, "on", 0, "body"), f"there is no body {carrier}; {listed}", carrier)
+            yield Problem(("bodies", name, "on", 0, "body"), f"there is no body {carrier}; {body_list}", carrier)
         elif name in list_carriers(zones.bodies, name):
             yield Problem(("bodies", name, "on", 0, "body"), f"body {name} rides on itself; remove one `body`", carrier)
     for name, rule in zones.rules.items():
         if rule.apart is not None:
             for number, body in enumerate(rule.apart.bodies):
                 if body not in zones.bodies:
-                    text = f"there is no body {body}; {listed}"
+                    text = f"there is no body {body}; {body_list}"
                     yield Problem(("rules", name, "apart", "bodies", number), text, body)
         if rule.keep_out is not None and rule.keep_out.body not in zones.bodies:
             body = rule.keep_out.body
-            yield Problem(("rules", name, "keep_out", "body"), f"there is no body {body}; {listed}", body)
+            yield Problem(("rules", name, "keep_out", "body"), f"there is no body {body}; {body_list}", body)
 
 
 def list_carriers(bodies: Mapping[str, ZoneBody], name: str) -> list[str]:
@@ -98,33 +98,39 @@ def _explain_direction(fleet: "Fleet", carrier: Carrier) -> str | None:
 def _find_relation_problems(zones: Zones, fleet: "Fleet") -> Iterator[Problem]:
     for name, rule in zones.rules.items():
         for field, relation in (("when", rule.when), ("forbid", rule.forbid)):
-            if relation is None:
-                continue
-            axis = find_relation_axis(relation)
-            text = explain_axis(fleet, axis)
-            if text is None and any(fleet.axis(real).wrap is not None for real in fleet.expand_name(axis)):
-                text = f"{axis} wraps, so that it is on both sides of each end; use bodies"
-            if text is None:
-                text = _explain_end(relation, fleet.unit_of(axis))
+            text = None if relation is None else _explain_relation(relation, fleet)
             if text is not None:
                 yield Problem(("rules", name, field), text, relation)
-        axis = None if rule.when is None else find_relation_axis(rule.when)
-        if axis is not None and explain_axis(fleet, axis) is None:
-            try:
-                width = parse_quantity(rule.hysteresis or 0, fleet.unit_of(axis), axis)
-                text = f"hysteresis is {rule.hysteresis}; it must not be below 0" if width < 0 else None
-            except UnitError as error:
-                text = str(error)
-            if text is not None:
-                yield Problem(("rules", name, "hysteresis"), text, rule.hysteresis)
+        text = _explain_hysteresis(rule, fleet)
+        if text is not None:
+            yield Problem(("rules", name, "hysteresis"), text, rule.hysteresis)
 
 
-def _explain_end(relation: str, unit: Unit) -> str | None:
+def _explain_relation(relation: str, fleet: "Fleet") -> str | None:
+    """Why a relation cannot be checked; None if it can."""
+    axis = find_relation_axis(relation)
+    text = explain_axis(fleet, axis)
+    if text is not None:
+        return text
+    if any(fleet.axis(name).wrap is not None for name in fleet.expand_name(axis)):
+        return f"{axis} wraps, so that it is on both sides of each end; use bodies"
     try:
-        read_relation(relation, unit)
+        read_relation(relation, fleet.unit_of(axis))
     except UnitError as error:
         return str(error)
     return None
+
+
+def _explain_hysteresis(rule: ZoneRule, fleet: "Fleet") -> str | None:
+    """Why the hysteresis of a relation, whose axis exists, is none; None if it is one."""
+    axis = None if rule.when is None else find_relation_axis(rule.when)
+    if axis is None or rule.hysteresis is None or explain_axis(fleet, axis) is not None:
+        return None
+    try:
+        width = parse_quantity(rule.hysteresis, fleet.unit_of(axis), axis)
+    except UnitError as error:
+        return str(error)
+    return f"hysteresis is {rule.hysteresis}; it must not be below 0" if width < 0 else None
 
 
 def _find_range_problems(zones: Zones, fleet: "Fleet") -> Iterator[Problem]:

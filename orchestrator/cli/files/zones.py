@@ -24,7 +24,7 @@ NOT_CHECKED = (
 
 @click.group(epilog="Example: tutti zones check lab.fleet.yaml")
 def zones() -> None:
-    """Keep-out zones: bodies that ride on axes, and rules of what never meets. Software, no safety function."""
+    """Keep-out zones: bodies that ride on axes, and rules of what must not collide. Software, no safety function."""
 
 
 @zones.command(epilog="Example: tutti zones check lab.fleet.yaml --at gantry.x=120")

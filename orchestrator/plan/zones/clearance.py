@@ -100,8 +100,8 @@ class PairClearance:
     def __init__(self, first: Body, second: Body, distance: float) -> None:
         self.bodies = first, second
         common = 0
-        for one, two in zip(first.joints, second.joints, strict=False):
-            if one != two:
+        for joint, second_joint in zip(first.joints, second.joints, strict=False):
+            if joint != second_joint:
                 break
             common += 1
         self.first, self.second = first.without_first(common), second.without_first(common)
@@ -136,8 +136,8 @@ class PairClearance:
     def describe(self, positions: Mapping[str, float]) -> str:
         """How near both are at positions."""
         nearest = self.find_distance(positions)[1]
-        apart = "meet" if nearest <= ROUNDING else f"are {nearest:.4g} mm apart"
-        return f"{self.first.name} and {self.second.name} {apart}, and must be {self.distance:g} mm apart"
+        gap_text = "touch" if nearest <= ROUNDING else f"are {nearest:.4g} mm apart"
+        return f"{self.first.name} and {self.second.name} {gap_text}, and must be {self.distance:g} mm apart"
 
 
 class RelationConstraint:

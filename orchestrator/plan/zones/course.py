@@ -112,19 +112,18 @@ class Course:
 
     def stretch(self, factor: float) -> "Course":
         """The same ways in a longer time."""
-        moving = {
-            name: MovingAxis(axis.axis, axis.profile.stretch_time(factor), axis.wait_s, axis.margin)
-            for name, axis in self.moving.items()
+        moving_axes = {
+            name: replace(axis, profile=axis.profile.stretch_time(factor)) for name, axis in self.moving.items()
         }
-        return replace(self, moving=moving, duration_s=self.duration_s * factor)
+        return replace(self, moving=moving_axes, duration_s=self.duration_s * factor)
 
     def take_alone(self, name: str) -> tuple["Course", "Course"]:
         """A step of one axis alone, with the others where they begin, and the step of the others after it."""
-        axis, others = self.moving[name], {other: axis for other, axis in self.moving.items() if other != name}
-        begins = {other: axis.find_extent(0.0, 0.0) for other, axis in others.items()}
+        axis, other_axes = self.moving[name], {key: axis for key, axis in self.moving.items() if key != name}
+        begins = {key: axis.find_extent(0.0, 0.0) for key, axis in other_axes.items()}
         end = axis.find_extent(self.duration_s, self.duration_s)
-        alone = replace(self, moving={name: axis}, standing={**self.standing, **begins})
-        return alone, replace(self, moving=others, standing={**self.standing, name: end})
+        first_course = replace(self, moving={name: axis}, standing={**self.standing, **begins})
+        return first_course, replace(self, moving=other_axes, standing={**self.standing, name: end})
 
 
 def make_moving_axis(fleet: Fleet, name: str, profile: Profile, alone: Mapping[str, float | None]) -> MovingAxis:

@@ -75,10 +75,10 @@ def _find_nearest(corners: Sequence[Vector]) -> tuple[Vector, list[Vector]]:
 
 def _project(part: Sequence[Vector]) -> Vector | None:
     """The origin projected on the plane, line or point of corners; None where it is not between them."""
-    first, rest = part[0], part[1:]
-    if not rest:
+    first, corners = part[0], part[1:]
+    if not corners:
         return first
-    edges = [subtract(corner, first) for corner in rest]
+    edges = [subtract(corner, first) for corner in corners]
     weights = _solve([[dot(a, b) for b in edges] for a in edges], [-dot(first, edge) for edge in edges])
     if weights is None or any(weight < 0.0 for weight in weights) or sum(weights) > 1.0:
         return None
@@ -92,16 +92,16 @@ def _solve(matrix: Sequence[Sequence[float]], values: Sequence[float]) -> list[f
     """Solve at most three equations by Cramer's rule; None for corners on one line or plane."""
     if len(values) == 1:
         return None if matrix[0][0] <= 0.0 else [values[0] / matrix[0][0]]
-    whole = _find_determinant(matrix)
-    if abs(whole) <= 1e-14 * _multiply_diagonal(matrix):
+    determinant = _find_determinant(matrix)
+    if abs(determinant) <= 1e-14 * _multiply_diagonal(matrix):
         return None
     solutions: list[float] = []
     for column in range(len(values)):
-        replaced = [
+        replaced_matrix = [
             [values[row] if number == column else entry for number, entry in enumerate(entries)]
             for row, entries in enumerate(matrix)
         ]
-        solutions.append(_find_determinant(replaced) / whole)
+        solutions.append(_find_determinant(replaced_matrix) / determinant)
     return solutions
 
 

@@ -106,21 +106,21 @@ class FleetZones:
         motor positions axes that it does not move are; without one they may be anywhere in their range. alone: for how
         long controllers go on without their adapters, s, as of `make_fault_reach`. adrift: axes that it moves from
         where is not known."""
-        moving = {name: make_moving_axis(self._fleet, name, profiles[name], alone) for name in profiles}
+        moving_axes = {name: make_moving_axis(self._fleet, name, profiles[name], alone) for name in profiles}
         standing: dict[str, tuple[float, float]] = {}
         for name, ends in self.ranges.items():
             low, high = positions.get(name, ends)
             standing[name] = low - self.margins[name], high + self.margins[name]
         duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
         unknown = [name for name in self.ranges if name not in positions and name not in profiles]
-        return Course(moving, standing, duration_s, self.skew_s, unknown, adrift)
+        return Course(moving_axes, standing, duration_s, self.skew_s, unknown, adrift)
 
     def find_violations(self, course: Course) -> Iterator[Violation]:
         """Where a step may break each rule that depends on an axis that it moves."""
-        moved = course.moved
+        moved_axes = course.moved
         balls = _Balls(course)
         for rule in self.rules:
-            if not moved.isdisjoint(rule.constraint.axes) and not balls.show_far(rule):
+            if not moved_axes.isdisjoint(rule.constraint.axes) and not balls.show_far(rule):
                 violation = find_rule_violation(rule, course)
                 if violation is not None:
                     yield violation
@@ -280,10 +280,10 @@ def _find_order(zones: FleetZones, course: Course) -> Collection[str] | None:
     if len(course.moving) > MOST_ORDERED:
         return None
     for order in permutations(course.moving):
-        rest, is_clear = course, True
+        rest_course, is_clear = course, True
         for axis in order:
-            alone, rest = rest.take_alone(axis)
-            is_clear = is_clear and zones.is_clear(alone)
+            first_course, rest_course = rest_course.take_alone(axis)
+            is_clear = is_clear and zones.is_clear(first_course)
         if is_clear:
             return order
     return None

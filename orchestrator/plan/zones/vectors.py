@@ -56,9 +56,9 @@ def make_rotation(axis: Vector, angle: float) -> Rotation:
     """The right-handed rotation about a direction of length 1, rad (Rodrigues)."""
     cosine, sine = math.cos(angle), math.sin(angle)
     x, y, z = axis
-    rest = 1.0 - cosine
+    complement = 1.0 - cosine
     return (
-        (cosine + x * x * rest, x * y * rest - z * sine, x * z * rest + y * sine),
-        (y * x * rest + z * sine, cosine + y * y * rest, y * z * rest - x * sine),
-        (z * x * rest - y * sine, z * y * rest + x * sine, cosine + z * z * rest),
+        (cosine + x * x * complement, x * y * complement - z * sine, x * z * complement + y * sine),
+        (y * x * complement + z * sine, cosine + y * y * complement, y * z * complement - x * sine),
+        (z * x * complement - y * sine, z * y * complement + x * sine, cosine + z * z * complement),
     )
