@@ -25,7 +25,7 @@ def check_zones(state: ForecastState, at: ForecastContext, step: Move, ways: Mov
         ]
         if open_axes:
             axes, verb = ", ".join(open_axes), "stands" if len(open_axes) == 1 else "stand"
-            state.notes[f"zone {violation.rule.name} is kept from where {axes} {verb}"] = None
+            state.notes[f"{axes} {verb} where zone {violation.rule.name} allows it"] = None
         else:
             state.add_problem(at, (), make_refusal(zones, course, violation))
 
@@ -64,4 +64,4 @@ def note_unchecked(state: ForecastState, step: Step) -> None:
 def note_unchecked_passes(state: ForecastState, inner: InnerSteps, checked: int) -> None:
     """Say that passes between the first ones and the last, which differ in their targets, were not checked."""
     if state.zones is not None:
-        state.notes[f"not checked against zones: {inner.word} {checked + 1} to {inner.times - 1}"] = None
+        state.notes[f"not checked against zones {inner.word} {checked + 1} to {inner.times - 1}"] = None
