@@ -76,3 +76,17 @@ def test_other_targets_on_the_way_are_refused() -> None:
         assert failure.value.code == "zone"
 
     run_fleet(main, zones_fleet())
+
+
+def test_an_axis_that_another_user_holds_counts_as_anywhere() -> None:
+    """It stands still, and may be moved at any time."""
+
+    async def main(fleet: VirtualFleet) -> tuple[JobReport, JobReport]:
+        await outcome(fleet, ENABLE, job("[{do: home}]"), job("[{do: move, to: {gantry.x: 20}}]"))
+        async with fleet.make_client().manual_control(["stage.u", "stage.phi"]):
+            held_report = await outcome(fleet, job("[{do: move, to: {gantry.x: 152}}]"))
+        return held_report, await outcome(fleet, job("[{do: move, to: {gantry.x: 152}}]"))
+
+    held_report, free_report = run_fleet(main, zones_fleet())
+    assert held_report.state == "failed" and "stage.u, stage.phi is not known" in held_report.reason
+    assert free_report.state == "done", free_report.reason

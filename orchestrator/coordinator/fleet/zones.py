@@ -11,12 +11,15 @@ from orchestrator.model.state import ControllerState
 from orchestrator.plan.zones.chain import Box
 
 
-async def query_rest_positions(view: FleetView, axes: Collection[str], ends: Mapping[str, tuple[Fraction, int]]) -> Box:
+async def query_rest_positions(
+    view: FleetView, axes: Collection[str], ends: Mapping[str, tuple[Fraction, int]], holder: str
+) -> Box:
     """The motor positions of axes at rest, in their units. ends: where axes that move now will stand once what is
-    planned begins, exact and in counts.
+    planned begins, exact and in counts. holder: of the leases of what is planned.
 
-    Without those of which nothing is known: axes that are offline, not referenced, or moved by anything else. The last
-    published state may be older than the end of a homing, so that controllers are asked.
+    Without those of which nothing is known: axes that are offline, not referenced, move, or are leased by another
+    holder, which may move them at any time. The last published state may be older than the end of a homing, so that
+    controllers are asked.
     """
     controllers = list(dict.fromkeys(split_name(name)[0] for name in axes if name not in ends))
     answers = await asyncio.gather(*(_query_state(view, controller) for controller in controllers))
@@ -30,7 +33,9 @@ async def query_rest_positions(view: FleetView, axes: Collection[str], ends: Map
             controller, local = split_name(name)
             answer = states[controller]
             state = None if answer is None else answer.axes.get(local)
-            if state is None or not state.referenced or state.moving or state.homing:
+            if answer is None or state is None or not state.referenced or state.moving or state.homing:
+                continue
+            if answer.leases.get(local, holder) != holder:
                 continue
             position = float(axis.to_position(state.axis_counts))
         positions[name] = position, position

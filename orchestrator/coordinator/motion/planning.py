@@ -267,7 +267,7 @@ async def _require_zones(
         return
     profiles = planned.plan.profiles
     resting_axes = [name for name in list_zone_axes(fleet.zones, fleet) if name not in profiles]
-    positions = await query_rest_positions(services.fleet.view, resting_axes, ends)
+    positions = await query_rest_positions(services.fleet.view, resting_axes, ends, planned.request.job_id)
     alone_times = {name: info.alone_s for name, info in infos.items()}
     await services.plan(require_zones, fleet, profiles, positions, alone_times)
 

@@ -243,9 +243,9 @@ def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Ref
     text += f" ({positions})"
     if unknown:
         axes = ", ".join(unknown)
-        text += f"; the position of {axes} is not known (not referenced, offline, or moved by something else)"
+        text += f"; the position of {axes} is not known (not referenced, offline, or in use by something else)"
         text += ", and counts as anywhere in its range"
-        return Refusal("zone", text, f"home {axes}, or wait until what moves it has ended")
+        return Refusal("zone", text, f"home {axes}, or wait until what uses it has ended")
     is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
     if not is_trusted:
         text += "; it does while all axes keep step, and not where one of them stops and the others go on"
