@@ -144,14 +144,23 @@ class FleetZones:
         return next(self.find_violations(course), None) is None
 
 
-def require_zones(
-    fleet: Fleet, profiles: Mapping[str, Profile], positions: Box, alone: Mapping[str, float | None]
-) -> None:
-    """Raise `Refusal` (code `zone`) for a step that may break a rule. The arguments are those of `make_course`."""
-    zones = FleetZones(fleet)
-    course = zones.make_course(profiles, positions, alone)
-    for violation in zones.find_violations(course):
-        raise make_refusal(zones, course, violation)
+class ZoneMemory:
+    """The rules of the fleet of which a step was checked last: to make 190 of them takes 10 ms."""
+
+    def __init__(self) -> None:
+        self._fleet: Fleet | None = None
+        self._zones: FleetZones | None = None
+
+    def require(
+        self, fleet: Fleet, profiles: Mapping[str, Profile], positions: Box, alone: Mapping[str, float | None]
+    ) -> None:
+        """Raise `Refusal` (code `zone`) for a step that may break a rule. fleet: one with zones; the other arguments
+        are those of `FleetZones.make_course`."""
+        if self._zones is None or self._fleet is not fleet:
+            self._fleet, self._zones = fleet, FleetZones(fleet)
+        course = self._zones.make_course(profiles, positions, alone)
+        for violation in self._zones.find_violations(course):
+            raise make_refusal(self._zones, course, violation)
 
 
 class _Balls:

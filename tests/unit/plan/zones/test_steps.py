@@ -3,6 +3,7 @@
 import random
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ ALONE_S = 1.2
 
 def plan(ways: Mapping[str, tuple[float, float]], speed: float = 1.0, fleet: Fleet = FLEET) -> StepPlan:
     moves = [
-        make_axis_move(name, axis, axis.to_counts(begin), axis.to_counts(end), 2)
+        make_axis_move(name, axis, axis.to_counts(Fraction(begin)), axis.to_counts(Fraction(end)), 2)
         for name, (begin, end) in ways.items()
         for axis in [fleet.axis(name)]
     ]
