@@ -33,6 +33,7 @@ from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 from orchestrator.plan.virtual_bound import CurvedLine
+from orchestrator.plan.zones.course import Timing
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
 WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
@@ -267,8 +268,10 @@ async def _require_zones(
     profiles = planned.plan.profiles
     resting_axes = [name for name in list_zone_axes(fleet.zones, fleet) if name not in profiles]
     positions = await query_rest_positions(services.fleet.view, resting_axes, ends, planned.request.job_id)
-    alone_times = {name: info.alone_s for name, info in infos.items()}
-    await services.plan(services.zones.require, fleet, profiles, positions, alone_times)
+    request = planned.request
+    skew_ns = max(request.max_start_skew_ns, request.max_end_skew_ns or 0, request.max_path_skew_ns or 0)
+    timing = Timing({name: info.alone_s for name, info in infos.items()}, skew_ns / NS_PER_S)
+    await services.plan(services.zones.require, fleet, profiles, positions, timing)
 
 
 async def _query_controller(

@@ -11,7 +11,7 @@ from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
 from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.model.report import StepRecording, StepReport
 from orchestrator.plan.step import ExactTargets
-from orchestrator.plan.zones.rules import ZoneMemory
+from orchestrator.plan.zones.refusals import ZoneMemory
 
 MotionListener = Callable[[StepRecording, StepReport | None], None]
 """Called when a motion step is over, with what was recorded of it and its report; None: it was interrupted."""

@@ -1,12 +1,14 @@
 """Keep-out zones in a forecast: what is refused ahead, what depends on the world, and what is not checked."""
 
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.steps.base import InnerSteps, Step
 from orchestrator.model.steps.move import Move
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.zones.chain import Box
-from orchestrator.plan.zones.rules import make_refusal
+from orchestrator.plan.zones.course import Timing
+from orchestrator.plan.zones.refusals import make_refusal
 
 
 def check_zones(state: ForecastState, at: ForecastContext, step: Move, ways: MoveWays) -> None:
@@ -18,7 +20,9 @@ def check_zones(state: ForecastState, at: ForecastContext, step: Move, ways: Mov
     step_axes = step.find_axes(state.fleet)
     adrift = [name for name in step_axes if name not in ways.exact]
     profiles = {name: profile for name, profile in plan.profiles.items() if name in ways.exact}
-    course = zones.make_course(profiles, _find_positions(state, adrift), state.alone, adrift)
+    skews_ns = (step.max_start_skew, step.max_end_skew, step.max_path_skew)
+    timing = Timing(state.alone, max(skew_ns or 0 for skew_ns in skews_ns) / NS_PER_S)
+    course = zones.make_course(profiles, _find_positions(state, adrift), timing, adrift)
     for violation in zones.find_violations(course):
         open_axes = [
             name for name in course.unknown if name in violation.rule.constraint.axes and _is_open(state, name)

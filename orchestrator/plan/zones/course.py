@@ -4,6 +4,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of
@@ -126,9 +127,17 @@ class Course:
         return first_course, replace(self, moving=other_axes, standing={**self.standing, name: end})
 
 
-def make_moving_axis(fleet: Fleet, name: str, profile: Profile, alone: Mapping[str, float | None]) -> MovingAxis:
-    """An axis of a step. alone: for how long controllers go on without their adapters, s, as of `make_fault_reach`."""
-    alone_s = alone.get(controller_of(name), DETECTION_S)
+class Timing(NamedTuple):
+    """How far apart in time axes may be. alone: for how long controllers go on without their adapters, s, as of
+    `make_fault_reach`. skew_s: what the step allows between members at its start, its end and on the way."""
+
+    alone: Mapping[str, float | None]
+    skew_s: float = 0.0
+
+
+def make_moving_axis(fleet: Fleet, name: str, profile: Profile, timing: Timing) -> MovingAxis:
+    """An axis of a step."""
+    alone_s = timing.alone.get(controller_of(name), DETECTION_S)
     axis = fleet.axis(name)
     return MovingAxis(axis, profile, None if alone_s is None else max(DETECTION_S, alone_s), find_margin(axis))
 

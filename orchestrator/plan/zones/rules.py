@@ -2,10 +2,8 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import permutations
 from typing import NamedTuple
 
-from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, parse_quantity
@@ -22,14 +20,9 @@ from orchestrator.plan.zones.clearance import (
     find_violation,
     halve,
 )
-from orchestrator.plan.zones.course import Course, find_margin, make_moving_axis
+from orchestrator.plan.zones.course import Course, Timing, find_margin, make_moving_axis
 from orchestrator.plan.zones.shapes import make_shape
 from orchestrator.plan.zones.vectors import length, subtract
-
-SLOWER = (2, 4, 8)
-"""By how much slower a step is tried, to say what would fit."""
-MOST_ORDERED = 3
-"""Axes whose orders are tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +74,7 @@ class FleetZones:
             ends = find_range(zones, fleet, axis)
             assert ends is not None, "the zones are valid"
             self.ranges[axis] = float(ends[0]), float(ends[1])
+        self.units = {axis: fleet.axis(axis).unit for axis in self.ranges}
         self.margins = {axis: find_margin(fleet.axis(axis)) for axis in self.ranges}
 
     def _make_constraint(self, fleet: Fleet, name: str, rule: ZoneRule) -> Constraint:
@@ -99,21 +93,20 @@ class FleetZones:
         self,
         profiles: Mapping[str, Profile],
         positions: Box,
-        alone: Mapping[str, float | None],
+        timing: Timing,
         adrift: Collection[str] = (),
     ) -> Course:
         """The course of a step. profiles: of the axes that it moves from a known position. positions: between what
-        motor positions axes that it does not move are; without one they may be anywhere in their range. alone: for how
-        long controllers go on without their adapters, s, as of `make_fault_reach`. adrift: axes that it moves from
-        where is not known."""
-        moving_axes = {name: make_moving_axis(self._fleet, name, profiles[name], alone) for name in profiles}
+        motor positions axes that it does not move are; without one they may be anywhere in their range. adrift: axes
+        that it moves from where is not known."""
+        moving_axes = {name: make_moving_axis(self._fleet, name, profiles[name], timing) for name in profiles}
         standing: dict[str, tuple[float, float]] = {}
         for name, ends in self.ranges.items():
             low, high = positions.get(name, ends)
             standing[name] = low - self.margins[name], high + self.margins[name]
         duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
         unknown = [name for name in self.ranges if name not in positions and name not in profiles]
-        return Course(moving_axes, standing, duration_s, self.skew_s, unknown, adrift)
+        return Course(moving_axes, standing, duration_s, max(self.skew_s, timing.skew_s), unknown, adrift)
 
     def find_violations(self, course: Course) -> Iterator[Violation]:
         """Where a step may break each rule that depends on an axis that it moves."""
@@ -142,25 +135,6 @@ class FleetZones:
     def is_clear(self, course: Course) -> bool:
         """Whether a step surely keeps all rules."""
         return next(self.find_violations(course), None) is None
-
-
-class ZoneMemory:
-    """The rules of the fleet of which a step was checked last: to make 190 of them takes 10 ms."""
-
-    def __init__(self) -> None:
-        self._fleet: Fleet | None = None
-        self._zones: FleetZones | None = None
-
-    def require(
-        self, fleet: Fleet, profiles: Mapping[str, Profile], positions: Box, alone: Mapping[str, float | None]
-    ) -> None:
-        """Raise `Refusal` (code `zone`) for a step that may break a rule. fleet: one with zones; the other arguments
-        are those of `FleetZones.make_course`."""
-        if self._zones is None or self._fleet is not fleet:
-            self._fleet, self._zones = fleet, FleetZones(fleet)
-        course = self._zones.make_course(profiles, positions, alone)
-        for violation in self._zones.find_violations(course):
-            raise make_refusal(self._zones, course, violation)
 
 
 class _Balls:
@@ -235,64 +209,3 @@ class Span:
     begin_s: float
     end_s: float
     standing: Box
-
-
-def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Refusal:
-    """The refusal of a step that may break a rule: code `zone`."""
-    rule = violation.rule
-    prefix = f"zone {rule.name}: "
-    if violation.positions is None:
-        text = (
-            f"{prefix}cannot be decided within {Search().most} looks; nearest known distance {violation.nearest:.4g} mm"
-        )
-        return Refusal("zone", text, "move in shorter steps, or give the bodies fewer parts that turn")
-    text = f"{prefix}{violation.instant_s:.3g} s after its start {rule.constraint.describe(violation.positions)}"
-    unknown = [axis for axis in rule.constraint.axes if axis in course.unknown]
-    positions = ", ".join(f"{axis} {violation.positions[axis]:.6g}" for axis in rule.constraint.axes)
-    text += f" ({positions})"
-    if unknown:
-        axes = ", ".join(unknown)
-        text += f"; the position of {axes} is not known (not referenced, offline, or in use by something else)"
-        text += ", and counts as anywhere in its range"
-        return Refusal("zone", text, f"home {axes}, or wait until what uses it has ended")
-    is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
-    if not is_trusted:
-        text += "; it does while all axes keep step, and not where one of them stops and the others go on"
-    if find_violation(Search(), rule.constraint, course.find_box(rule.constraint.axes, 0.0, 0.0, trust_step=True)):
-        return Refusal("zone", text, "the bodies stand so where the step begins: jog them apart first")
-    return Refusal("zone", text, _find_remedy(zones, course, trusted=is_trusted))
-
-
-def _find_remedy(zones: FleetZones, course: Course, *, trusted: bool) -> str:
-    """What would fit, tried by the same check."""
-    remedies = list(_list_fitting(zones, course))
-    if not trusted:
-        remedies.append("state `trust_step: true` on the rule, which relies on no axis stopping alone")
-    return (
-        "; or ".join(remedies) if remedies else "move another way: first away from the other body, or to other targets"
-    )
-
-
-def _list_fitting(zones: FleetZones, course: Course) -> Iterator[str]:
-    if len(course.moving) > 1:
-        for factor in SLOWER:
-            if zones.is_clear(course.stretch(factor)):
-                yield f"move at 1/{factor} of the speed (`speed`)"
-                break
-        order = _find_order(zones, course)
-        if order is not None:
-            yield f"move {', then '.join(order)}, each in a step of its own"
-
-
-def _find_order(zones: FleetZones, course: Course) -> Collection[str] | None:
-    """An order in which the axes can move one after another."""
-    if len(course.moving) > MOST_ORDERED:
-        return None
-    for order in permutations(course.moving):
-        rest_course, is_clear = course, True
-        for axis in order:
-            first_course, rest_course = rest_course.take_alone(axis)
-            is_clear = is_clear and zones.is_clear(first_course)
-        if is_clear:
-            return order
-    return None

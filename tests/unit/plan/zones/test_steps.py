@@ -16,8 +16,9 @@ from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.zones import clearance
 from orchestrator.plan.zones.clearance import PairClearance
-from orchestrator.plan.zones.course import Course
-from orchestrator.plan.zones.rules import FleetZones, RuleCheck, find_rule_violation, make_refusal
+from orchestrator.plan.zones.course import Course, Timing
+from orchestrator.plan.zones.refusals import make_refusal
+from orchestrator.plan.zones.rules import FleetZones, RuleCheck, find_rule_violation
 
 EXAMPLE = Path(__file__).parents[4] / "deploy" / "examples" / "zones.fleet.yaml"
 ALONE = {"gantry": 1.2, "stage": None}
@@ -45,7 +46,7 @@ def make_course(
 ) -> Course:
     others = {**REST, **{name.replace("_", "."): position for name, position in standing.items()}}
     positions = {name: (position, position) for name, position in others.items() if name not in ways}
-    return zones.make_course(plan(ways).profiles, positions, alone)
+    return zones.make_course(plan(ways).profiles, positions, Timing(alone))
 
 
 def changed_zones(**rule: Any) -> FleetZones:
@@ -129,7 +130,7 @@ def test_what_is_clear_is_clear_after_every_single_stop() -> None:
         ways, standing = draw_step(draw)
         step = plan(ways)
         positions = {name: (standing[name], standing[name]) for name in standing if name not in ways}
-        course = ZONES.make_course(step.profiles, positions, {"gantry": ALONE_S, "stage": ALONE_S})
+        course = ZONES.make_course(step.profiles, positions, Timing({"gantry": ALONE_S, "stage": ALONE_S}))
         if find_rule_violation(DETECTOR_SAMPLE, course) is None:
             clear += 1
             for stop in draw_stops(draw, step, 5):
@@ -193,3 +194,13 @@ def test_what_cannot_be_decided_is_refused_with_the_nearest_distance(monkeypatch
     violation = find_rule_violation(DETECTOR_SAMPLE, course)
     assert violation is not None and violation.positions is None
     assert "cannot be decided within" in make_refusal(ZONES, course, violation).text
+
+
+def test_what_a_step_allows_between_members_counts_with_a_rule_that_trusts_it() -> None:
+    """At 100 mm/s along x, 0.1 s are 10 mm: the detector is over the edge of the sample before it is high enough."""
+    ways = {"gantry.x": (0.0, 300.0), "gantry.z": (0.0, 46.5)}
+    trusting = changed_zones(trust_step=True)
+    positions = dict.fromkeys(("stage.u", "stage.phi"), (0.0, 0.0))
+    profiles = plan(ways).profiles
+    assert trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.01)))
+    assert not trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.5)))
