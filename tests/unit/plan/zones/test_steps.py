@@ -15,6 +15,7 @@ from orchestrator.model.profile import Profile
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.zones import clearance
+from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.clearance import PairClearance
 from orchestrator.plan.zones.course import Course, Timing
 from orchestrator.plan.zones.refusals import make_refusal
@@ -197,10 +198,10 @@ def test_what_cannot_be_decided_is_refused_with_the_nearest_distance(monkeypatch
 
 
 def test_what_a_step_allows_between_members_counts_with_a_rule_that_trusts_it() -> None:
-    """At 100 mm/s along x, 0.1 s are 10 mm: the detector is over the edge of the sample before it is high enough."""
+    """Half a second late, the detector is at the sample before it is high enough."""
     ways = {"gantry.x": (0.0, 300.0), "gantry.z": (0.0, 46.5)}
     trusting = changed_zones(trust_step=True)
-    positions = dict.fromkeys(("stage.u", "stage.phi"), (0.0, 0.0))
+    positions: Box = dict.fromkeys(["stage.u", "stage.phi"], (0.0, 0.0))
     profiles = plan(ways).profiles
     assert trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.01)))
     assert not trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.5)))
