@@ -90,3 +90,13 @@ def test_an_axis_that_another_user_holds_counts_as_anywhere() -> None:
     held_report, free_report = run_fleet(main, zones_fleet())
     assert held_report.state == "failed" and "stage.u, stage.phi is not known" in held_report.reason
     assert free_report.state == "done", free_report.reason
+
+
+def test_a_dry_run_says_it_from_where_the_axes_stand_and_nothing_moves() -> None:
+    async def main(fleet: VirtualFleet) -> list[tuple[object, str]]:
+        await outcome(fleet, ENABLE, job("[{do: home}]"))
+        steps = "[{do: move, to: {gantry.x: 100}}, {do: move, by: {gantry.x: 100}}]"
+        checked = await fleet.make_client().dry_run(job(steps))
+        return [(problem.place[1], problem.code) for problem in checked.problems]
+
+    assert run_fleet(main, zones_fleet()) == [(1, "zone")]
