@@ -1,7 +1,7 @@
 """Steps and rules: what is called clear is clear after any single stop, by a model of stops of its own."""
 
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -205,3 +205,29 @@ def test_what_a_step_allows_between_members_counts_with_a_rule_that_trusts_it() 
     profiles = plan(ways).profiles
     assert trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.01)))
     assert not trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.5)))
+
+
+def test_few_steps_are_refused_that_dense_samples_of_the_same_places_would_allow() -> None:
+    """At most one in twenty: bounds are not so wide that only far bodies pass."""
+    draw, refused, unconfirmed = random.Random(576), 0, 0
+    constraint = DETECTOR_SAMPLE.constraint
+    for _ in range(120):
+        ways, standing = draw_step(draw)
+        positions = {name: (standing[name], standing[name]) for name in standing if name not in ways}
+        course = ZONES.make_course(plan(ways).profiles, positions, Timing({"gantry": ALONE_S, "stage": ALONE_S}))
+        if find_rule_violation(DETECTOR_SAMPLE, course) is not None:
+            refused += 1
+            unconfirmed += not any(
+                constraint.look({axis: (place, place) for axis, place in places.items()}).holds is False
+                for places in draw_places(draw, course, constraint.axes)
+            )
+    assert refused > 30 and unconfirmed <= refused / 20
+
+
+def draw_places(draw: random.Random, course: Course, axes: Sequence[str]) -> Iterator[dict[str, float]]:
+    """Where axes can be together at many instants of a step, often at the ends of their ranges."""
+    for number in range(41):
+        instant_s = course.duration_s * number / 40
+        box = course.find_box(axes, instant_s, instant_s, trust_step=False)
+        for _ in range(20):
+            yield {axis: draw.choice([low, high, draw.uniform(low, high)]) for axis, (low, high) in box.items()}
