@@ -17,9 +17,9 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.files.private_files import ON_DISK, FileAccess
 from orchestrator.model.messages import EstopMessage, EstopReset, KeptEstop
 from orchestrator.model.operation.checksums import add_checksum, take_checksum
-from orchestrator.model.private_files import ON_DISK, FileAccess
 from orchestrator.model.state import EstopLatch
 
 

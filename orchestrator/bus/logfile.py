@@ -8,7 +8,7 @@ from pathlib import Path
 
 from orchestrator.bus.journald import JournalSender, is_wanted
 from orchestrator.bus.log import LogSink
-from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
+from orchestrator.model.files.private_files import open_for_append, open_private_file, replace_private_file
 
 MAX_LOG_BYTES = 10_000_000  # of one file, before it is rotated
 KEPT_LOGS = 3  # rotated files that are kept: PATH.1 is the newest

@@ -27,6 +27,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "position": ("manual.positions", "Named positions: save, list, move to them."),
     "io": ("manual.io", "Inputs and outputs by name."),
     "fleet": ("files.fleet", "Check a fleet file; load it into the running fleet."),
+    "zones": ("files.zones", "Keep-out zones: check what must not collide."),
     "alarm": ("view.alarms", "Alarms: list, acknowledge, shelve."),
     "stats": ("view.statistics", "Statistics of axes, controllers and jobs."),
     "wiring": ("machine.wiring", "Check the trigger wires between controllers."),

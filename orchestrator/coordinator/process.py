@@ -37,9 +37,9 @@ from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, requi
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
+from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
-from orchestrator.model.private_files import replace_private_file
 
 ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN = 4, 5, 6, 7
 CLOSE_S = 2.0  # after a defect

@@ -21,7 +21,7 @@ from orchestrator.keys.names import KeyName, Role
 from orchestrator.keys.places import IDENTITIES
 from orchestrator.keys.register import REGISTER_FILE, Register, RegisterEntry, read_register, write_register
 from orchestrator.model.errors import Refusal
-from orchestrator.model.private_files import (
+from orchestrator.model.files.private_files import (
     make_private_folder,
     open_private_file,
     read_private_file,

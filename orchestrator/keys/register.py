@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 from orchestrator.keys.names import KeyName, Role, make_subject
 from orchestrator.model.base import Id, Model
 from orchestrator.model.errors import Refusal
-from orchestrator.model.private_files import read_private_file, replace_private_file
+from orchestrator.model.files.private_files import read_private_file, replace_private_file
 from orchestrator.model.problems import describe_first_error
 from orchestrator.model.queue import Utc
 

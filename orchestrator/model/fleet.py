@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
@@ -36,6 +36,8 @@ from orchestrator.model.units import Quantity, Unit, UnitError, find_dimension, 
 from orchestrator.model.virtual_axes import MAX_GROUPS, VirtualGroup, digest_corrections
 from orchestrator.model.virtual_maps import VirtualAxes, find_virtual_problems, list_real_axes
 from orchestrator.model.web_views import WebSettings
+from orchestrator.model.zone_fields import Zones
+from orchestrator.model.zone_problems import find_zone_problems
 
 if TYPE_CHECKING:
     from orchestrator.model.tables.cubic import Array
@@ -622,6 +624,11 @@ class Fleet(Model):
     virtual: dict[Id, VirtualGroup] = Field(
         default={}, max_length=MAX_GROUPS, description="Virtual axes `group.axis`, which stand for several real ones."
     )
+    zones: Zones | None = Field(
+        default=None,
+        exclude_if=lambda zones: zones is None,
+        description="Bodies that must not collide, positions that exclude each other: software, no safety function.",
+    )
     routers: list[str] = Field(
         default=[],
         max_length=8,
@@ -688,6 +695,14 @@ class Fleet(Model):
                     except UnitError as error:
                         problems.append(Problem(("frames", name, "offset", number), str(error), frame.offset[number]))
         raise_problems(problems, type(self).__name__)
+        return self
+
+    @model_validator(mode="after")
+    def _check_zones(self) -> "Fleet":
+        """The bodies, names and units of zones."""
+        if self.zones is not None:
+            problems = find_zone_problems(self.zones, self)
+            raise_problems([replace(e, place=("zones", *e.place)) for e in problems], type(self).__name__)
         return self
 
     def _explain_position(self, axis: str, value: int | float | str) -> str | None:

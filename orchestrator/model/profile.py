@@ -172,7 +172,7 @@ class Profile(_IntegrationCache):
         points = [self.first_position * self.scale_counts, float(self.end_counts - self.start_counts)]
         for segment in self.segments:
             points += (segment.position, segment.state_at(segment.duration_s).position)
-            for root in _find_turning_points(segment.velocity, segment.acceleration, segment.jerk):
+            for root in find_turning_points(segment.velocity, segment.acceleration, segment.jerk):
                 if 0.0 < root < segment.duration_s:
                     points.append(segment.state_at(root).position)
         return self.start_counts + min(points), self.start_counts + max(points)
@@ -209,7 +209,7 @@ class Profile(_IntegrationCache):
 _AT_REST = MotionState(0.0, 0.0, 0.0)
 
 
-def _find_turning_points(v: float, a: float, j: float) -> tuple[float, ...]:
+def find_turning_points(v: float, a: float, j: float) -> tuple[float, ...]:
     """The times at which v + a t + j t²/2 is zero."""
     if j == 0.0:
         return (-v / a,) if a else ()

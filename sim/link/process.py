@@ -24,7 +24,7 @@ from pydantic import ValidationError
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.private_files import FILE_MODE, make_private_folder, open_for_append, open_private_file
+from orchestrator.model.files.private_files import FILE_MODE, make_private_folder, open_for_append, open_private_file
 from orchestrator.model.problems import describe_first_error
 from sim.core.contact import ContactBench
 from sim.core.controller import (

@@ -11,7 +11,7 @@ import tty
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.model.private_files import make_private_folder
+from orchestrator.model.files.private_files import make_private_folder
 from sim.core.controller import LineEndpoint, PortConnection, PortRefused
 from sim.link.pacing import PacedLine
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 
 from orchestrator.clock.base import NS_PER_US, Clock
-from orchestrator.model.private_files import open_private_file
+from orchestrator.model.files.private_files import open_private_file
 from sim.core.controller import SimulatedController
 from sim.link.arguments import WireFields
 

@@ -23,8 +23,8 @@ from orchestrator.clock.live import raw_ns
 from orchestrator.keys.authority import load_authority
 from orchestrator.keys.folder import AUTHORITY_KEY_FILE
 from orchestrator.model.errors import Refusal
+from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.private_files import replace_private_file
 
 pytestmark = [pytest.mark.live, pytest.mark.alone]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from canopen import ObjectDictionary, ObjectDictionaryError, import_od
 
-from orchestrator.model.yaml_reader import explain_mark
+from orchestrator.model.files.yaml_reader import explain_mark
 
 _SECTION = re.compile(r"\s*\[(.+)\]")
 _ENTRY = re.compile(r"\s*(\w+)\s*=\s*([^;]*)")

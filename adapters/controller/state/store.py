@@ -7,8 +7,8 @@ from pydantic import Field
 
 from orchestrator.clock.executor import Executor
 from orchestrator.model.base import Int53, Model, Rational
+from orchestrator.model.files.private_files import ON_DISK, FileAccess
 from orchestrator.model.operation.checksums import add_checksum, take_checksum
-from orchestrator.model.private_files import ON_DISK, FileAccess
 from orchestrator.model.state import EstopLatch
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from orchestrator.bus.identity import BadIdentity
 from orchestrator.bus.zenoh.sessions import RouterUnreachable
-from orchestrator.model.private_files import UnsafePath
+from orchestrator.model.files.private_files import UnsafePath
 
 BAD_INPUT, NO_BUS = 2, 3
 

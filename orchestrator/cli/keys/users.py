@@ -215,7 +215,7 @@ def _open_users(state: Path | None, fleet: str | None) -> "UserFile":
     require_extra("web")
     from orchestrator.cli.base.state import choose_state
     from orchestrator.gateway.access.users import UserFile
-    from orchestrator.model.private_files import make_private_folder
+    from orchestrator.model.files.private_files import make_private_folder
     from orchestrator.runtime.state.folder import LOCK, USERS_FILE, default_state
 
     with expected_errors():

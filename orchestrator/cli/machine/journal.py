@@ -99,7 +99,7 @@ def backup(state: Path | None, fleet: str | None, output: Path, *, force: bool, 
 def export(state: Path | None, fleet: str | None, output: Path, *, force: bool, as_json: bool) -> None:
     """Write the journal as text, one record a line, for programs and for moving it. The fleet may run."""
     from orchestrator.coordinator.journal.sqlite.portable import export_journal
-    from orchestrator.model.private_files import write_new_file
+    from orchestrator.model.files.private_files import write_new_file
     from orchestrator.model.version import find_own_version
 
     path = _find_journal(state, fleet)

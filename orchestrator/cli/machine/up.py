@@ -362,7 +362,7 @@ async def _start_and_reach(live: "LiveFleet", limit_s: float, *, required: bool)
 def _start_detached(file: Path, folder: Path, options: Sequence[str], *, as_json: bool) -> None:
     """Start `tutti up` in a session of its own, and return when it is up, or exit with its error."""
     from orchestrator.bus.logfile import rotate_if_large
-    from orchestrator.model.private_files import open_for_append
+    from orchestrator.model.files.private_files import open_for_append
     from orchestrator.runtime.state.folder import UP_LOG
 
     log = folder / "log" / UP_LOG

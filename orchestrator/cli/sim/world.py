@@ -193,7 +193,7 @@ def _split_name(name: str, known: dict[str, Any], what: str) -> tuple[str, str]:
 
 def _write_change(state: Path, controller: str, change: dict[str, Any], words: str, *, as_json: bool) -> None:
     """Write one line to the simulator's pipe, and print what is so now, in `words`."""
-    from orchestrator.model.private_files import open_private_file
+    from orchestrator.model.files.private_files import open_private_file
     from orchestrator.runtime.live.fleet import simulation_pipe
 
     path = simulation_pipe(state, controller)

@@ -17,8 +17,8 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.leadership.leadership import LEADER_TIMEOUT_NS, confirm_leader
+from orchestrator.model.files.private_files import read_private_file, replace_private_file
 from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat
-from orchestrator.model.private_files import read_private_file, replace_private_file
 
 POLL_NS = HEARTBEAT_NS // 2
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.zones import query_rest_positions
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.compensation import Play
@@ -21,6 +22,7 @@ from orchestrator.model.state import AxisState, ControllerInfo, ControllerState,
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.zone_problems import list_zone_axes
 from orchestrator.plan.curved_move import CurvedMove, plan_curved_move
 from orchestrator.plan.flying.path import FlightPath, place_triggers, plan_flight_step
 from orchestrator.plan.pairs import bound_pairs, require_whole_pairs
@@ -31,6 +33,7 @@ from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 from orchestrator.plan.virtual_bound import CurvedLine
+from orchestrator.plan.zones.course import Timing
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
 WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
@@ -134,7 +137,9 @@ async def plan_request(
         infos[controller], instances[controller] = info, state.instance
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     context = AxisContext(view.fleet, states, infos, services.targets)
-    return await _plan_from(services, request, context, goal, instances)
+    planned_step = await _plan_from(services, request, context, goal, instances)
+    await _require_zones(services, planned_step, infos, {})
+    return planned_step
 
 
 def plan_take_up(planned: PlannedStep) -> PlannedStep:
@@ -208,6 +213,7 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
     if planned_step.resolved.take_ups:
         axes = ", ".join(move.axis for move in planned_step.resolved.take_ups)
         raise Refusal("take-up", f"{axes} takes up its play before it, at the speed of `backlash`")
+    await _require_zones(services, planned_step, infos, before.ends)
     plays = {**before.plays, **planned_step.plays}
     return replace(planned_step, ends={**before.ends, **planned_step.ends}, plays=plays)
 
@@ -246,6 +252,26 @@ async def _plan_from(
     exact, plays = resolved_move.exact, resolved_move.plays
     pairs = bound_pairs(context.fleet, plan, {name: info.alone_s for name, info in context.infos.items()})
     return PlannedStep(request, resolved_move, plan, instances, exact, plays, triggers=triggers, pairs=pairs)
+
+
+async def _require_zones(
+    services: MotionServices,
+    planned: PlannedStep,
+    infos: Mapping[str, ControllerInfo],
+    ends: Mapping[str, tuple[Fraction, int]],
+) -> None:
+    """Raise `Refusal` (code `zone`) for a move that may bring bodies together. ends: of the steps before that are not
+    over yet."""
+    fleet = services.fleet.view.fleet
+    if fleet.zones is None or planned.path is not None:  # paths are not checked yet
+        return
+    profiles = planned.plan.profiles
+    resting_axes = [name for name in list_zone_axes(fleet.zones, fleet) if name not in profiles]
+    positions = await query_rest_positions(services.fleet.view, resting_axes, ends, planned.request.job_id)
+    request = planned.request
+    skew_ns = max(request.max_start_skew_ns, request.max_end_skew_ns or 0, request.max_path_skew_ns or 0)
+    timing = Timing({name: info.alone_s for name, info in infos.items()}, skew_ns / NS_PER_S)
+    await services.plan(services.zones.require, fleet, profiles, positions, timing)
 
 
 async def _query_controller(

@@ -20,6 +20,7 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility, RetargetWay
 from orchestrator.model.steps.move import Move
 from orchestrator.model.units import AxisQuantity, UnitError, parse_quantity
+from orchestrator.model.zone_problems import list_zone_axes
 from orchestrator.plan.retarget import continue_profile, extend_profile
 from orchestrator.plan.shape import PlanError
 from orchestrator.plan.speeds import limit_speeds, plan_motion
@@ -51,6 +52,7 @@ def resolve_retarget(
     targets that they have. Raises `Refusal`."""
     view = services.fleet.view
     move = _require_move(request, targets)
+    _require_no_zones(view.fleet, request.axes)
     services.fleet.permits.require(request.axes)
     states: dict[str, AxisState] = {}
     for axis in request.axes:
@@ -68,6 +70,17 @@ def resolve_retarget(
     except PlanError as error:
         raise Refusal("plan", str(error)) from None
     return resolved_move
+
+
+def _require_no_zones(fleet: Fleet, axes: Sequence[str]) -> None:
+    """Raise `Refusal` for axes on which rules of zones depend: the way from where they are on it is not checked."""
+    zone_axes = () if fleet.zones is None else list_zone_axes(fleet.zones, fleet)
+    bound_axes = [axis for axis in axes if axis in zone_axes]
+    if bound_axes:
+        text = (
+            f"{', '.join(bound_axes)} moves bodies of zones, and other targets on the way are not checked against them"
+        )
+        raise Refusal("zone", text, "wait for the end of the move, or stop it, and move again")
 
 
 def find_continuation(fleet: Fleet, infos: Mapping[str, ControllerInfo], axes: Sequence[str]) -> RetargetAbility | None:

@@ -11,6 +11,7 @@ from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
 from orchestrator.coordinator.motion.publisher import StepPublisher
 from orchestrator.model.report import StepRecording, StepReport
 from orchestrator.plan.step import ExactTargets
+from orchestrator.plan.zones.refusals import ZoneMemory
 
 MotionListener = Callable[[StepRecording, StepReport | None], None]
 """Called when a motion step is over, with what was recorded of it and its report; None: it was interrupted."""
@@ -21,7 +22,7 @@ class MotionServices:
     """Services and memory that the steps of one coordinator share.
 
     execute: calls the journal. plan: plans paths, which may take seconds; plan_long: those with so many pieces that it
-    takes a gigabyte. estimator: lead times of earlier steps.
+    takes a gigabyte. estimator: lead times of earlier steps. zones: their rules.
     targets: exact targets of axes. stop_times_ns: by controller, how long stopping its last step takes at most.
     listeners: called after each step.
     """
@@ -34,6 +35,7 @@ class MotionServices:
     plan: Executor = run_inline
     plan_long: Executor = run_inline
     estimator: LeadTimeEstimator = field(default_factory=LeadTimeEstimator)
+    zones: ZoneMemory = field(default_factory=ZoneMemory)
     targets: ExactTargets = field(default_factory=ExactTargets)
     stop_times_ns: dict[str, int] = field(default_factory=dict[str, int])
     listeners: list[MotionListener] = field(default_factory=list[MotionListener])

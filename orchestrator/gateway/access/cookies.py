@@ -14,7 +14,7 @@ from pathlib import Path
 
 from starlette.responses import Response
 
-from orchestrator.model.private_files import UnsafePath, read_private_file, replace_private_file
+from orchestrator.model.files.private_files import UnsafePath, read_private_file, replace_private_file
 
 SESSION_S = 7 * 24 * 3600
 KNOWN_S = 400 * 24 * 3600  # the longest that browsers keep one

@@ -20,7 +20,12 @@ from pydantic import Field, TypeAdapter, ValidationError
 from orchestrator.gateway.access.roles import Role
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
-from orchestrator.model.private_files import UnsafePath, open_private_file, read_private_file, replace_private_file
+from orchestrator.model.files.private_files import (
+    UnsafePath,
+    open_private_file,
+    read_private_file,
+    replace_private_file,
+)
 from orchestrator.model.problems import describe_first_error, first_error_text
 from orchestrator.model.queue import Utc
 

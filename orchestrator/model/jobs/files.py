@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.explain import list_problems
+from orchestrator.model.files.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.table_files import read_tables
 from orchestrator.model.problems import Problem
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.tree import find_scans
-from orchestrator.model.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
 
 M = TypeVar("M", bound=Model)
 

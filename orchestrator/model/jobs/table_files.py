@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+from orchestrator.model.files.yaml_reader import explain_mark
 from orchestrator.model.numbers import MAX_TEXT
 from orchestrator.model.problems import Problem
 from orchestrator.model.text.separators import find_separator, read_cell
 from orchestrator.model.units import Unit, UnitError, parse_quantity
-from orchestrator.model.yaml_reader import explain_mark
 
 ERRORS = ("error", "uncertainty")
 MAX_BYTES = 1_000_000

@@ -11,13 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
+from orchestrator.model.files.yaml_reader import explain_byte, explain_mark
 from orchestrator.model.jobs.files import MAX_PROBLEMS, FileError, FileProblem
 from orchestrator.model.numbers import MAX_TEXT
 from orchestrator.model.scans.point_summary import ROWS_AT_ONCE, Rows
 from orchestrator.model.steps.points import MAX_POINTS, MAX_SCAN_AXES, PointAxis
 from orchestrator.model.text.separators import find_separator, read_cell
 from orchestrator.model.units import MAX_QUANTITY, Unit, UnitError, parse_quantity
-from orchestrator.model.yaml_reader import explain_byte, explain_mark
 
 
 class _RowReader(Protocol):

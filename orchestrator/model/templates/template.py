@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from orchestrator.model.explain import show_value
+from orchestrator.model.files.yaml_reader import YamlNode, resolve_plain
 from orchestrator.model.fleet_names import list_names, suggest_name
 from orchestrator.model.jobs.files import (
     FileError,
@@ -31,7 +32,6 @@ from orchestrator.model.templates.parameters import (
     ParameterValue,
 )
 from orchestrator.model.templates.references import MARK, find_references, find_whole, replace_references
-from orchestrator.model.yaml_reader import YamlNode, resolve_plain
 
 DECLARATIONS, USED, BUTTON = "parameters", "parameters_used", "button"
 NOT_OF_JOB = (DECLARATIONS, BUTTON)  # parts of the file alone

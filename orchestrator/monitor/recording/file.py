@@ -11,7 +11,7 @@ import zstandard
 from mcap import writer as mcap_writer
 from mcap.writer import CompressionType, Writer
 
-from orchestrator.model.private_files import make_private_folder, open_private_file
+from orchestrator.model.files.private_files import make_private_folder, open_private_file
 from orchestrator.monitor.recording.channels import BYTES, INVALID, JSON, Channel, make_schema
 
 SUFFIX = ".mcap"

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.model.private_files import UnsafePath
+from orchestrator.model.files.private_files import UnsafePath
 from orchestrator.monitor.recording.channels import Channel
 from orchestrator.monitor.recording.file import SUFFIX, OpenFile, RecordingFile, create_file
 from orchestrator.monitor.recording.instants import UtcScale

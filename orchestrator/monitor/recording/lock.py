@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.private_files import make_private_folder, open_private_file
+from orchestrator.model.files.private_files import make_private_folder, open_private_file
 
 LOCK = ".lock"
 

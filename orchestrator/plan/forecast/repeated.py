@@ -25,6 +25,7 @@ from orchestrator.plan.forecast.passes import (
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState, unknown_position
 from orchestrator.plan.forecast.targets import check_room, check_target, exceeds_room
+from orchestrator.plan.forecast.zones import note_unchecked_passes
 from orchestrator.plan.targets import explain_beyond_limits, explain_beyond_range
 
 Forecasting = Generator[None, None, Span]
@@ -71,6 +72,7 @@ def _run_passes(state: ForecastState, at: ForecastContext, inner: InnerSteps) ->
     targets = find_later_targets(passes[1].checks, passes[2].checks)
     if not any(target.drift or target.offset_drift for target in targets):
         return total.followed_by(third, times - RUN_PASSES)
+    note_unchecked_passes(state, inner, RUN_PASSES)
     last = (yield from _run_pass(state, at, inner, describe_pass(times))).span
     span_between = third
     if last != third:

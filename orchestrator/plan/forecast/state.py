@@ -18,6 +18,7 @@ from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.ways import ForecastMotion
 from orchestrator.plan.probes import ContactRange, ProbeAbilities
 from orchestrator.plan.triggers import find_brake_outputs
+from orchestrator.plan.zones.rules import FleetZones
 
 Order = Literal[2, 3]
 
@@ -55,6 +56,9 @@ class ForecastState:
         self.followers: dict[str, str] = {}
         self.racks: dict[str, RackBound] = {}
         self.pairs: dict[str, PairBound] = {}
+        self.zones = None if fleet.zones is None else FleetZones(fleet)
+        self.zones_checked = False
+        """Whether the step that is run forward was checked against zones."""
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from orchestrator.model.files.yaml_reader import YamlError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, FileProblem, read_document, validate_value
 from orchestrator.model.jobs.job import Job
@@ -13,7 +14,6 @@ from orchestrator.model.paths.origin import PathOrigin, Place
 from orchestrator.model.steps.path import FollowPath
 from orchestrator.model.steps.tree import find_paths
 from orchestrator.model.units import Unit
-from orchestrator.model.yaml_reader import YamlError
 from orchestrator.plan.forecast.job import forecast_job
 from orchestrator.plan.path.axes import PathAxis
 from orchestrator.plan.path.errors import PathRefusal

@@ -26,8 +26,8 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.service_manager import READY, STOPPING, ServiceManager
 from orchestrator.keys.places import find_identity_folder
 from orchestrator.model.errors import Refusal
+from orchestrator.model.files.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
-from orchestrator.model.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.runtime.live.bridge import bridge_baud
 from orchestrator.runtime.live.killing import kill_process
 from orchestrator.runtime.live.leader_probe import find_leader

@@ -23,7 +23,7 @@ from orchestrator.coordinator.journal.records import BadBackup
 from orchestrator.coordinator.journal.sqlite.portable import read_stored_epoch
 from orchestrator.coordinator.journal.sqlite.transaction import copy_database
 from orchestrator.model.base import Int53, Model
-from orchestrator.model.private_files import FILE_MODE, sync_folder, write_new_file
+from orchestrator.model.files.private_files import FILE_MODE, sync_folder, write_new_file
 from orchestrator.runtime.state.folder import ADAPTERS, FLEET_FILE, JOURNAL
 
 MANIFEST = "manifest.json"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from orchestrator.model.errors import TuttiError
-from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, restrict_to_user
+from orchestrator.model.files.private_files import UnsafePath, make_private_folder, open_private_file, restrict_to_user
 
 LOCK = "lock"
 JOURNAL = "journal.sqlite3"

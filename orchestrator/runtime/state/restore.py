@@ -18,8 +18,8 @@ from orchestrator.coordinator.journal.records import BadBackup, JournalError
 from orchestrator.coordinator.journal.sqlite.inspection import JournalDamage, check_journal
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.journal.sqlite.portable import import_journal, read_stored_epoch, set_epoch
+from orchestrator.model.files.private_files import make_private_folder, sync_folder
 from orchestrator.model.messages import MAX_EPOCH
-from orchestrator.model.private_files import make_private_folder, sync_folder
 from orchestrator.model.queue import QueueStop
 from orchestrator.runtime.state.backup import unpack_backup
 from orchestrator.runtime.state.folder import ADAPTERS, JOURNAL, StateLock

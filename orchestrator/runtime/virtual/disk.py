@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from orchestrator.clock.base import Clock, sleep_ns
 from orchestrator.clock.executor import Executor, run_inline
-from orchestrator.model.private_files import FileAccess
+from orchestrator.model.files.private_files import FileAccess
 
 T = TypeVar("T")
 

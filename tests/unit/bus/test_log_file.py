@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.bus import logfile
 from orchestrator.bus.logfile import KEPT_LOGS, LogFile, rotate_open_file
-from orchestrator.model.private_files import open_for_append
+from orchestrator.model.files.private_files import open_for_append
 
 
 def lines_of(path: Path) -> list[str]:

@@ -14,7 +14,7 @@ from unit.cli.command_world import open_world
 from orchestrator.bus.logfile import MAX_LOG_BYTES
 from orchestrator.cli.machine.up import _start_and_reach
 from orchestrator.cli.main import main
-from orchestrator.model.private_files import open_for_append
+from orchestrator.model.files.private_files import open_for_append
 from orchestrator.runtime.live import fleet as live
 from orchestrator.runtime.live.fleet import LiveFleet
 from orchestrator.runtime.state.folder import (

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.model.private_files import (
+from orchestrator.model.files.private_files import (
     UnsafePath,
     open_for_append,
     read_private_file,

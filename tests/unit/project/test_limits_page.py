@@ -33,12 +33,12 @@ from orchestrator.gateway.access import authentication, sign_in_limits, users
 from orchestrator.gateway.stream import acts, fleet_state, socket
 from orchestrator.link.trace import MAX_TRACE_ENTRIES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
+from orchestrator.model.files.yaml_reader import MAX_BYTES
 from orchestrator.model.messages import MAX_TRACE_PART
 from orchestrator.model.queue import MAX_FLAT_STEPS, MAX_STEPS
 from orchestrator.model.steps.points import MAX_LISTED, MAX_POINTS, MAX_SCAN_AXES
 from orchestrator.model.steps.repeat import MAX_REPEAT_DEPTH, MAX_REPEATED
 from orchestrator.model.steps.scan import MAX_AT_EACH
-from orchestrator.model.yaml_reader import MAX_BYTES
 
 PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "limits.md").read_text(encoding="utf-8")
 ROWS = {

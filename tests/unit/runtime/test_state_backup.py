@@ -25,12 +25,12 @@ from orchestrator.coordinator.journal.sqlite.inspection import check_journal
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.coordinator.journal.sqlite.portable import import_journal, read_stored_epoch
 from orchestrator.coordinator.journal.sqlite.schema import MIGRATIONS, SCHEMA, VERSION
+from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.jobs.files import parse_document
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobApproval, JobPlan
 from orchestrator.model.positions.entries import SavedPosition
-from orchestrator.model.private_files import replace_private_file
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobTransition
 from orchestrator.model.state import EstopLatch

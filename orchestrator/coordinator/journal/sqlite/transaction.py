@@ -6,7 +6,7 @@ from contextlib import closing
 from pathlib import Path
 
 from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.model.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
+from orchestrator.model.files.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
 
 # A message of SQLite about a damaged file has bytes of it, which are no text.
 DATABASE_ERRORS = (sqlite3.Error, UnicodeDecodeError)

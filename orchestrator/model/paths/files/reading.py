@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from orchestrator.model.files.yaml_reader import YamlError, decode_text
 from orchestrator.model.jobs.files import FileError, FileProblem, read_file
 from orchestrator.model.paths.files.base.imported import ImportedSteps
 from orchestrator.model.paths.files.columns import ColumnReader
@@ -12,7 +13,6 @@ from orchestrator.model.paths.files.gcode.reader import GcodeReader
 from orchestrator.model.paths.files.trajectory import TrajectoryReader
 from orchestrator.model.paths.gcode_settings import GcodeSettings
 from orchestrator.model.paths.source import digest_text
-from orchestrator.model.yaml_reader import YamlError, decode_text
 
 GCODE = (".ngc", ".gcode", ".nc", ".tap")
 TABLES = (".csv",)

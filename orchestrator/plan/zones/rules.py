@@ -1,0 +1,211 @@
+"""The rules of a fleet file, and whether a step keeps them."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.profile import Profile
+from orchestrator.model.units import Unit, parse_quantity
+from orchestrator.model.zone_fields import LEAST_DISTANCE, Vector, ZoneRule, find_relation_axis, read_relation
+from orchestrator.model.zone_problems import find_range, list_zone_axes
+from orchestrator.plan.zones.chain import Body, Box, make_body, resolve_axis
+from orchestrator.plan.zones.clearance import (
+    Constraint,
+    End,
+    OutOfWork,
+    PairClearance,
+    RelationConstraint,
+    Search,
+    find_violation,
+    halve,
+)
+from orchestrator.plan.zones.course import Course, Timing, find_margin, make_moving_axis
+from orchestrator.plan.zones.shapes import make_shape
+from orchestrator.plan.zones.vectors import length, subtract
+
+
+@dataclass(frozen=True, slots=True)
+class RuleCheck:
+    """A rule of a fleet file, by its name, and what must hold."""
+
+    name: str
+    constraint: Constraint
+    trust_step: bool
+
+
+class RuleState(NamedTuple):
+    """A rule with all axes at some positions. distance: mm; None for a relation. text: in words."""
+
+    rule: str
+    holds: bool
+    distance: float | None
+    trust_step: bool
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """Where a step may break a rule. positions: by axis; None: within the work that is allowed it was not decided, and
+    `nearest` is the smallest distance seen, mm."""
+
+    rule: RuleCheck
+    instant_s: float
+    positions: Mapping[str, float] | None
+    nearest: float
+
+
+class FleetZones:
+    """The rules of a fleet, as they are checked. rules: in the order of the file. ranges: where each real axis that a
+    rule depends on can be, in its unit; margins: how far it may be from where it is said to be."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        zones = fleet.zones
+        assert zones is not None, "the fleet has zones"
+        self._fleet = fleet
+        self.skew_s = zones.step_skew
+        self.bodies: dict[str, Body] = {name: make_body(fleet, zones.bodies, name) for name in zones.bodies}
+        self.rules = [
+            RuleCheck(name, self._make_constraint(fleet, name, rule), rule.trust_step)
+            for name, rule in zones.rules.items()
+        ]
+        self.ranges: dict[str, tuple[float, float]] = {}
+        for axis in list_zone_axes(zones, fleet):
+            ends = find_range(zones, fleet, axis)
+            assert ends is not None, "the zones are valid"
+            self.ranges[axis] = float(ends[0]), float(ends[1])
+        self.units = {axis: fleet.axis(axis).unit for axis in self.ranges}
+        self.margins = {axis: find_margin(fleet.axis(axis)) for axis in self.ranges}
+
+    def _make_constraint(self, fleet: Fleet, name: str, rule: ZoneRule) -> Constraint:
+        if rule.apart is not None:
+            first, second = (self.bodies[body] for body in rule.apart.bodies)
+            return PairClearance(first, second, _find_distance(rule.apart.distance))
+        if rule.keep_out is not None:
+            region = Body(f"the region of {name}", make_shape(rule.keep_out.region))
+            return PairClearance(self.bodies[rule.keep_out.body], region, _find_distance(rule.keep_out.distance))
+        assert rule.when is not None and rule.forbid is not None, "the rule is valid"
+        width = float(parse_quantity(rule.hysteresis or 0, fleet.unit_of(find_relation_axis(rule.when))))
+        words = f"{rule.when} forbids {rule.forbid}"
+        return RelationConstraint(_make_end(fleet, rule.when, width), _make_end(fleet, rule.forbid), words)
+
+    def make_course(
+        self,
+        profiles: Mapping[str, Profile],
+        positions: Box,
+        timing: Timing,
+        adrift: Collection[str] = (),
+    ) -> Course:
+        """The course of a step. profiles: of the axes that it moves from a known position. positions: between what
+        motor positions axes that it does not move are; without one they may be anywhere in their range. adrift: axes
+        that it moves from where is not known."""
+        moving_axes = {name: make_moving_axis(self._fleet, name, profiles[name], timing) for name in profiles}
+        standing: dict[str, tuple[float, float]] = {}
+        for name, ends in self.ranges.items():
+            low, high = positions.get(name, ends)
+            standing[name] = low - self.margins[name], high + self.margins[name]
+        duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
+        unknown = [name for name in self.ranges if name not in positions and name not in profiles]
+        return Course(moving_axes, standing, duration_s, max(self.skew_s, timing.skew_s), unknown, adrift)
+
+    def find_violations(self, course: Course) -> Iterator[Violation]:
+        """Where a step may break each rule that depends on an axis that it moves."""
+        moved_axes = course.moved
+        balls = _Balls(course)
+        for rule in self.rules:
+            if not moved_axes.isdisjoint(rule.constraint.axes) and not balls.show_far(rule):
+                violation = find_rule_violation(rule, course)
+                if violation is not None:
+                    yield violation
+
+    def find_states(self, positions: Mapping[str, float]) -> list[RuleState]:
+        """Each rule with axes at rest at positions, without margins."""
+        box = {axis: (position, position) for axis, position in positions.items()}
+        return [
+            RuleState(
+                rule.name,
+                rule.constraint.look(box).holds is True,
+                rule.constraint.find_distance(positions)[0] if isinstance(rule.constraint, PairClearance) else None,
+                rule.trust_step,
+                rule.constraint.describe(positions),
+            )
+            for rule in self.rules
+        ]
+
+    def is_clear(self, course: Course) -> bool:
+        """Whether a step surely keeps all rules."""
+        return next(self.find_violations(course), None) is None
+
+
+class _Balls:
+    """Balls around bodies, which these do not leave in all of a step."""
+
+    def __init__(self, course: Course) -> None:
+        self._course = course
+        self._balls: dict[str, tuple[Vector, float]] = {}
+
+    def show_far(self, rule: RuleCheck) -> bool:
+        """Whether they show that the bodies of a rule are always far enough apart."""
+        if not isinstance(rule.constraint, PairClearance):
+            return False
+        (first, first_radius), (second, second_radius) = map(self._find_ball, rule.constraint.bodies)
+        return length(subtract(first, second)) - first_radius - second_radius > rule.constraint.distance
+
+    def _find_ball(self, body: Body) -> tuple[Vector, float]:
+        ball = self._balls.get(body.name)
+        if ball is None:
+            ball = self._balls[body.name] = body.find_ball(self._course.whole_box)
+        return ball
+
+
+def _find_distance(distance: float | str) -> float:
+    return float(max(parse_quantity(distance, Unit.MM), LEAST_DISTANCE))
+
+
+def _make_end(fleet: Fleet, text: str, hysteresis: float = 0.0) -> End:
+    """A side of a relation. hysteresis: by how much more of the way it counts as held: the axis may have been there."""
+    name = find_relation_axis(text)
+    unit = fleet.unit_of(name)
+    relation = read_relation(text, unit)
+    end = float(relation.end) + (hysteresis if relation.is_below else -hysteresis)
+    return End(name, unit, resolve_axis(fleet, name), relation.is_below, end)
+
+
+def find_rule_violation(rule: RuleCheck, course: Course, *, trust_step: bool | None = None) -> Violation | None:
+    """Where a step may break a rule; None: it keeps it, for all instants, margins and single stops. trust_step: as of
+    the rule by default."""
+    constraint, trust = rule.constraint, rule.trust_step if trust_step is None else trust_step
+    finest_s = course.find_resolution(constraint.axes, trust_step=trust)
+    search, spans = Search(), [Span(0.0, course.duration_s, {})]
+    span = spans[0]
+    try:
+        while spans:
+            span = spans.pop()
+            box = course.find_box(constraint.axes, span.begin_s, span.end_s, trust_step=trust)
+            box = {**box, **span.standing}
+            look = search.look(constraint, box)
+            if look.holds:
+                continue
+            if look.widest is not None and look.widest not in course.moving:
+                spans += [
+                    replace(span, standing={**span.standing, look.widest: half}) for half in halve(box, look.widest)
+                ]
+            elif span.end_s - span.begin_s > finest_s:
+                middle_s = (span.begin_s + span.end_s) / 2
+                spans += [replace(span, begin_s=middle_s), replace(span, end_s=middle_s)]
+            else:
+                positions = find_violation(search, constraint, box)
+                if positions is not None:
+                    return Violation(rule, span.begin_s, positions, search.nearest)
+    except OutOfWork:
+        return Violation(rule, span.begin_s, None, search.nearest)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A part of a step: a span of time, s, and parts of the ranges of axes that it does not move."""
+
+    begin_s: float
+    end_s: float
+    standing: Box

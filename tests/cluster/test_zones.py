@@ -1,0 +1,102 @@
+"""Keep-out zones of a fleet in virtual time: what a step is refused for, by the positions that the fleet has."""
+
+import pytest
+from cluster.worlds import EXAMPLES, job, outcome, run_fleet
+
+from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.model.errors import Refusal
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.jobs.files import load_fleet
+from orchestrator.model.report import JobReport
+from orchestrator.model.templates.template import load_job
+from orchestrator.runtime.virtual.fleet import VirtualFleet
+
+ENABLE = job("[{do: enable, axes: [gantry, stage]}]")
+
+
+def zones_fleet() -> Fleet:
+    return load_fleet(EXAMPLES / "zones.fleet.yaml")
+
+
+def run_steps(steps: str, homed: str = "gantry, stage") -> JobReport:
+    """The report of steps after some axes were homed."""
+
+    async def main(fleet: VirtualFleet) -> JobReport:
+        return await outcome(fleet, ENABLE, job(f"[{{do: home, axes: [{homed}]}}]"), job(steps))
+
+    return run_fleet(main, zones_fleet())
+
+
+def test_the_example_job_runs_through() -> None:
+    """Its steps follow each other without a rest: each is checked from where the one before ends."""
+
+    async def main(fleet: VirtualFleet) -> JobReport:
+        return await outcome(fleet, ENABLE, load_job(EXAMPLES / "zones.job.yaml"))
+
+    report = run_fleet(main, zones_fleet())
+    assert report.state == "done", report.reason
+
+
+def test_a_step_that_would_bring_bodies_together_is_refused_and_nothing_moves() -> None:
+    async def main(fleet: VirtualFleet) -> tuple[JobReport, float]:
+        report = await outcome(fleet, ENABLE, job("[{do: home}]"), job("[{do: move, to: {gantry.x: 300}}]"))
+        return report, fleet.controllers["gantry"].position("X")
+
+    report, counts = run_fleet(main, zones_fleet())
+    assert report.state == "failed" and "zone detector-sample: " in report.reason and "5 mm apart" in report.reason
+    assert report.steps[0].refused is not None and report.steps[0].refused.code == "zone"
+    assert abs(counts) < 5
+
+
+def test_it_depends_on_where_axes_of_other_steps_were_left() -> None:
+    over, low = "{do: move, to: {gantry.x: 230}}", "{do: move, to: {gantry.z: 0}}"
+    up = "{do: move, to: {gantry.z: 60}}"
+    assert run_steps(f"[{up}, {over}]").state == "done"
+    assert [step.state for step in run_steps(f"[{up}, {over}, {low}]").steps] == ["done", "done", "failed"]
+
+
+def test_an_axis_without_a_reference_counts_as_anywhere() -> None:
+    """The arm begins at 190 mm with the stage at 0, and at 185 with stage.phi turned by 45 degrees."""
+    near, nearer = (f"[{{do: move, to: {{gantry.x: {x}}}}}]" for x in (145, 152))
+    assert run_steps(near, homed="gantry").state == "done"
+    report = run_steps(nearer, homed="gantry")
+    assert report.state == "failed" and "the position of stage.u, stage.phi is not known" in report.reason
+    assert "home stage.u, stage.phi" in report.reason
+    assert run_steps(nearer).state == "done"
+
+
+def test_other_targets_on_the_way_are_refused() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        await outcome(fleet, ENABLE, job("[{do: home}]"))
+        client = fleet.make_client()
+        submitted = await client.submit(job("[{do: move, to: {gantry.x: 100}, speed: 0.1}]"))
+        await sleep_ns(fleet.clock, 2 * NS_PER_S)
+        with pytest.raises(Refusal, match="other targets on the way are not checked") as failure:
+            await client.retarget_job(submitted, {"gantry.x": 50})
+        assert failure.value.code == "zone"
+
+    run_fleet(main, zones_fleet())
+
+
+def test_an_axis_that_another_user_holds_counts_as_anywhere() -> None:
+    """It stands still, and may be moved at any time."""
+
+    async def main(fleet: VirtualFleet) -> tuple[JobReport, JobReport]:
+        await outcome(fleet, ENABLE, job("[{do: home}]"), job("[{do: move, to: {gantry.x: 20}}]"))
+        async with fleet.make_client().manual_control(["stage.u", "stage.phi"]):
+            held_report = await outcome(fleet, job("[{do: move, to: {gantry.x: 152}}]"))
+        return held_report, await outcome(fleet, job("[{do: move, to: {gantry.x: 152}}]"))
+
+    held_report, free_report = run_fleet(main, zones_fleet())
+    assert held_report.state == "failed" and "stage.u, stage.phi is not known" in held_report.reason
+    assert free_report.state == "done", free_report.reason
+
+
+def test_a_dry_run_says_it_from_where_the_axes_stand_and_nothing_moves() -> None:
+    async def main(fleet: VirtualFleet) -> list[tuple[object, str]]:
+        await outcome(fleet, ENABLE, job("[{do: home}]"))
+        steps = "[{do: move, to: {gantry.x: 100}}, {do: move, by: {gantry.x: 100}}]"
+        checked = await fleet.make_client().dry_run(job(steps))
+        return [(problem.place[1], problem.code) for problem in checked.problems]
+
+    assert run_fleet(main, zones_fleet()) == [(1, "zone")]
