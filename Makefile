@@ -13,13 +13,14 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make page             build the operators' page, which tutti up serves"
-	@echo "make test             set up, run all tests (some 6 minutes on two idle cores)"
+	@echo "make test             set up, run all quick tests (less than 5 minutes on two idle cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
+	@echo "make test-slow        the other tests in virtual time: the dear ones"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
 	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
 	@echo "make test-hosts       two computers, a network that fails, keys in hostile hands (root, for namespaces)"
@@ -90,11 +91,15 @@ demo: $(RUN)/.stamp page-if-possible
 test: test-fast test-live
 
 test-fast: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not nightly and not browser and not structure" -n 2 --dist worksteal $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not slow and not nightly and not browser and not structure" -n 2 --dist worksteal $(SLOWEST)
+
+# The dear ones of virtual time, tests/slow.txt.
+test-slow: $(DEV)/.stamp
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "slow and not nightly" -n 2 --dist worksteal $(SLOWEST) tests/unit tests/contract tests/cluster
 
 # Syntax and imports of every module, asyncio, typing, SQLite, JSON, random draws: what a version of Python can change.
 test-python: $(DEV)/.stamp
-	$(DEV)/bin/pytest -m "python and not live and not nightly" -n 2 --dist worksteal tests/unit tests/contract tests/cluster
+	$(DEV)/bin/pytest -m "python and not live and not slow and not nightly" -n 2 --dist worksteal tests/unit tests/contract tests/cluster
 
 # The same, or the target that EACH names, on each other version of Python that this machine has.
 EACH = test-python
@@ -148,7 +153,7 @@ test-nightly: $(DEV)/.stamp test-thirdparty
 	-$(DEV)/bin/python tools/mutants.py
 	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
-	$(MAKE) test-other-pythons EACH=test-fast
+	$(MAKE) test-other-pythons EACH="test-fast test-slow"
 
 # Simulated controllers and fleets against clients from PyPI; a skipped test is a failed one.
 test-thirdparty: $(THIRDPARTY)/.stamp

@@ -1,4 +1,4 @@
-"""What the tests of `make test` cost: `test_cost.py` runs them and writes `tests/COST.md`.
+"""What the tests of `make test` and `make test-slow` cost: `test_cost.py` runs them and writes `tests/COST.md`.
 
 Processor and wall seconds by folder and of the hundred dearest tests, with the processes that they start. What no test
 waited for (collection, fleets of a session, fork servers) is a row of its own.
@@ -17,8 +17,8 @@ from pathlib import Path, PurePosixPath
 
 ROOT = Path(__file__).parents[1]
 TABLE = ROOT / "tests" / "COST.md"
-HALVES = {"virtual": "test-fast", "live": "test-live"}
-"""Each half of the suite, and the target of the Makefile that runs it."""
+PARTS = {"virtual": "test-fast", "live": "test-live", "slow": "test-slow"}
+"""Each part of the suite, and the target of the Makefile that runs it."""
 DEAREST = 100
 
 
@@ -40,8 +40,8 @@ class Cost:
 
 
 @dataclass(slots=True)
-class HalfRun:
-    """One half of the suite. lines: a record of each test. cpu_s: of all processes; wall_s: of the command."""
+class PartRun:
+    """One part of the suite. lines: a record of each test. cpu_s: of all processes; wall_s: of the command."""
 
     name: str
     lines: list[dict[str, float | str]]
@@ -50,20 +50,20 @@ class HalfRun:
     code: int
 
 
-def run_half(name: str) -> HalfRun:
-    """Run a half of the suite by the Makefile, and read what its tests cost."""
+def run_part(name: str) -> PartRun:
+    """Run a part of the suite by the Makefile, and read what its tests cost."""
     with tempfile.TemporaryDirectory() as folder:
         plugin = {"TUTTI_TEST_COST": folder, "PYTHONPATH": str(ROOT / "tests"), "PYTEST_ADDOPTS": "-p cost_plugin"}
         began_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-        code = subprocess.run(["make", HALVES[name]], cwd=ROOT, env={**os.environ, **plugin}, check=False).returncode
+        code = subprocess.run(["make", PARTS[name]], cwd=ROOT, env={**os.environ, **plugin}, check=False).returncode
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         texts = [path.read_text(encoding="utf-8") for path in sorted(Path(folder).glob("*.jsonl"))]
     lines = [json.loads(line) for text in texts for line in text.splitlines()]
-    return HalfRun(name, lines, cpu_s, time.perf_counter() - began_s, code)
+    return PartRun(name, lines, cpu_s, time.perf_counter() - began_s, code)
 
 
-def tabulate_folders(runs: Iterable[HalfRun]) -> list[str]:
+def tabulate_folders(runs: Iterable[PartRun]) -> list[str]:
     """A row for each folder of tests, and for what no test waited for."""
     rows = ["| folder | tests | processor, s | wall, s |", "|---|---|---|---|"]
     for run in runs:
@@ -75,11 +75,11 @@ def tabulate_folders(runs: Iterable[HalfRun]) -> list[str]:
         rows += [cost.format_row(f"`{folder}`, {run.name}") for folder, cost in ranked]
         rest_s = run.cpu_s - sum(cost.cpu_s for cost in folders.values())
         rows.append(f"| {run.name}: in no test | | {rest_s:.1f} | |")
-        rows.append(f"| **{run.name} half** | {len(run.lines)} | {run.cpu_s:.1f} | {run.wall_s:.1f} |")
+        rows.append(f"| **{run.name} part** | {len(run.lines)} | {run.cpu_s:.1f} | {run.wall_s:.1f} |")
     return rows
 
 
-def tabulate_dearest(runs: Iterable[HalfRun]) -> list[str]:
+def tabulate_dearest(runs: Iterable[PartRun]) -> list[str]:
     """The dearest tests by processor time, children included."""
     lines = [line for run in runs for line in run.lines]
     lines.sort(key=lambda line: -float(line["cpu_s"]) - float(line["children_s"]))
@@ -92,9 +92,9 @@ def tabulate_dearest(runs: Iterable[HalfRun]) -> list[str]:
 
 
 def main() -> int:
-    """Run both halves and write the table; the exit code of make where a test failed."""
-    runs = [run_half(name) for name in HALVES]
-    parts = [
+    """Run all parts and write the table; the exit code of make where a test failed."""
+    runs = [run_part(name) for name in PARTS]
+    sections = [
         "# What the tests cost",
         "Written by `make test-cost`, on two processors; another machine gives other numbers. Wall times of tests add\n"
         "up to those of two workers.",
@@ -102,7 +102,7 @@ def main() -> int:
         f"## The {DEAREST} dearest tests",
         "\n".join(tabulate_dearest(runs)),
     ]
-    TABLE.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    TABLE.write_text("\n\n".join(sections) + "\n", encoding="utf-8")
     print(f"written: {TABLE.relative_to(ROOT)}")
     return max(run.code for run in runs)
 
