@@ -59,6 +59,7 @@ from orchestrator.model.operation.approval import ApproveJob, JobPlanned
 from orchestrator.model.operation.commands import CommandsListed, ListCommands
 from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.operation.virtual_state import VirtualStates
+from orchestrator.model.operation.zone_state import ZoneState
 from orchestrator.model.positions.entries import (
     PositionRemoved,
     PositionSaved,
@@ -207,6 +208,7 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "commands": ServiceVerb(ListCommands, CommandsListed, "viewer", reads=True),
     "names": ServiceVerb(Request, FleetNames, "viewer", reads=True),
     "virtual": ServiceVerb(Request, VirtualStates, "viewer", reads=True),
+    "zones": ServiceVerb(Request, ZoneState, "viewer", reads=True),
     "configuration": ServiceVerb(Request, FleetLoaded, "viewer", reads=True),
 }
 """The verbs of the coordinator, `svc/{verb}`."""

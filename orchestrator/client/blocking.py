@@ -41,6 +41,7 @@ from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.operation.commands import CommandRecord
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.operation.virtual_state import VirtualState
+from orchestrator.model.operation.zone_state import ZoneState
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
@@ -855,6 +856,11 @@ class BlockingTutti(BlockingObject[Tutti]):
     def virtual_states(self) -> dict[str, VirtualState]:
         """The state of every group of virtual axes, by its name; none of a fleet that has none. Raises `Refusal`."""
         return self._run(self._wrapped.virtual_states())
+
+    def zone_state(self) -> ZoneState:
+        """Where the bodies of the keep-out zones are now, mm, and what each rule says to that; all empty for a fleet
+        without. Software, no safety function. Raises `Refusal`."""
+        return self._run(self._wrapped.zone_state())
 
     def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.

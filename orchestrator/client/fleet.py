@@ -37,6 +37,7 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates
+from orchestrator.model.operation.zone_state import ZoneState
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import ControllerInfo, ControllerState
 from orchestrator.model.units import Unit
@@ -62,6 +63,11 @@ class FleetRequests(FleetConnection):
         """The state of every group of virtual axes, by its name; none of a fleet that has none. Raises `Refusal`."""
         reply = await self.request_service("virtual", Request(**self.request_fields()), VirtualStates)
         return {state.group: state for state in reply.groups}
+
+    async def zone_state(self) -> ZoneState:
+        """Where the bodies of the keep-out zones are now, mm, and what each rule says to that; all empty for a fleet
+        without. Software, no safety function. Raises `Refusal`."""
+        return await self.request_service("zones", Request(**self.request_fields()), ZoneState)
 
     async def stop(self, mode: str = "decelerate", known: Iterable[str] = ()) -> dict[str, Refusal | None]:
         """Stop every controller, directly, and the running jobs, and hold the queued ones.

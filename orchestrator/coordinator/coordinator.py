@@ -26,6 +26,7 @@ from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
+from orchestrator.coordinator.fleet.zone_states import ZoneObserver
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
@@ -113,6 +114,7 @@ class Coordinator:
             leases=self._leases,
             positions=self._positions,
             virtual=self._virtual,
+            zones=ZoneObserver(self._view),
             alarms=self._alarms.register,
             statistics=self._statistics,
             leadership=self.leadership,

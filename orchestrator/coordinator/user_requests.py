@@ -123,6 +123,7 @@ class UserRequests:
             "commands": self._commands.list_commands,
             "names": self._list_names,
             "virtual": services.virtual.answer,
+            "zones": services.zones.answer,
             "configuration": self._show_configuration,
         }
 

@@ -84,6 +84,7 @@ class FleetReads:
             "/v1/alarms": self._list_alarms,
             "/v1/names": self._list_names,
             "/v1/virtual": self._list_virtual,
+            "/v1/zones": self._read_zones,
             "/v1/positions": self._list_positions,
             "/v1/statistics": self._read_statistics,
             "/v1/recordings": self._list_recordings,
@@ -119,6 +120,9 @@ class FleetReads:
 
     async def _list_virtual(self, request: ReadRequest) -> Response:
         return await self._ask(request, "virtual")
+
+    async def _read_zones(self, request: ReadRequest) -> Response:
+        return await self._ask(request, "zones")
 
     async def _list_positions(self, request: ReadRequest) -> Response:
         return await self._ask(request, "positions")

@@ -24,7 +24,7 @@ JOB = {"schema": "tutti.job/1", "name": "there", "steps": [{"do": "dwell", "dura
 RIGHTS: dict[Role, set[str]] = {
     "viewer": {
         *("alarms", "commands", "configuration", "find", "list", "names", "plan", "points", "positions", "recording"),
-        "virtual",
+        *("virtual", "zones"),
         *("show", "statistics", "stop", "estop", "preview-start", "read-live"),
     },
     "proposer": {"submit", "put-points", "dry-run", "check-job"},
@@ -508,6 +508,7 @@ def test_what_is_read_of_a_run(tmp_path: Path) -> None:
             "/v1/alarms?all=1&history=5",
             "/v1/names",
             "/v1/virtual",
+            "/v1/zones",
             "/v1/positions",
             "/v1/statistics",
             "/v1/schemas/job",

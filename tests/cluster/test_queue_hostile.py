@@ -32,6 +32,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "list": {"limit": 5, "state": "done", "name": "x", "since": "2026-01-01T00:00:00Z"},
     "find": {"reference": "last"},
     "names": {},
+    "zones": {},
     "virtual": {},
     "alarms": {"all": True, "history": 5},
     "acknowledge": {"alarm_ids": ["estop-fleet"]},

@@ -1,12 +1,13 @@
 """Keep-out zones of a fleet in virtual time: what a step is refused for, by the positions that the fleet has."""
 
 import pytest
-from cluster.worlds import EXAMPLES, job, outcome, run_fleet
+from cluster.worlds import EXAMPLES, job, outcome, run_fleet, virtual_demo_fleet
 
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
+from orchestrator.model.operation.zone_state import ZoneState
 from orchestrator.model.report import JobReport
 from orchestrator.model.templates.template import load_job
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -100,3 +101,19 @@ def test_a_dry_run_says_it_from_where_the_axes_stand_and_nothing_moves() -> None
         return [(problem.place[1], problem.code) for problem in checked.problems]
 
     assert run_fleet(main, zones_fleet()) == [(1, "zone")]
+
+
+def test_clients_see_where_bodies_are_and_what_is_not_known() -> None:
+    async def main(fleet: VirtualFleet) -> tuple[ZoneState, ZoneState]:
+        client = fleet.make_client()
+        first_state = await client.zone_state()
+        await outcome(fleet, ENABLE, job("[{do: home}]"), job("[{do: move, to: {gantry.x: 100}}]"))
+        await sleep_ns(fleet.clock, NS_PER_S)
+        return first_state, await client.zone_state()
+
+    before_homing, after_move = run_fleet(main, zones_fleet())
+    assert before_homing.unknown == dict.fromkeys(("gantry.x", "gantry.z", "stage.u", "stage.phi"), "not referenced")
+    assert not before_homing.positions and not before_homing.bodies["detector"].certain
+    assert after_move.positions["gantry.x"] == pytest.approx(100, abs=0.05) and not after_move.unknown
+    assert all(rule.holds for rule in after_move.rules)
+    assert run_fleet(lambda fleet: fleet.make_client().zone_state(), virtual_demo_fleet()) == ZoneState()

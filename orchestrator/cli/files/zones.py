@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 import click
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
-from orchestrator.cli.base.common import json_option, print_result
+from orchestrator.cli.base.common import fleet_options, json_option, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.pictures import picture_option, write_picture
 from orchestrator.cli.files.fleet import load_or_fail
 from orchestrator.cli.manual.axis import parse_targets
 
 if TYPE_CHECKING:
+    from orchestrator.client import Tutti
     from orchestrator.model.fleet import Fleet
     from orchestrator.plan.zones.rules import FleetZones
 
@@ -38,12 +40,7 @@ def check(file: Path, at: tuple[str, ...], *, as_json: bool) -> None:
 
     Positions are motor positions, like soft limits. Exit 1 when a rule is broken there.
     """
-    from orchestrator.plan.zones.rules import FleetZones
-
-    fleet = load_or_fail(file)
-    if fleet.zones is None:
-        exit_with_error(f"{file} has no `zones`", BAD_INPUT, "see the page on keeping axes apart for their form")
-    fleet_zones = FleetZones(fleet)
+    fleet, fleet_zones = _load_zones(file)
     positions = {**dict.fromkeys(fleet_zones.ranges, 0.0), **_read_positions(fleet, at)}
     states = fleet_zones.find_states(positions)
     broken_rules = [state.rule for state in states if not state.holds]
@@ -66,6 +63,65 @@ def check(file: Path, at: tuple[str, ...], *, as_json: bool) -> None:
     print_result(value, "\n".join(_describe(file, fleet, fleet_zones, positions)), as_json=as_json)
     if broken_rules:
         raise SystemExit(FAILED)
+
+
+@zones.command(epilog="Example: tutti zones plot lab.fleet.yaml --at gantry.x=120 -o zones.png")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option(
+    "--at", multiple=True, metavar="AXIS=VALUE", help="Where a real axis stands; default: 0. Repeat it for others."
+)
+@picture_option("Where to write the picture; default: zones.png.")
+def plot(file: Path, at: tuple[str, ...], out: Path | None) -> None:
+    """Draw the bodies and regions of FILE. Nothing is connected.
+
+    From above, from the front, from the side and in space; what is nearer than allowed is red. Exit 1 when a rule is
+    broken there.
+    """
+    from orchestrator.monitor.zones_plot import plot_zones
+    from orchestrator.plan.zones.observation import observe_zones
+
+    fleet, fleet_zones = _load_zones(file)
+    positions = {**dict.fromkeys(fleet_zones.ranges, 0.0), **_read_positions(fleet, at)}
+    state = observe_zones(fleet, fleet_zones, positions, {})
+    standing = ", ".join(f"{name} {position:g} {fleet.axis(name).unit}" for name, position in positions.items())
+    path = out or Path("zones.png")
+    write_picture(plot_zones(state, f"{fleet.fleet}: {standing}"), path)
+    click.echo(f"written: {path}")
+    if any(rule.holds is False for rule in state.rules):
+        raise SystemExit(FAILED)
+
+
+@zones.command(epilog="Example: tutti zones show --json | jq .rules")
+@fleet_options
+@json_option
+def show(connect: str, fleet: str | None, *, as_json: bool) -> None:
+    """Show what each rule says to where the axes of the running fleet are.
+
+    By the last states, without their uncertainty. Exit 1 when a rule is broken.
+    """
+
+    async def show_zones(tutti: "Tutti") -> None:
+        state = await tutti.zone_state()
+        if not state.rules:
+            exit_with_error("this fleet has no `zones`", BAD_INPUT, "see the page on keeping axes apart for their form")
+        lines = [f"{len(state.bodies)} bodies, {len(state.rules)} rules:"]
+        words = {True: "holds", False: "BROKEN", None: "not known"}
+        lines += [f"  {rule.rule}: {words[rule.holds]}: {rule.text}" for rule in state.rules]
+        lines.append("Zones are software, no safety function.")
+        print_result(state.to_plain(), "\n".join(lines), as_json=as_json)
+        if any(rule.holds is False for rule in state.rules):
+            raise SystemExit(FAILED)
+
+    with_fleet(connect, fleet, show_zones)
+
+
+def _load_zones(file: Path) -> "tuple[Fleet, FleetZones]":
+    from orchestrator.plan.zones.rules import FleetZones
+
+    fleet = load_or_fail(file)
+    if fleet.zones is None:
+        exit_with_error(f"{file} has no `zones`", BAD_INPUT, "see the page on keeping axes apart for their form")
+    return fleet, FleetZones(fleet)
 
 
 def _read_positions(fleet: "Fleet", at: tuple[str, ...]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
+from orchestrator.coordinator.fleet.zone_states import ZoneObserver
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -49,6 +50,7 @@ class JobServices:
     leases: LeaseRegistry
     positions: PositionBook
     virtual: VirtualObserver
+    zones: ZoneObserver
     alarms: AlarmRegister
     statistics: StatisticsCollector
     leadership: Leadership

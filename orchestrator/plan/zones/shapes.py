@@ -62,16 +62,16 @@ class Cylinder:
         return math.hypot(self.round, self.half)
 
     def find_support(self, direction: Vector) -> Vector:
-        x, y, z = _move_on(direction, -self.order)
+        x, y, z = move_on(direction, -self.order)
         width = math.hypot(x, y)
         part = self.round / width if width > 0.0 else 0.0
-        return add(self.middle, _move_on((x * part, y * part, math.copysign(self.half, z)), self.order))
+        return add(self.middle, move_on((x * part, y * part, math.copysign(self.half, z)), self.order))
 
 
 _ORDER = {"z": 0, "x": 1, "y": 2}
 
 
-def _move_on(vector: Vector, order: int) -> Vector:
+def move_on(vector: Vector, order: int) -> Vector:
     """Each coordinate in the place of the one that is `order` places behind it: (x, y, z) becomes (z, x, y)."""
     shift = order % 3
     if shift == 0:
@@ -79,9 +79,14 @@ def _move_on(vector: Vector, order: int) -> Vector:
     return (vector[2], vector[0], vector[1]) if shift == 1 else (vector[1], vector[2], vector[0])
 
 
+def order_of(spec: ZoneShape) -> int:
+    """By how many places `move_on` moves the coordinates of one along z."""
+    return _ORDER[spec.direction]
+
+
 def make_shape(spec: ZoneShape) -> Shape:
     """The shape of a body or a region of the fleet file."""
-    middle, order = to_vector(spec.at), _ORDER[spec.direction]
+    middle, order = to_vector(spec.at), order_of(spec)
     if spec.box is not None:
         x, y, z = (to_mm(size) / 2 for size in spec.box)
         return _make_hull([(a * x, b * y, c * z) for a, b, c in product((-1.0, 1.0), repeat=3)], middle)
@@ -92,7 +97,7 @@ def make_shape(spec: ZoneShape) -> Shape:
     assert spec.polygon is not None, "the shape is valid"
     half = to_mm(spec.polygon.height) / 2
     outline = [(to_mm(first), to_mm(second)) for first, second in spec.polygon.corners]
-    return _make_hull([_move_on((x, y, z), order) for x, y in outline for z in (-half, half)], middle)
+    return _make_hull([move_on((x, y, z), order) for x, y in outline for z in (-half, half)], middle)
 
 
 def _make_hull(corners: Sequence[Vector], origin: Vector) -> Hull:

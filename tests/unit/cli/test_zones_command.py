@@ -51,3 +51,19 @@ def test_a_rule_that_is_broken_at_positions_ends_it_with_1() -> None:
 def test_bad_input_is_said_and_ends_it_with_2(options: tuple[str, ...], file: str, words: str) -> None:
     result = check(*options, file=file)
     assert result.exit_code == 2 and words in result.output
+
+
+def test_it_draws_the_zones_and_marks_what_is_broken(tmp_path: Path) -> None:
+    def plot(*options: str, file: str = "zones.fleet.yaml") -> Result:
+        return CliRunner().invoke(command, ["zones", "plot", str(EXAMPLES / file), *options])
+
+    picture = tmp_path / "zones.svg"
+    result = plot("--at", "stage.phi=30", "-o", str(picture))
+    assert result.exit_code == 0 and str(picture) in result.output
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
+    assert plot("--at", "gantry.x=158", "--at", "stage.phi=50", "-o", str(picture)).exit_code == 1
+    missing = plot("-o", str(tmp_path / "no-such" / "zones.png"))
+    assert missing.exit_code == 1 and "cannot be written" in missing.output
+    assert plot("--at", "gantry.w=1", "-o", str(picture)).exit_code == 2
+    none = plot("-o", str(picture), file="demo.fleet.yaml")
+    assert none.exit_code == 2 and "has no `zones`" in none.output

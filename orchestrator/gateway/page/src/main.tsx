@@ -7,6 +7,7 @@ import { watchKeys } from "./core/keys.ts";
 import { watchReports } from "./core/lastreport.ts";
 import { watchAddress } from "./core/look.ts";
 import { watchPage } from "./core/manual.ts";
+import { watchZones } from "./core/zones.ts";
 import * as stream from "./core/stream.ts";
 import { App } from "./ui/app.tsx";
 import { watchDrops } from "./ui/submit.tsx";
@@ -37,6 +38,7 @@ if (place !== null) {
   watchEvents();
   watchReports();
   watchDrops();
+  watchZones();
   stream.start();
   render(<App />, place);
 }

@@ -426,6 +426,18 @@ export const plane = {
   name: (x: string, y: string, atX: string, atY: string) => `${x} at ${atX}, ${y} at ${atY}`,
 };
 
+export const zones = {
+  open: "Zones",
+  title: "Zones",
+  broken: "Zones: a rule is broken",
+  hide: "Hide the zones",
+  reset: "Reset view",
+  name: (bodies: string) => `${bodies} in space; arrow keys turn the picture`,
+  apart: (distance: number, least: number) => `${distance.toPrecision(3)} mm, at least ${least.toPrecision(3)}`,
+  unknown: "not known: an axis may be anywhere",
+  software: "Zones are software, no safety function.",
+};
+
 export const job = {
   title: "Running job",
   none: "No job is running.",

@@ -28,6 +28,7 @@ import { PreparePanel } from "./prepare.tsx";
 import { QueuePanel } from "./queue.tsx";
 import { StopBar } from "./stopbar.tsx";
 import { dropping } from "./submit.tsx";
+import { ZonesPanel } from "./zones.tsx";
 
 export function App(): JSX.Element {
   if (connection.value === "signed-out") return <Login />;
@@ -59,6 +60,7 @@ function ViewPanels(): JSX.Element {
         <QueuePanel key="queue" />
         <LivePlots key="plots" />
         <PlanePanel key="plane" />
+        <ZonesPanel key="zones" />
       </div>
     );
   if (view.value === "run")
@@ -70,6 +72,7 @@ function ViewPanels(): JSX.Element {
           <div class="pictures">
             <LivePlots />
             <PlanePanel />
+            <ZonesPanel />
           </div>
         </div>
         <div class="column right">
@@ -89,6 +92,7 @@ function ViewPanels(): JSX.Element {
         <div class="column">
           <AxisTable onChoose={(axis) => (across.value = axis)} chosen={across.value} />
           <PlanePanel />
+          <ZonesPanel />
           <CamerasPanel />
           <ButtonsPanel />
           <PositionsPanel />

@@ -15,6 +15,7 @@ import { AxisMenu } from "./axismenu.tsx";
 import { GetReady, unready } from "./getready.tsx";
 import { MoveDialog } from "./movedialog.tsx";
 import { PlaneSwitch } from "./plane.tsx";
+import { ZonesSwitch } from "./zones.tsx";
 import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
 
 /** With more axes than this the table is dense, and what needs a look comes first. */
@@ -41,6 +42,7 @@ export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => v
         <div class="chips">
           {needsReady ? <GetReady ids={[]} /> : null}
           <PlaneSwitch />
+          <ZonesSwitch />
         </div>
       }
     >

@@ -16,6 +16,7 @@ import { allAxes, findAxis, paths, samples, type AxisStore } from "../core/store
 import * as T from "../texts.ts";
 import { Act, Panel } from "./parts.tsx";
 import { sampleCurves } from "./preview.tsx";
+import { ZoneShadows } from "./zones.tsx";
 
 type Spot = [number, number];
 
@@ -115,7 +116,7 @@ function PlaneDrawing({ x, y }: { x: AxisStore; y: AxisStore }): JSX.Element {
         {frame && frame[0] && frame[1] ? (
           <rect class="limits" x={frame[0][0]} y={frame[0][1]} width={frame[1][0] - frame[0][0]} height={frame[1][1] - frame[0][1]} />
         ) : null}
-        {/* Keep-out zones belong here: over the frame, under all that moves, placed by `place`. */}
+        <ZoneShadows x={x} y={y} place={place} />
         {ahead.length > 1 ? <polyline class="ahead" points={line(ahead)} /> : null}
         {target && here ? <polyline class="ahead" points={line([here, target])} /> : null}
         {target ? <rect class="target" x={place(target)[0] - 4} y={place(target)[1] - 4} width="8" height="8" /> : null}
