@@ -49,6 +49,7 @@ SECOND_HALF = (
     "how-to/arm-and-go.md",
     "how-to/test-your-jobs.md",
     "how-to/manage-users-and-roles.md",
+    "how-to/keep-axes-apart.md",
     "how-to/use-http.md",
 )
 # They wait for motion most of the time, so `make test-docs` runs both halves side by side, each with a fleet.
