@@ -27,6 +27,7 @@ from orchestrator.coordinator.fleet.requests import MemberRequests
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
 from orchestrator.coordinator.fleet.zone_states import ZoneObserver
+from orchestrator.coordinator.fleet.zone_watch import ZoneWatch
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
@@ -98,6 +99,7 @@ class Coordinator:
         self._virtual = VirtualObserver(self._view, bus, keys)
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
+        ZoneWatch(access, self._alarms.report_condition)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
         motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
         services = JobServices(

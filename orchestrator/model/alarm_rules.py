@@ -124,6 +124,9 @@ class AlarmRules(Model):
     racked: AlarmRule = Field(
         default_factory=AlarmRule, description="The axes of a pair are farther apart than `max_deviation`."
     )
+    zone: AlarmRule = Field(
+        default_factory=AlarmRule, description="Bodies are nearer to each other than a rule of `zones` allows."
+    )
     clock_bound: ClockRule = Field(default_factory=ClockRule)
     budget: BudgetRule = Field(default_factory=BudgetRule)
     link_errors: LinkRule = Field(default_factory=LinkRule)

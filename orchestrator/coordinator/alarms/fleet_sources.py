@@ -15,7 +15,10 @@ from orchestrator.model.state import ControllerEvent, ControllerState, FaultRepo
 
 MAX_FAULTS = 20  # of one controller that count
 MAX_CODE = 60
-KINDS = ("disconnected", "fault", "limit-switch", "racked", "clock-bound", "link-errors", "following-error", "budget")
+KINDS = (
+    *("disconnected", "fault", "limit-switch", "racked", "zone"),
+    *("clock-bound", "link-errors", "following-error", "budget"),
+)
 _STARTING = "starting"  # an adapter that has not reached its controller yet
 
 

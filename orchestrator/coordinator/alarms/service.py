@@ -48,6 +48,7 @@ class AlarmService:
         self._motion = MotionAlarms(view, conditions)
         self._service = ServiceAlarms(conditions, clock, access.log, lambda: view.fleet.alarms)
         self.take_motion = keep_apart(access.tasks, self._motion.take_motion)
+        self.report_condition = conditions.report
         self.note_write = keep_apart(access.tasks, self._service.note_write)
         self.note_contradiction = keep_apart(access.tasks, self._service.note_contradiction)
         self.note_double_answer = keep_apart(access.tasks, self._service.note_double_answer)

@@ -1,0 +1,131 @@
+"""The watch on keep-out zones: whether axes that move must be stopped, by where they were read last."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from orchestrator.plan.zones.chain import Box
+from orchestrator.plan.zones.clearance import (
+    ROUNDING,
+    Constraint,
+    OutOfWork,
+    PairClearance,
+    Search,
+    find_middle,
+    find_violation,
+)
+from orchestrator.plan.zones.vectors import ORIGIN, length, subtract
+
+MAX_LOOKS = 50
+"""Boxes that are looked at for one rule and one reading: the watch takes little of the coordinator's time."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSight:
+    """What is seen of a real axis. position: its motor position; None: it may be anywhere in its range. cause: why.
+
+    unchecked: no plan that was checked knows of it: it moves by another's doing, or its position was lost while others
+    moved. reach: how far an axis that moves may come before it stands, in its unit.
+    """
+
+    position: float | None
+    moving: bool
+    unchecked: bool = False
+    reach: float = 0.0
+    cause: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Danger:
+    """Why axes must be stopped, in words. moving: those of the rule that move. broken: the rule is surely broken where
+    they were read; else it may be before they stand."""
+
+    text: str
+    moving: tuple[str, ...]
+    broken: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RuleSight:
+    """What the watch finds of a rule. free: by how many mm bodies may still approach each other before the rule can be
+    broken; 0 where that is not known."""
+
+    danger: Danger | None = None
+    free: float = 0.0
+
+
+def look_at_rule(constraint: Constraint, sights: Mapping[str, AxisSight], ranges: Box) -> RuleSight:
+    """Whether a rule is broken, or may be before axes stand. sights: of all its axes. ranges: where an axis can be.
+
+    Where all motion was checked ahead, with all its uncertainties, axes count where they are. Where the plan did not
+    know of one, all that moves may go on as fast as it may, in either direction, until it stands.
+    """
+    axes = constraint.axes
+    moving = tuple(axis for axis in axes if sights[axis].moving)
+    lost_axes = [axis for axis in axes if sights[axis].position is None]
+    unchecked = any(sights[axis].unchecked for axis in axes)
+    if not lost_axes and not unchecked:
+        positions = {axis: position for axis in axes if (position := sights[axis].position) is not None}
+        return _look_at_point(constraint, positions, moving)
+    box = {axis: _find_ends(sights[axis], ranges[axis]) for axis in axes}
+    if _find_gap(constraint, box) > 0.0:
+        return RuleSight()
+    if not lost_axes:
+        sight = _look_at_point(constraint, find_middle(box), moving)
+        if sight.danger is not None:
+            return sight
+    if not moving or not unchecked:
+        return RuleSight()
+    try:
+        positions = find_violation(Search(MAX_LOOKS), constraint, box)
+    except OutOfWork:
+        positions = find_middle(box)
+    if positions is None:
+        return RuleSight()
+    causes = [f"{axis} ({sights[axis].cause}) may be anywhere in its range" for axis in lost_axes]
+    reaches = {axis: sights[axis].reach for axis in axes if sights[axis].reach}
+    causes += [f"{axis} may come {reach:.3g} farther before it stands" for axis, reach in reaches.items()]
+    return RuleSight(Danger(f"{', '.join(causes)}; then {constraint.describe(positions)}", moving, broken=False))
+
+
+def find_closing_speed(constraint: Constraint, ranges: Box, speeds: Mapping[str, float]) -> float:
+    """How fast the bodies of a rule approach each other at most, mm/s; infinite for a relation. speeds: of axes, in
+    their units."""
+    if not isinstance(constraint, PairClearance):
+        return math.inf
+    rates = [body.find_rates(ranges) for body in (constraint.first, constraint.second)]
+    return sum(
+        (length(rate.along.get(axis, ORIGIN)) + rate.beside.get(axis, 0.0)) * speeds[axis]
+        for rate in rates
+        for axis in constraint.axes
+    )
+
+
+def _look_at_point(constraint: Constraint, positions: Mapping[str, float], moving: tuple[str, ...]) -> RuleSight:
+    box = {axis: (position, position) for axis, position in positions.items()}
+    gap = _find_gap(constraint, box)
+    if gap > 0.0:
+        return RuleSight(free=gap)
+    free = 0.0
+    if isinstance(constraint, PairClearance):
+        least, most = constraint.find_distance(positions)
+        broken, free = most < constraint.distance - ROUNDING, max(least - constraint.distance, 0.0)
+    else:
+        broken = constraint.look(box).holds is False
+    return RuleSight(Danger(constraint.describe(positions), moving, broken=True) if broken else None, free)
+
+
+def _find_ends(sight: AxisSight, ends: tuple[float, float]) -> tuple[float, float]:
+    if sight.position is None:
+        return ends
+    return sight.position - sight.reach, sight.position + sight.reach
+
+
+def _find_gap(constraint: Constraint, box: Box) -> float:
+    """How much farther than they must be two bodies surely are, by balls around them, mm; 0: balls do not show it."""
+    if not isinstance(constraint, PairClearance):
+        return 0.0
+    (first, first_radius), (second, second_radius) = (
+        body.find_ball(box) for body in (constraint.first, constraint.second)
+    )
+    return max(length(subtract(first, second)) - first_radius - second_radius - constraint.distance, 0.0)
