@@ -71,7 +71,8 @@ def check(file: Path, at: tuple[str, ...], *, as_json: bool) -> None:
     "--at", multiple=True, metavar="AXIS=VALUE", help="Where a real axis stands; default: 0. Repeat it for others."
 )
 @picture_option("Where to write the picture; default: zones.png.")
-def plot(file: Path, at: tuple[str, ...], out: Path | None) -> None:
+@json_option
+def plot(file: Path, at: tuple[str, ...], out: Path | None, *, as_json: bool) -> None:
     """Draw the bodies and regions of FILE. Nothing is connected.
 
     From above, from the front, from the side and in space; what is nearer than allowed is red. Exit 1 when a rule is
@@ -86,7 +87,8 @@ def plot(file: Path, at: tuple[str, ...], out: Path | None) -> None:
     standing = ", ".join(f"{name} {position:g} {fleet.axis(name).unit}" for name, position in positions.items())
     path = out or Path("zones.png")
     write_picture(plot_zones(state, f"{fleet.fleet}: {standing}"), path)
-    click.echo(f"written: {path}")
+    value = {"written": str(path), "rules": [rule.to_plain() for rule in state.rules]}
+    print_result(value, f"written: {path}", as_json=as_json)
     if any(rule.holds is False for rule in state.rules):
         raise SystemExit(FAILED)
 

@@ -120,12 +120,12 @@ class ZoneWatch:
         age_s = _find_age(state)
         if age_s > max(OLD_S, 3.0 / self._view.fleet.controllers[state.controller].state.idle_hz):
             return AxisSight(None, moving=False, cause=f"not read for {age_s:.1f} s")
-        axis_state, unplanned = state.axes[local], _is_unplanned(state, local)
+        axis_state, is_unchecked = state.axes[local], _is_unplanned(state, local)
         if not axis_state.referenced:
             cause = "homing" if axis_state.homing else "not referenced"
-            return AxisSight(None, axis_state.moving, unplanned, cause=cause)
+            return AxisSight(None, axis_state.moving, is_unchecked, cause=cause)
         reach = self._find_reach(axis, axis_state, state) if axis_state.moving else 0.0
-        return AxisSight(axis_state.motor_position, axis_state.moving, unplanned, reach)
+        return AxisSight(axis_state.motor_position, axis_state.moving, is_unchecked, reach)
 
     def _find_reach(self, axis: Axis, axis_state: AxisState, state: ControllerState) -> float:
         """How far an axis that moves may come until it stands, in its unit."""
@@ -177,5 +177,5 @@ def _find_age(state: ControllerState) -> float:
 
 def _is_unplanned(state: ControllerState, axis: str) -> bool:
     """Whether an axis moves although the fleet does not move it: no step, no lease on it, no homing, jog or stop."""
-    moved = state.job is not None or axis in state.leases or state.mode in ("homing", "jogging", "stopping")
-    return state.axes[axis].moving and not moved
+    is_ours = state.job is not None or axis in state.leases or state.mode in ("homing", "jogging", "stopping")
+    return state.axes[axis].moving and not is_ours

@@ -1,7 +1,7 @@
 """The watch on keep-out zones: whether axes that move must be stopped, by where they were read last."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from orchestrator.plan.zones.chain import Box
@@ -61,31 +61,41 @@ def look_at_rule(constraint: Constraint, sights: Mapping[str, AxisSight], ranges
     know of one, all that moves may go on as fast as it may, in either direction, until it stands.
     """
     axes = constraint.axes
-    moving = tuple(axis for axis in axes if sights[axis].moving)
-    lost_axes = [axis for axis in axes if sights[axis].position is None]
-    unchecked = any(sights[axis].unchecked for axis in axes)
-    if not lost_axes and not unchecked:
-        positions = {axis: position for axis in axes if (position := sights[axis].position) is not None}
-        return _look_at_point(constraint, positions, moving)
+    moving_axes = tuple(axis for axis in axes if sights[axis].moving)
+    positions = {axis: position for axis in axes if (position := sights[axis].position) is not None}
+    is_known = len(positions) == len(axes)
+    if not any(sights[axis].unchecked for axis in axes):
+        return _look_at_point(constraint, positions, moving_axes) if is_known else RuleSight()
     box = {axis: _find_ends(sights[axis], ranges[axis]) for axis in axes}
     if _find_gap(constraint, box) > 0.0:
         return RuleSight()
-    if not lost_axes:
-        sight = _look_at_point(constraint, find_middle(box), moving)
-        if sight.danger is not None:
-            return sight
-    if not moving or not unchecked:
+    sight = _look_at_point(constraint, positions, moving_axes) if is_known else RuleSight()
+    if sight.danger is not None or not moving_axes:
+        return RuleSight(sight.danger)
+    violation = _find_place(constraint, box)
+    if violation is None:
         return RuleSight()
+    text = f"{_describe_causes(axes, sights)}; then {constraint.describe(violation)}"
+    return RuleSight(Danger(text, moving_axes, broken=False))
+
+
+def _find_place(constraint: Constraint, box: Box) -> Mapping[str, float] | None:
+    """Positions in a box at which a rule is broken, or its middle where that is not decided with the allowed work."""
     try:
-        positions = find_violation(Search(MAX_LOOKS), constraint, box)
+        return find_violation(Search(MAX_LOOKS), constraint, box)
     except OutOfWork:
-        positions = find_middle(box)
-    if positions is None:
-        return RuleSight()
-    causes = [f"{axis} ({sights[axis].cause}) may be anywhere in its range" for axis in lost_axes]
-    reaches = {axis: sights[axis].reach for axis in axes if sights[axis].reach}
-    causes += [f"{axis} may come {reach:.3g} farther before it stands" for axis, reach in reaches.items()]
-    return RuleSight(Danger(f"{', '.join(causes)}; then {constraint.describe(positions)}", moving, broken=False))
+        return find_middle(box)
+
+
+def _describe_causes(axes: Iterable[str], sights: Mapping[str, AxisSight]) -> str:
+    causes: list[str] = []
+    for axis in axes:
+        sight = sights[axis]
+        if sight.position is None:
+            causes.append(f"{axis} ({sight.cause}) may be anywhere in its range")
+        elif sight.reach:
+            causes.append(f"{axis} may come {sight.reach:.3g} farther before it stands")
+    return ", ".join(causes)
 
 
 def find_closing_speed(constraint: Constraint, ranges: Box, speeds: Mapping[str, float]) -> float:
@@ -101,7 +111,7 @@ def find_closing_speed(constraint: Constraint, ranges: Box, speeds: Mapping[str,
     )
 
 
-def _look_at_point(constraint: Constraint, positions: Mapping[str, float], moving: tuple[str, ...]) -> RuleSight:
+def _look_at_point(constraint: Constraint, positions: Mapping[str, float], moving_axes: tuple[str, ...]) -> RuleSight:
     box = {axis: (position, position) for axis, position in positions.items()}
     gap = _find_gap(constraint, box)
     if gap > 0.0:
@@ -109,10 +119,10 @@ def _look_at_point(constraint: Constraint, positions: Mapping[str, float], movin
     free = 0.0
     if isinstance(constraint, PairClearance):
         least, most = constraint.find_distance(positions)
-        broken, free = most < constraint.distance - ROUNDING, max(least - constraint.distance, 0.0)
+        is_broken, free = most < constraint.distance - ROUNDING, max(least - constraint.distance, 0.0)
     else:
-        broken = constraint.look(box).holds is False
-    return RuleSight(Danger(constraint.describe(positions), moving, broken=True) if broken else None, free)
+        is_broken = constraint.look(box).holds is False
+    return RuleSight(Danger(constraint.describe(positions), moving_axes, broken=True) if is_broken else None, free)
 
 
 def _find_ends(sight: AxisSight, ends: tuple[float, float]) -> tuple[float, float]:
