@@ -74,7 +74,7 @@ def test_a_contact_at_any_instant_stops_the_axis_within_what_was_stated(seed: in
 
 def test_a_bound_that_is_too_small_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mutation: it is stated that the program stops the axis at the edge."""
-    monkeypatch.setattr(program_probe, "_find_read_us", lambda _: 0.0)
+    monkeypatch.setattr(program_probe, "find_read_us", lambda *_: 0.0)
     with pytest.raises(AssertionError):
         test_a_contact_at_any_instant_stops_the_axis_within_what_was_stated(0)
 

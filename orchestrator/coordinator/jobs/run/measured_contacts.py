@@ -21,8 +21,10 @@ class MeasuredContacts:
 
     def take_report(self, step: Step, report: StepReport) -> None:
         """Keep what a step has measured."""
-        if report.probe is not None:
-            self._probes |= dict.fromkeys(step.contact_names, report.probe)
+        if report.probe is None:
+            return
+        by_axis = {probe.axis: probe for probe in (report.probe, *report.probe.others)}
+        self._probes |= {name: by_axis[axis] for name, axis in step.contact_names.items()}
 
     async def fill_measured(self, step: Step) -> Step:
         """The step with quantities for what was measured, as user positions of now: a contact is a place of the
