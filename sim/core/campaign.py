@@ -19,11 +19,12 @@ class SecondMaster(Protocol):
 @dataclass(frozen=True, slots=True)
 class TouchInput:
     """An input that stops an axis. stops_by: what does that; a controller that captures the contact may leave it to
-    its computer."""
+    its computer. stops_lines: the controller also stops several axes on a line by it."""
 
     number: int
     active: Literal["low", "high"]
     stops_by: Literal["controller", "computer", "host"]
+    stops_lines: bool = False
 
 
 @dataclass(frozen=True, slots=True)
