@@ -14,13 +14,14 @@ BACK_SPEED = 0.17
 PROBE_S = (1.5, 3.0)  # of its way, without a contact
 MIDDLE_S = 0.75  # of the soft limits, at the speed limit
 DIGITS = 4  # of a target
+LINE_AXIS = "y"
 LINE_CHANCE = 0.6  # of a make that stops several axes on a line, where there are several
 HOST_CHANCE = 0.25  # of a make whose controllers stop an axis by themselves, each on a link of its own
 
 
 def add_touch_inputs(fleet: Fleet) -> Fleet:
     """The fleet with an input for probes at each controller that can have one, in the place of the one that starts it,
-    and without wires for that."""
+    and without wires for that; and with a second axis where two can probe on a line."""
     plain = fleet.to_plain()
     plain.pop("wiring", None)
     for config in plain["controllers"].values():
@@ -28,6 +29,9 @@ def add_touch_inputs(fleet: Fleet) -> Fleet:
         if touch is not None:
             inputs = {name: point for name, point in config.get("inputs", {}).items() if name != "start"}
             config["inputs"] = {**inputs, TOUCH_INPUT: {"number": touch.number, "active": touch.active}}
+            if touch.line_motor is not None and len(config["axes"]) == 1:
+                (axis,) = config["axes"].values()
+                config["axes"][LINE_AXIS] = {**axis, "motors": [touch.line_motor]}
     return Fleet.model_validate(plain)
 
 
@@ -59,7 +63,7 @@ def draw_ends(
     """Draw which axes of `member` probe: where they stand, and where they go to at most."""
     touch, axes = find_traits(fleet.controllers[member].adapter).touch, fleet.controllers[member].axes
     names = [f"{member}.{name}" for name in axes]
-    is_line = touch is not None and touch.stops_lines and len(names) > 1 and draw.random() < LINE_CHANCE
+    is_line = touch is not None and touch.line_motor is not None and len(names) > 1 and draw.random() < LINE_CHANCE
     begins, ends = dict[str, float](), dict[str, float]()
     for name in names if is_line else names[:1]:
         begin, velocity = round(positions[name], DIGITS), fleet.axis(name).limits.velocity

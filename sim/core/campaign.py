@@ -19,12 +19,12 @@ class SecondMaster(Protocol):
 @dataclass(frozen=True, slots=True)
 class TouchInput:
     """An input that stops an axis. stops_by: what does that; a controller that captures the contact may leave it to
-    its computer. stops_lines: the controller also stops several axes on a line by it."""
+    its computer. line_motor: of a further axis, with which the controller stops on a line; None: it stops one alone."""
 
     number: int
     active: Literal["low", "high"]
     stops_by: Literal["controller", "computer", "host"]
-    stops_lines: bool = False
+    line_motor: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,12 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
 
 import pytest
 from cluster.test_probe import Bench, run_bench, with_touch
 from cluster.test_probe_by_program import SHORTEST_US
+from cluster.test_probing_programs import load_program
 from cluster.worlds import job, origin_host_ns
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -215,5 +217,25 @@ def test_a_fault_leaves_no_line_in_motion_behind_its_contact(how: str) -> None:
         for motor in "XY":
             made = contact.made[0].beside[motor] if contact.made else line.starts[motor] + 600
             assert line.find_positions()[motor] - made <= 20
+
+    run_line(main)
+
+
+def test_a_program_probes_on_a_line_and_goes_on_from_the_contact(tmp_path: Path) -> None:
+    text = "G91\nG38.2 Y0.4 Z0.3 F60\nG92 Y0 Z0\nG90 G1 Y-1 Z-1 F600\nG0 Z-2\n"
+    program = load_program(tmp_path, text, start="[10, 10]")
+
+    async def main(line: LineBench) -> None:
+        line.put_contact(150)
+        forecast = await line.bench.client.dry_run(program)
+        assert not forecast.problems, forecast.problems
+        notes = [note for step in forecast.steps for note in step.conditions]
+        assert any("gantry.y goes on by at most 0.017" in note and "off its line by at most" in note for note in notes)
+        report = await line.bench.client.run(program)
+        (probed,) = [step.probe for step in report.steps if step.probe is not None]
+        assert len(probed.others) == 1 and line.bench.contact is not None
+        made, rest = line.bench.contact.made[0], line.find_positions()
+        assert rest["X"] == pytest.approx(made.beside["X"] - 2000, abs=8)
+        assert rest["Y"] == pytest.approx(made.beside["Y"] - 1000, abs=8)
 
     run_line(main)

@@ -18,7 +18,7 @@ def _change_one_thing(config: Controller, draw: Random, *, at_rest: bool) -> byt
 
 
 _TOUCH = TouchInput(1, "low", "controller")
-_TOUCH_OF_LINES = TouchInput(1, "low", "controller", stops_lines=True)
+_TOUCH_OF_LINES = TouchInput(1, "low", "controller", line_motor="Y")
 ON_ETHERNET = CampaignTraits(
     refuse_reply=_refuse_reply,
     start_class="clock",
