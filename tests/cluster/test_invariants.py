@@ -388,7 +388,7 @@ MUTATIONS = (
     Mutation("18", calls_every_speed_good, FaultCell("flying", "none", "smc4000"), 7),
     Mutation("19", bends_lines_of_virtual_axes, FaultCell("virtual", "none", "smc4000"), 2),
     Mutation("19", promises_virtual_lines_by_rounding, FaultCell("virtual", "none", "smc4000"), 2),
-    Mutation("20", goes_on_behind_contacts, FaultCell("probe", "none", "smc4000"), 1),
+    Mutation("20", goes_on_behind_contacts, FaultCell("probe", "none", "smc4000"), 0),
     Mutation("20", goes_on_along_lines, FaultCell("probe", "none", "smc4000"), 6),
     Mutation("22", stops_no_member, FaultCell("pair", "power-off", "cia402"), 1),
     Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
