@@ -38,8 +38,10 @@ class _WatchedProbe:
 
     def list_made(self, axis: str, motor: str) -> list[float]:
         """Where an axis was at each contact, reported counts."""
-        made, is_first = self.contact.made, axis == next(iter(self.shifts))
-        return [(contact.counts if is_first else contact.beside[motor]) - self.shifts[axis] for contact in made]
+        made_contacts, is_first = self.contact.made, axis == next(iter(self.shifts))
+        return [
+            (contact.counts if is_first else contact.beside[motor]) - self.shifts[axis] for contact in made_contacts
+        ]
 
 
 def find_terms(request: RecordedRequest) -> dict[str, Mapping[str, Any]]:
@@ -131,9 +133,11 @@ class ContactChecker:
         """The places of a contact that a report states contain the true ones."""
         member = probe.request.member
         for step in report.steps if report is not None else []:
-            if step.index != probe.request.step_id[1] or step.probe is None or not step.probe.touched:
+            if step.index != probe.request.step_id[1]:
                 continue
-            for evidence in (step.probe, *step.probe.others):
+            for evidence in step.probed_axes:
+                if not evidence.touched:
+                    continue
                 axis_name = split_name(evidence.axis)[1]
                 axis = self._fleet.fleet.axis(evidence.axis)
                 counts = probe.list_made(axis_name, self._find_motor(member, axis_name))

@@ -439,7 +439,7 @@ class ProbeReport(Model):
     stated: float = 0.0
     released: bool = False
     by: Literal["controller", "host"] = "controller"
-    others: list[Self] = Field(default=[], exclude_if=lambda others: not others)
+    others: list[Self] = Field(default=[], exclude_if=lambda reports: not reports)
 
 
 class TriggerReport(Model):
@@ -540,6 +540,11 @@ class StepReport(Model):
         default={}, description="Of a move of a pair: how far it may be racked after any single fault."
     )
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
+
+    @property
+    def probed_axes(self) -> list[ProbeReport]:
+        """What a probe has found, by each of its axes; empty for another step."""
+        return [] if self.probe is None else [self.probe, *self.probe.others]
 
     @property
     def steps_done(self) -> int:

@@ -54,11 +54,11 @@ class ProbeAbilities:
             return self.host
         ability = self.line if step.is_line else self.controller
         if ability is None or not any(ability.inputs.values()):
-            what = f"{' and '.join(step.axes)}: the make {self.make} cannot stop"
+            ability_text = f"{' and '.join(step.axes)}: the make {self.make} cannot stop"
             if step.is_line:
-                text = f"{what} several axes on a line by an input"
+                text = f"{ability_text} several axes on a line by an input"
                 raise Refusal("no-probe", text, "write one probe for each", member)
-            raise Refusal("no-probe", f"{what} an axis by an input", PROBE_BY_HOST, member)
+            raise Refusal("no-probe", f"{ability_text} an axis by an input", PROBE_BY_HOST, member)
         number = fleet.controllers[member].inputs[split_name(step.until)[1]].number
         way = ability.find_way(split_name(name)[1], number, step.level)
         if way is None:
@@ -108,13 +108,13 @@ def find_probe_speeds(step: Probe, axes: Mapping[str, Axis], ways: Mapping[str, 
     """The speeds of the axes of a probe, in their units/s: all of a line go their ways in one time. ways: how far each
     goes, in its unit. Raises `Refusal`."""
     most = find_most_speeds(step, axes)
-    moving = [name for name in axes if ways[name]]
-    if not step.is_line or not moving:
+    moving_axes = [name for name in axes if ways[name]]
+    if not step.is_line or not moving_axes:
         return most
     if isinstance(step.speed, str) and step.speed != MANUAL:
-        time_s = hypot(*ways.values()) / _parse_speed(moving[0], step.speed, axes[moving[0]].unit)
+        time_s = hypot(*ways.values()) / _parse_speed(moving_axes[0], step.speed, axes[moving_axes[0]].unit)
     else:
-        time_s = max(abs(ways[name]) / most[name] for name in moving)
+        time_s = max(abs(ways[name]) / most[name] for name in moving_axes)
     speeds = {name: abs(way) / time_s for name, way in ways.items()}
     for name, axis in axes.items():
         _require_limit(name, axis, speeds[name], step.speed)

@@ -85,8 +85,8 @@ class PhysicalContact:
         if not made:
             return
         at_ns = self._clock.now_ns()
-        beside = {axis: self._controller.physical_position(axis) for axis in self._place.beside}
-        self.made.append(MadeContact(at_ns, counts, beside))
+        positions_beside = {axis: self._controller.physical_position(axis) for axis in self._place.beside}
+        self.made.append(MadeContact(at_ns, counts, positions_beside))
         for number, bounce_ns in enumerate(self._place.bounces_ns):
             at_ns += bounce_ns
             self._changes.append(self._clock.call_at_ns(at_ns, self._make_switch(on=number % 2 == 1)))

@@ -68,25 +68,25 @@ class AxisProbing:
         if not await self._settling.wait_for_rest(names, rest_ns):
             text = f"axis {' or '.join(names)} has not come to rest"
             raise Refusal("probe-broken", text, "stop it, and see what moves it")
-        probed, reading = self._join_contacts(names, starts, contacts), status.require_online()
-        first_axis = probed.pop(names[0])
-        reply = ProbeReply(**dict(first_axis), line=probed)
+        probed_axes, reading = self._join_contacts(names, starts, contacts), status.require_online()
+        first_axis = probed_axes.pop(names[0])
+        reply = ProbeReply(**dict(first_axis), line=probed_axes)
         if contacts is None:
             return reply
         span = contacts[names[0]].span
         earliest_ns, latest_ns = self._context.require_scale().to_fleet_span(span.earliest_ns, span.latest_ns)
-        released = _is_released(names[0], moves[names[0]], request, reading)
-        update = {"touched": True, "earliest_ns": earliest_ns, "latest_ns": latest_ns, "released": released}
+        is_released = _is_released(names[0], moves[names[0]], request, reading)
+        update = {"touched": True, "earliest_ns": earliest_ns, "latest_ns": latest_ns, "released": is_released}
         return reply.model_copy(update=update)
 
     def _join_contacts(
         self, names: Sequence[str], starts: Mapping[str, float], contacts: Mapping[str, ProbedContact] | None
     ) -> dict[str, ProbedAxis]:
         """What is known of each axis at rest. contacts: of those that moved; one that stood was where it is."""
-        reading, probed = self._status.require_online(), dict[str, ProbedAxis]()
+        reading, probed_axes = self._status.require_online(), dict[str, ProbedAxis]()
         for name in names:
             rest_counts = reading.axes[name].actual_counts
-            probed[name] = ProbedAxis(start_counts=starts[name], rest_counts=rest_counts)
+            probed_axes[name] = ProbedAxis(start_counts=starts[name], rest_counts=rest_counts)
             if contacts is not None:
                 contact = contacts.get(name)
                 least, most = (
@@ -94,8 +94,8 @@ class AxisProbing:
                     if contact is None
                     else (contact.least, contact.most)
                 )
-                probed[name] = probed[name].model_copy(update={"least_counts": least, "most_counts": most})
-        return probed
+                probed_axes[name] = probed_axes[name].model_copy(update={"least_counts": least, "most_counts": most})
+        return probed_axes
 
     async def _probe_axes(
         self, moves: Mapping[str, LimitMove], request: ProbeRequest

@@ -367,12 +367,12 @@ def probe_lines(axes: int) -> tuple[str, ...]:
     """
     letters = AXIS_LETTERS[:axes]
     reads = [f"{probe_position(index)}=_TP{letter}" for index, letter in enumerate(letters)]
-    alone = (
-        f"{probe_label(index)};BG{letter};AI {PROBE_INPUT};ST{letter};{read};{PROBE_TIME}=TIME;EN"
-        for index, (letter, read) in enumerate(zip(letters, reads, strict=True))
+    axis_lines = (
+        f"{probe_label(index)};BG{letter};AI {PROBE_INPUT};ST{letter};{read_text};{PROBE_TIME}=TIME;EN"
+        for index, (letter, read_text) in enumerate(zip(letters, reads, strict=True))
     )
     line = f"{LINE_PROBE_LABEL};BGS;AI {PROBE_INPUT};STS;{';'.join(reads)};{PROBE_TIME}=TIME;EN"
-    return (*alone, *([line] if axes > 1 else []))
+    return (*axis_lines, *([line] if axes > 1 else []))
 
 
 def edge_lines() -> tuple[str, ...]:

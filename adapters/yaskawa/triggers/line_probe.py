@@ -24,9 +24,11 @@ LINE_COUNTS = 2.0  # positions are rounded, as are those of the line
 
 def find_line_ability(motors: Mapping[str, int], options: YaskawaOptions) -> ProbeAbility:
     """Any of the local inputs stops the axes of a line. motors: by axis, its index."""
-    alone = find_program_ability(list(motors), options)
+    axis_ability = find_program_ability(list(motors), options)
     last_read_us = find_read_us(options, max(motors.values()) + 1)
-    return alone.model_copy(update={"contact_s": last_read_us / 1e6, "line_s": REACTION_S, "line_counts": LINE_COUNTS})
+    return axis_ability.model_copy(
+        update={"contact_s": last_read_us / 1e6, "line_s": REACTION_S, "line_counts": LINE_COUNTS}
+    )
 
 
 class LineProbe(ProgramProbe):

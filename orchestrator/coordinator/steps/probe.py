@@ -47,43 +47,43 @@ class _PlannedAxis:
         """What a request says of it."""
         return ProbeTerms(end_counts=self.end_counts, speed=self.speed, overtravel_counts=self.stated_counts)
 
-    def make_report(self, step: Probe, reply: ProbeReply, probed: ProbedAxis) -> ProbeReport:
+    def make_report(self, step: Probe, reply: ProbeReply, probed_axis: ProbedAxis) -> ProbeReport:
         """The report of what was found, in user positions."""
         axis, shift = self.axis, float(self.offset)
-        ends = sorted(axis.to_unit(counts) for counts in (probed.least_counts, probed.most_counts))
+        ends = sorted(axis.to_unit(counts) for counts in (probed_axis.least_counts, probed_axis.most_counts))
         report = ProbeReport(
             axis=self.name,
             until=step.until,
             unit=axis.unit,
             touched=reply.touched,
-            start=axis.to_unit(probed.start_counts) + shift,
-            rest=axis.to_unit(probed.rest_counts) + shift,
+            start=axis.to_unit(probed_axis.start_counts) + shift,
+            rest=axis.to_unit(probed_axis.rest_counts) + shift,
             stated=abs(axis.to_length(self.stated_counts)),
             by=step.by,
         )
         if not reply.touched:
             return report
-        middle = axis.to_position(Fraction(probed.least_counts + probed.most_counts) / 2)
+        middle = axis.to_position(Fraction(probed_axis.least_counts + probed_axis.most_counts) / 2)
         return report.model_copy(
             update={
                 "least": ends[0] + shift,
                 "most": ends[1] + shift,
                 "motor": middle,
                 "seen": TimeInterval(earliest_ns=reply.earliest_ns, latest_ns=reply.latest_ns),
-                "overtravel": abs(axis.to_length(max(_find_overtravels(probed)))),
+                "overtravel": abs(axis.to_length(max(_find_overtravels(probed_axis)))),
                 "released": reply.released,
             }
         )
 
-    def exceeds_bound(self, probed: ProbedAxis) -> bool:
+    def exceeds_bound(self, probed_axis: ProbedAxis) -> bool:
         """Whether the axis has certainly gone on farther than was stated."""
-        return min(_find_overtravels(probed)) > self.stated_counts
+        return min(_find_overtravels(probed_axis)) > self.stated_counts
 
 
-def _find_overtravels(probed: ProbedAxis) -> tuple[float, float]:
-    sign = 1 if probed.rest_counts >= probed.start_counts else -1
-    least, most = probed.least_counts, probed.most_counts
-    return max(0.0, sign * (probed.rest_counts - least)), max(0.0, sign * (probed.rest_counts - most))
+def _find_overtravels(probed_axis: ProbedAxis) -> tuple[float, float]:
+    sign = 1 if probed_axis.rest_counts >= probed_axis.start_counts else -1
+    least, most = probed_axis.least_counts, probed_axis.most_counts
+    return max(0.0, sign * (probed_axis.rest_counts - least)), max(0.0, sign * (probed_axis.rest_counts - most))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,28 +97,30 @@ class _PlannedProbe:
     @property
     def names(self) -> list[str]:
         """The names of its axes in their controller."""
-        return [split_name(planned.name)[1] for planned in self.axes]
+        return [split_name(planned_axis.name)[1] for planned_axis in self.axes]
 
     def make_report(self, reply: ProbeReply) -> ProbeReport:
         """The report of what was found; the first axis of the step has those of the others."""
-        probed = reply.list_axes(self.names)
+        probed_axes = reply.list_axes(self.names)
         reports = {
-            planned.name: planned.make_report(self.step, reply, probed[name])
-            for planned, name in zip(self.axes, self.names, strict=True)
+            planned_axis.name: planned_axis.make_report(self.step, reply, probed_axes[name])
+            for planned_axis, name in zip(self.axes, self.names, strict=True)
         }
-        first_report, *others = [reports[name] for name in self.step.axes]
-        return first_report.model_copy(update={"others": others})
+        first_report, *other_reports = [reports[name] for name in self.step.axes]
+        return first_report.model_copy(update={"others": other_reports})
 
     def require_bounds(self, reply: ProbeReply, report: ProbeReport) -> None:
         """Raise `Refusal` where an axis has certainly gone on farther than was stated."""
-        probed = reply.list_axes(self.names)
+        probed_axes = reply.list_axes(self.names)
         reports = {axis_report.axis: axis_report for axis_report in (report, *report.others)}
-        for planned, name in zip(self.axes, self.names, strict=True):
-            if reply.touched and planned.exceeds_bound(probed[name]):
-                axis_report = reports[planned.name]
-                text = f"{planned.name} went on by {axis_report.overtravel:g} {axis_report.unit} behind the contact"
+        for planned_axis, name in zip(self.axes, self.names, strict=True):
+            if reply.touched and planned_axis.exceeds_bound(probed_axes[name]):
+                axis_report = reports[planned_axis.name]
+                text = (
+                    f"{planned_axis.name} went on by {axis_report.overtravel:g} {axis_report.unit} behind the contact"
+                )
                 remedy = "see what delays the controller or its computer; probe more slowly"
-                controller = split_name(planned.name)[0]
+                controller = split_name(planned_axis.name)[0]
                 raise Refusal("overtravel", f"{text}, and {axis_report.stated:g} were stated", remedy, controller)
 
 
@@ -133,7 +135,9 @@ async def run_probe(context: StepContext, step: Probe) -> ReportFields:
     report = planned_probe.make_report(reply)
     planned_probe.require_bounds(reply, report)
     if not report.touched and step.otherwise == "fail":
-        ends = " and ".join(f"{one.rest:g} {one.unit} of {one.axis}" for one in (report, *report.others))
+        ends = " and ".join(
+            f"{axis_report.rest:g} {axis_report.unit} of {axis_report.axis}" for axis_report in (report, *report.others)
+        )
         text = f"{step.until} has not become {step.level} up to {ends}"
         raise Refusal("not-touched", text, "check the contact and its wire, or go on farther", controller)
     return {"probe": report}
@@ -192,11 +196,11 @@ def _find_target(context: StepContext, step: Probe, name: str, state: AxisState)
     return target
 
 
-async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeReply:
+async def _send_probe(context: StepContext, planned_probe: _PlannedProbe) -> ProbeReply:
     """Send the request, and stop the axes when one of their permits is lost. Raises `Refusal`."""
-    step, fleet, names = planned.step, context.fleet, planned.names
+    step, fleet, names = planned_probe.step, context.fleet, planned_probe.names
     controller = split_name(step.until)[0]
-    first, *others = planned.axes
+    first, *other_axes = planned_probe.axes
     request = ProbeRequest(
         **context.request_fields,
         axes=names,
@@ -208,10 +212,10 @@ async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeRepl
         speed=first.speed,
         by=step.by,
         overtravel_counts=first.stated_counts,
-        line={name: other_axis.make_terms() for name, other_axis in zip(names[1:], others, strict=True)},
+        line={name: other_axis.make_terms() for name, other_axis in zip(names[1:], other_axes, strict=True)},
     )
     search = SearchRequest(
-        controller, "probe", request, ProbeReply, planned.longest_s, lambda state: _moves(state, names), "probe"
+        controller, "probe", request, ProbeReply, planned_probe.longest_s, lambda state: _moves(state, names), "probe"
     )
     fleet.permits.require(step.axes)
     guard, woken = fleet.permits.watch_losses(step.axes), asyncio.Event()

@@ -103,8 +103,8 @@ def _find_abilities(state: ForecastState, step: Probe) -> dict[str, ProbeAbility
     stop an axis by that input."""
     abilities = state.probes.get(controller_of(step.until))
     if abilities is None:
-        them = "them" if step.is_line else "it"
-        state.notes[f"the controller of {' and '.join(step.axes)} stops {them} by {step.until}"] = None
+        pronoun = "them" if step.is_line else "it"
+        state.notes[f"the controller of {' and '.join(step.axes)} stops {pronoun} by {step.until}"] = None
         return {}
     return {name: abilities.require_ability(state.fleet, step, name) for name in step.axes}
 

@@ -21,10 +21,9 @@ class MeasuredContacts:
 
     def take_report(self, step: Step, report: StepReport) -> None:
         """Keep what a step has measured."""
-        if report.probe is None:
-            return
-        by_axis = {probe.axis: probe for probe in (report.probe, *report.probe.others)}
-        self._probes |= {name: by_axis[axis] for name, axis in step.contact_names.items()}
+        axis_reports = {probe.axis: probe for probe in report.probed_axes}
+        names = step.contact_names.items()
+        self._probes |= {name: axis_reports[axis] for name, axis in names if axis in axis_reports}
 
     async def fill_measured(self, step: Step) -> Step:
         """The step with quantities for what was measured, as user positions of now: a contact is a place of the
