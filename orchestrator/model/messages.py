@@ -684,8 +684,8 @@ class ProbeRequest(LeasedRequest):
 
     @model_validator(mode="after")
     def _lists_line(self) -> Self:
-        if set(self.axes[1:]) != self.line.keys():
-            raise ValueError("`line` has the axes behind the first one")
+        if not self.axes or self.axes[0] in self.line or sorted(self.axes[1:]) != sorted(self.line):
+            raise ValueError("`line` has the axes behind the first one of `axes`")
         return self
 
     @property

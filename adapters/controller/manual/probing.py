@@ -73,7 +73,7 @@ class AxisProbing:
         reply = ProbeReply(**dict(first_axis), line=probed_axes)
         if contacts is None:
             return reply
-        span = contacts[names[0]].span
+        span = next(iter(contacts.values())).span
         earliest_ns, latest_ns = self._context.require_scale().to_fleet_span(span.earliest_ns, span.latest_ns)
         is_released = _is_released(names[0], moves[names[0]], request, reading)
         update = {"touched": True, "earliest_ns": earliest_ns, "latest_ns": latest_ns, "released": is_released}
@@ -103,7 +103,7 @@ class AxisProbing:
         """Move the axes that go somewhere; None: they are at rest at their ends, and nothing was touched."""
         line = self._list_line(moves)
         if len(line) <= 1:
-            name = request.axes[0]
+            name = next(iter(line), request.axes[0])
             contact = await self._probe_axis(name, moves[name], request)
             return None if contact is None else {name: contact}
         if self._lines is None or self._find_line_way(line) is None:
