@@ -182,6 +182,22 @@ class LimitProbeDriver(Protocol):
 
 
 @runtime_checkable
+class LineProbeDriver(Protocol):
+    """A driver whose controller stops several axes on a straight line by an input. Without it each probes alone."""
+
+    @property
+    def line_ability(self) -> ProbeAbility | None:
+        """As `ProbeDriver.probe_ability`, for each axis of a line, with its own speed and ramp. None: as without this
+        protocol."""
+        ...
+
+    async def probe_line(self, moves: Mapping[str, ProbeMove]) -> Mapping[str, ProbedContact] | None:
+        """As `ProbeDriver.probe_axis`, with several axes, all of which move, by one input. They begin, brake and end
+        together: off the line at most by `ProbeAbility.find_off_line`. Raises `Refusal` as there."""
+        ...
+
+
+@runtime_checkable
 class ManualDriver(Protocol):
     """A driver whose axes can be jogged. Without it a jog is refused (code `no-jog`)."""
 
@@ -248,6 +264,8 @@ ABILITIES: tuple[type, ...] = (
     ShownTriggerDriver,
     LatchDriver,
     ProbeDriver,
+    LineProbeDriver,
+    LimitProbeDriver,
     ManualDriver,
     LimitDriver,
     OutputDriver,

@@ -65,6 +65,10 @@ class GalilDriver(SMC4000Driver):
         return find_ability({}, 0)  # its latch has no target in any manual that was compared
 
     @property
+    def line_ability(self) -> ProbeAbility | None:
+        return None
+
+    @property
     def limit_ability(self) -> ProbeAbility | None:
         return None
 

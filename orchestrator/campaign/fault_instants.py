@@ -130,7 +130,7 @@ class FaultInstants:
 
     def _expected_probe_ns(self, request: RecordedRequest) -> int:
         """Return how long a probe takes that touches nothing."""
-        (axis_name,) = request.fields["axes"]
+        axis_name = request.fields["axes"][0]
         label = f"{request.member}.{axis_name}"
         way = self._fleet.axis(label).to_unit(request.fields["end_counts"]) - self._find_positions()[label]
         return round(abs(way) / request.fields["speed"] * NS_PER_S)

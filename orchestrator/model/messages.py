@@ -1,9 +1,9 @@
 """Requests and replies on the bus. A refusal is a value: a reply reports either what was done or why it was not."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal, Self
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from orchestrator.model.base import Actor, HostNs, Id, Int53, Label, Model, Sentence
 from orchestrator.model.errors import Refusal
@@ -656,11 +656,21 @@ class LatchReply(Reply):
     latest_ns: Int53 = 0
 
 
+class ProbeTerms(Model):
+    """An axis of a probe goes to `end_counts` at `speed`, its unit/s. overtravel_counts: how far it may go behind the
+    contact."""
+
+    end_counts: Int53
+    speed: float = Field(ge=0)
+    overtravel_counts: float = Field(ge=0)
+
+
 class ProbeRequest(LeasedRequest):
-    """Move the one axis of `axes` to `end_counts` at `speed` (its unit/s), and stop it when `input` becomes active, or
-    passive; without an input its limit switch `limit` does. The reply comes when it is at rest.
+    """Move the first axis of `axes` to `end_counts` at `speed` (its unit/s), and stop it when `input` becomes active,
+    or passive; without an input its limit switch `limit` does. The reply comes when it is at rest.
 
     by: what stops it, the controller or its adapter host. overtravel_counts: how far it may go behind the contact.
+    line: the same of the further axes, by axis, which move with it on a straight line.
     """
 
     input: Id | None = None
@@ -670,11 +680,34 @@ class ProbeRequest(LeasedRequest):
     speed: float = Field(gt=0)
     by: Literal["controller", "host"]
     overtravel_counts: float = Field(ge=0)
+    line: dict[Id, ProbeTerms] = Field(default={}, exclude_if=lambda line: not line)
+
+    @model_validator(mode="after")
+    def _lists_line(self) -> Self:
+        if not self.axes or self.axes[0] in self.line or sorted(self.axes[1:]) != sorted(self.line):
+            raise ValueError("`line` has the axes behind the first one of `axes`")
+        return self
+
+    @property
+    def terms(self) -> dict[str, ProbeTerms]:
+        """The terms of each axis."""
+        first_terms = ProbeTerms(end_counts=self.end_counts, speed=self.speed, overtravel_counts=self.overtravel_counts)
+        return {self.axes[0]: first_terms, **self.line}
+
+
+class ProbedAxis(Model):
+    """Where an axis began and stands, and between what positions it was when the input changed."""
+
+    least_counts: float = 0.0
+    most_counts: float = 0.0
+    start_counts: float = 0.0
+    rest_counts: float = 0.0
 
 
 class ProbeReply(Reply):
     """touched: the input has changed. least_counts, most_counts: between them the axis was then; earliest_ns,
-    latest_ns: when that was, fleet time. rest_counts: where it stands. released: the input has changed back since."""
+    latest_ns: when that was, fleet time. rest_counts: where it stands. released: the input has changed back since.
+    line: the same of the further axes."""
 
     touched: bool = False
     least_counts: float = 0.0
@@ -684,6 +717,17 @@ class ProbeReply(Reply):
     start_counts: float = 0.0
     rest_counts: float = 0.0
     released: bool = False
+    line: dict[Id, ProbedAxis] = Field(default={}, exclude_if=lambda line: not line)
+
+    def list_axes(self, axes: Sequence[str]) -> dict[str, ProbedAxis]:
+        """What it says of each axis of its request."""
+        first_axis = ProbedAxis(
+            least_counts=self.least_counts,
+            most_counts=self.most_counts,
+            start_counts=self.start_counts,
+            rest_counts=self.rest_counts,
+        )
+        return {axes[0]: first_axis, **self.line}
 
 
 MAX_EDGES_PART = 2_000  # edges of an output in one answer: some 60 KB

@@ -1,7 +1,7 @@
 """What a job did: its progress while it runs, and the record afterwards."""
 
 from fractions import Fraction
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol, Self
 
 from pydantic import Field
 
@@ -421,7 +421,8 @@ class ProbeReport(Model):
 
     touched: the input has changed; what is said of the contact counts only then. motor: the middle of its bounds, motor
     position. seen: the interval in which that was. overtravel: how far the axis went on at most; stated: the
-    bound of that which was stated before. released: the input has changed back since.
+    bound of that which was stated before. released: the input has changed back since. others: the further axes of a
+    line, at the same contact.
     """
 
     axis: str
@@ -438,6 +439,7 @@ class ProbeReport(Model):
     stated: float = 0.0
     released: bool = False
     by: Literal["controller", "host"] = "controller"
+    others: list[Self] = Field(default=[], exclude_if=lambda reports: not reports)
 
 
 class TriggerReport(Model):
@@ -538,6 +540,11 @@ class StepReport(Model):
         default={}, description="Of a move of a pair: how far it may be racked after any single fault."
     )
     chain: StepChain | None = Field(default=None, description="How it followed the motion step before it.")
+
+    @property
+    def probed_axes(self) -> list[ProbeReport]:
+        """What a probe has found, by each of its axes; empty for another step."""
+        return [] if self.probe is None else [self.probe, *self.probe.others]
 
     @property
     def steps_done(self) -> int:

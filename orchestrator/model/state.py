@@ -279,7 +279,7 @@ class ProbeAbility(Model):
     reaction_s: at the speed of the probe, until the ramp is in effect. ramp_share: the ramp is at least this share of
     the acceleration. margin_counts: beyond that. contact_s, contact_counts: the axis was at most the way of that time,
     and these counts, before the position that is captured. slower: what stops axes by further inputs, or at other
-    levels of these.
+    levels of these. line_s, line_counts: an axis is off its line by at most the way of that time, and these counts.
     """
 
     inputs: dict[Id, list[int]]
@@ -289,6 +289,8 @@ class ProbeAbility(Model):
     margin_counts: float
     contact_s: float
     contact_counts: float
+    line_s: float = Field(default=0.0, exclude_if=lambda time_s: not time_s)
+    line_counts: float = Field(default=0.0, exclude_if=lambda counts: not counts)
     slower: Self | None = Field(default=None, exclude_if=lambda ability: ability is None)
 
     def find_way(self, axis: str, number: int, level: Literal["active", "passive"]) -> Self | None:
@@ -300,6 +302,10 @@ class ProbeAbility(Model):
     def find_overtravel(self, speed: float, ramp: float) -> float:
         """How far the axis goes behind the contact at most, in counts."""
         return speed * (self.reaction_s + self.contact_s) + speed**2 / (2 * ramp * self.ramp_share) + self.margin_counts
+
+    def find_off_line(self, speed: float) -> float:
+        """How far an axis of a line is off it at most, in counts; 0 for one that moves alone."""
+        return speed * self.line_s + self.line_counts
 
 
 class ControllerInfo(Model):
@@ -339,6 +345,11 @@ class ControllerInfo(Model):
         default=None,
         exclude_if=lambda ability: ability is None,
         description="How a limit switch stops its axis, for probes; left out: the make does not state it.",
+    )
+    line_probe: ProbeAbility | None = Field(
+        default=None,
+        exclude_if=lambda ability: ability is None,
+        description="How it stops several axes on a straight line by an input; left out: it does not.",
     )
     host_probe: ProbeAbility | None = Field(
         default=None,

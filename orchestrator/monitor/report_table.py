@@ -167,8 +167,7 @@ def _describe_deviations(step: StepReport) -> list[str]:
         lines.append(
             f"{name_step(step.index)}: {latch.axis} was at {latch.position:g} {latch.unit} when {latch.input} came"
         )
-    if step.probe is not None:
-        lines.append(f"{name_step(step.index)}: {_describe_probe(step.probe)}")
+    lines += [f"{name_step(step.index)}: {_describe_probe(probe)}" for probe in step.probed_axes]
     lines += [
         f"{name_step(step.index)}: feed hold by {hold.by} at {format_time(hold.utc)}; its axes came to rest "
         f"within {_format_skew(hold.rest_skew) or 'an unknown time'}"

@@ -19,11 +19,12 @@ class SecondMaster(Protocol):
 @dataclass(frozen=True, slots=True)
 class TouchInput:
     """An input that stops an axis. stops_by: what does that; a controller that captures the contact may leave it to
-    its computer."""
+    its computer. line_motor: of a further axis, with which the controller stops on a line; None: it stops one alone."""
 
     number: int
     active: Literal["low", "high"]
     stops_by: Literal["controller", "computer", "host"]
+    line_motor: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """A physical contact: an input changes where an axis is, by its truth. For probes; not visible to clients."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, Clock, ClockTimer
@@ -14,7 +14,8 @@ SHORTEST_LOOK_NS = 20 * NS_PER_US
 class ContactPlace:
     """Where a contact is made. axis: the make's name. at_counts: physical position of the axis; side: 1 where it is
     made at this position and above, -1 below. number, level: the input, and its level while the contact is made.
-    bounces_ns: when it is made, how long it is closed, open, closed, …; an odd number of them leaves it open.
+    bounces_ns: when it is made, how long it is closed, open, closed, …; an odd number of them leaves it open. beside:
+    further axes, of which it is kept where they are then.
     """
 
     axis: str
@@ -23,14 +24,16 @@ class ContactPlace:
     number: int
     level: bool
     bounces_ns: Sequence[int] = ()
+    beside: Sequence[str] = ()
 
 
 @dataclass(slots=True)
 class MadeContact:
-    """When a contact was made, true time, and where the axis was."""
+    """When a contact was made, true time, and where the axis was. beside: where further axes were."""
 
     at_ns: int
     counts: float
+    beside: Mapping[str, float]
 
 
 class PhysicalContact:
@@ -82,7 +85,8 @@ class PhysicalContact:
         if not made:
             return
         at_ns = self._clock.now_ns()
-        self.made.append(MadeContact(at_ns, counts))
+        positions_beside = {axis: self._controller.physical_position(axis) for axis in self._place.beside}
+        self.made.append(MadeContact(at_ns, counts, positions_beside))
         for number, bounce_ns in enumerate(self._place.bounces_ns):
             at_ns += bounce_ns
             self._changes.append(self._clock.call_at_ns(at_ns, self._make_switch(on=number % 2 == 1)))

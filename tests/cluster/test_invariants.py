@@ -23,7 +23,7 @@ from adapters.controller.state.leases import MotionLeases
 from adapters.controller.state.next_step import PreparedMove
 from adapters.controller.stops import ControllerStops
 from adapters.shrc203.moves import ShrcMover
-from adapters.yaskawa.common import device
+from adapters.yaskawa.common import device, program
 from adapters.yaskawa.common.course_refill import ContourRefill
 from adapters.yaskawa.common.program import EDGE_THREAD, OUTPUT_PASSIVE
 from adapters.yaskawa.shapes.course_records import ChunkRecords, RecordMaker
@@ -340,6 +340,12 @@ def goes_on_behind_contacts(patch: Patch) -> None:
     patch.setattr(latch_probe, "ceil", lambda counts: ceil(counts) + 200)
 
 
+def goes_on_along_lines(patch: Patch) -> None:
+    """The program of a controller does not stop the axes of a line at their contact."""
+    probe_lines = program.probe_lines
+    patch.setattr(program, "probe_lines", lambda axes: tuple(line.replace("STS;", "") for line in probe_lines(axes)))
+
+
 class Mutation(NamedTuple):
     """invariant: the one that the campaign reports as violated, when something breaks as described by `cell`. first: the
     seed that is tried first."""
@@ -382,7 +388,8 @@ MUTATIONS = (
     Mutation("18", calls_every_speed_good, FaultCell("flying", "none", "smc4000"), 7),
     Mutation("19", bends_lines_of_virtual_axes, FaultCell("virtual", "none", "smc4000"), 2),
     Mutation("19", promises_virtual_lines_by_rounding, FaultCell("virtual", "none", "smc4000"), 2),
-    Mutation("20", goes_on_behind_contacts, FaultCell("probe", "none", "smc4000"), 1),
+    Mutation("20", goes_on_behind_contacts, FaultCell("probe", "none", "smc4000"), 0),
+    Mutation("20", goes_on_along_lines, FaultCell("probe", "none", "smc4000"), 6),
     Mutation("22", stops_no_member, FaultCell("pair", "power-off", "cia402"), 1),
     Mutation("11", waits_on_without_a_permit, FaultCell("armed-waiting", "permit-lost", "smc4000"), 4),
 )

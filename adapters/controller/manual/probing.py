@@ -1,6 +1,9 @@
-"""Probes: an axis moves until an input changes. Checked here for all makes; its controller stops it, or its host."""
+"""Probes: axes move until an input changes. Checked here for all makes; their controller stops them, or its host."""
 
-from adapters.abilities import LimitProbeDriver, ProbeDriver
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from adapters.abilities import LimitProbeDriver, LineProbeDriver, ProbeDriver
 from adapters.contract import AxisReading, ControllerReading, LimitMove, ProbedContact, ProbeMove
 from adapters.controller.manual.host_probe import HostProbe
 from adapters.controller.monitoring.polling import StatePolling
@@ -10,11 +13,13 @@ from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.errors import NOT_REFERENCED, Refusal
 from orchestrator.model.fleet import MAX_COUNTS, Axis, DigitalInput
-from orchestrator.model.messages import ProbeReply, ProbeRequest
+from orchestrator.model.messages import ProbedAxis, ProbeReply, ProbeRequest, ProbeTerms
 from orchestrator.model.state import PROBE_BY_HOST, ProbeAbility
+from orchestrator.model.steps.probe import find_line_ramps
 
 SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
 OVERTRAVEL_TOLERANCE = 1e-6
+STAND_COUNTS = 1.0  # by which the position of an axis that stands is off
 
 
 class AxisProbing:
@@ -30,6 +35,7 @@ class AxisProbing:
         self._context = context
         self._driver = context.driver if isinstance(context.driver, ProbeDriver) else None
         self._limits = context.driver if isinstance(context.driver, LimitProbeDriver) else None
+        self._lines = context.driver if isinstance(context.driver, LineProbeDriver) else None
         self._host = HostProbe(context, status, polling)
         self._config = context.config
         self._status = status
@@ -37,46 +43,82 @@ class AxisProbing:
         self._settling = settling
 
     async def probe(self, request: ProbeRequest) -> ProbeReply:
-        """Move an axis until an input changes, and answer when it is at rest. Raises `Refusal`."""
-        name, status = request.axes[0], self._status
+        """Move axes until an input changes, and answer when they are at rest. Raises `Refusal`."""
+        status = self._status
         point = None if request.input is None else self._find_point(request.input)
         status.require_no_fault()
-        status.require_enabled([name])
-        status.probing.add(name)
+        status.require_enabled(request.axes)
+        status.probing.update(request.axes)
         try:
-            return await self._run(name, point, request)
+            return await self._run(point, request)
         finally:
-            status.probing.discard(name)
+            status.probing.difference_update(request.axes)
 
-    async def _run(self, name: str, point: DigitalInput | None, request: ProbeRequest) -> ProbeReply:
-        status, stopped_ns = self._status, self._status.stopped_ns
-        # The checks are of this moment: before it, the axis or the input may have been changed by another client.
+    async def _run(self, point: DigitalInput | None, request: ProbeRequest) -> ProbeReply:
+        status, stopped_ns, names = self._status, self._status.stopped_ns, request.axes
+        # The checks are of this moment: before it, the axes or the input may have been changed by another client.
         await self._polling.poll_and_publish()
-        move = self._make_move(name, point, request)
-        start_counts = status.require_online().axes[name].actual_counts
+        moves = self._make_moves(point, request)
+        starts = {name: reading.actual_counts for name, reading in status.require_online().axes.items()}
         if status.stopped_ns != stopped_ns:
             raise Refusal("stopped", "the controller was stopped before the probe began", "probe again")
-        contact = await self._probe_axis(name, move, request)
+        contacts = await self._probe_axes(moves, request)
         # A drive may report motion for a while after it has come to rest; where it rests is read then.
         rest_ns = self._context.driver.capabilities.costs.stop_ns + NS_PER_S
-        if not await self._settling.wait_for_rest([name], rest_ns):
-            raise Refusal("probe-broken", f"axis {name} has not come to rest", "stop it, and see what moves it")
-        reading = status.require_online()
-        rest_counts = reading.axes[name].actual_counts
-        if contact is None:
-            return ProbeReply(start_counts=start_counts, rest_counts=rest_counts)
-        scale = self._context.require_scale()
-        earliest_ns, latest_ns = scale.to_fleet_span(contact.span.earliest_ns, contact.span.latest_ns)
-        return ProbeReply(
-            touched=True,
-            least_counts=contact.least,
-            most_counts=contact.most,
-            earliest_ns=earliest_ns,
-            latest_ns=latest_ns,
-            start_counts=start_counts,
-            rest_counts=rest_counts,
-            released=_is_released(name, move, request, reading),
-        )
+        if not await self._settling.wait_for_rest(names, rest_ns):
+            text = f"axis {' or '.join(names)} has not come to rest"
+            raise Refusal("probe-broken", text, "stop it, and see what moves it")
+        probed_axes, reading = self._join_contacts(names, starts, contacts), status.require_online()
+        first_axis = probed_axes.pop(names[0])
+        reply = ProbeReply(**dict(first_axis), line=probed_axes)
+        if contacts is None:
+            return reply
+        span = next(iter(contacts.values())).span
+        earliest_ns, latest_ns = self._context.require_scale().to_fleet_span(span.earliest_ns, span.latest_ns)
+        is_released = _is_released(names[0], moves[names[0]], request, reading)
+        update = {"touched": True, "earliest_ns": earliest_ns, "latest_ns": latest_ns, "released": is_released}
+        return reply.model_copy(update=update)
+
+    def _join_contacts(
+        self, names: Sequence[str], starts: Mapping[str, float], contacts: Mapping[str, ProbedContact] | None
+    ) -> dict[str, ProbedAxis]:
+        """What is known of each axis at rest. contacts: of those that moved; one that stood was where it is."""
+        reading, probed_axes = self._status.require_online(), dict[str, ProbedAxis]()
+        for name in names:
+            rest_counts = reading.axes[name].actual_counts
+            probed_axes[name] = ProbedAxis(start_counts=starts[name], rest_counts=rest_counts)
+            if contacts is not None:
+                contact = contacts.get(name)
+                least, most = (
+                    (rest_counts - STAND_COUNTS, rest_counts + STAND_COUNTS)
+                    if contact is None
+                    else (contact.least, contact.most)
+                )
+                probed_axes[name] = probed_axes[name].model_copy(update={"least_counts": least, "most_counts": most})
+        return probed_axes
+
+    async def _probe_axes(
+        self, moves: Mapping[str, LimitMove], request: ProbeRequest
+    ) -> Mapping[str, ProbedContact] | None:
+        """Move the axes that go somewhere; None: they are at rest at their ends, and nothing was touched."""
+        line = self._list_line(moves)
+        if len(line) <= 1:
+            name = next(iter(line), request.axes[0])
+            contact = await self._probe_axis(name, moves[name], request)
+            return None if contact is None else {name: contact}
+        if self._lines is None or self._find_line_way(line) is None:
+            text = f"axes {' and '.join(line)}: this make cannot stop them on a line by that input"
+            raise Refusal("no-probe", text, "probe with one axis at a time")
+        return await self._lines.probe_line(line)
+
+    def _list_line(self, moves: Mapping[str, LimitMove]) -> dict[str, ProbeMove]:
+        """The axes that go somewhere."""
+        reading = self._status.require_online()
+        return {
+            name: move
+            for name, move in moves.items()
+            if isinstance(move, ProbeMove) and move.end_counts != reading.axes[name].commanded_counts
+        }
 
     async def _probe_axis(self, name: str, move: LimitMove, request: ProbeRequest) -> ProbedContact | None:
         if not isinstance(move, ProbeMove):
@@ -97,8 +139,13 @@ class AxisProbing:
             return self._limits and self._limits.limit_ability
         if self._driver is None:
             return None
-        level = "active" if move.active else "passive"
-        return self._driver.probe_ability.find_way(name, move.point.number, level)
+        return self._driver.probe_ability.find_way(name, move.point.number, _name_level(move))
+
+    def _find_line_way(self, line: Mapping[str, ProbeMove]) -> ProbeAbility | None:
+        """What stops the axes of a line by its controller; None: nothing does."""
+        ability = None if self._lines is None else self._lines.line_ability
+        ways = [ability and ability.find_way(name, move.point.number, _name_level(move)) for name, move in line.items()]
+        return None if None in ways else ability
 
     def _find_point(self, name: str) -> DigitalInput:
         point = self._config.inputs.get(name)
@@ -107,33 +154,46 @@ class AxisProbing:
             raise Refusal("unknown-input", f"no input {name}; inputs: {input_names}", "correct the name")
         return point
 
-    def _make_move(self, name: str, point: DigitalInput | None, request: ProbeRequest) -> LimitMove:
-        """The move for the driver after all checks. Raises `Refusal`."""
-        axis, reading = self._config.axes[name], self._status.require_online()
-        axis_reading, limits = reading.axes[name], axis.limits
+    def _make_moves(self, point: DigitalInput | None, request: ProbeRequest) -> dict[str, LimitMove]:
+        """The moves for the driver after all checks. Raises `Refusal`."""
+        reading, terms = self._status.require_online(), request.terms
+        if any(axis_reading.moving for axis_reading in reading.axes.values()):
+            raise Refusal("moving", "an axis of the controller is moving", "wait for its end, or stop it")
+        axes = {name: self._config.axes[name] for name in request.axes}
+        ramps = find_line_ramps(axes, {name: terms[name].speed for name in axes})
+        moves = {name: self._make_move(name, point, request, terms[name], ramps[name]) for name in axes}
+        line = self._list_line(moves)
+        for name, move in moves.items():
+            ability = self._find_line_way(line) if len(line) > 1 else self._find_ability(name, move, request)
+            _require_bound(name, axes[name], move, terms[name], ability)
+        move = moves[request.axes[0]]
+        if isinstance(move, ProbeMove) and reading.inputs.get(move.point.number) != (not move.level):
+            text = f"input {request.input} is {_name_level(move)} already"
+            raise Refusal("line-level", text, "move the axis away from the contact first, or check the input's wire")
+        return moves
+
+    def _make_move(
+        self, name: str, point: DigitalInput | None, request: ProbeRequest, terms: ProbeTerms, ramp: float
+    ) -> LimitMove:
+        """The move of an axis. ramp: in its unit/s². Raises `Refusal`."""
+        axis, axis_reading = self._config.axes[name], self._status.require_online().axes[name]
         if not self._status.referenced[name]:
             remedy = f"home it first: a step `do: home` for {name}"
             raise Refusal(NOT_REFERENCED, f"axis {name} is not referenced", remedy)
-        if any(other_reading.moving for other_reading in reading.axes.values()):
-            raise Refusal("moving", "an axis of the controller is moving", "wait for its end, or stop it")
-        if request.speed > limits.velocity * (1 + SPEED_TOLERANCE):
-            text = f"axis {name}: {request.speed:g} {axis.unit}/s exceeds its limit of {limits.velocity:g}"
+        if terms.speed > axis.limits.velocity * (1 + SPEED_TOLERANCE):
+            text = f"axis {name}: {terms.speed:g} {axis.unit}/s exceeds its limit of {axis.limits.velocity:g}"
             raise Refusal("velocity-limit", text, "probe more slowly")
-        sign = 1 if request.end_counts >= axis_reading.commanded_counts else -1
-        self._require_room(name, axis, request.end_counts, sign * request.overtravel_counts)
+        sign = 1 if terms.end_counts >= axis_reading.commanded_counts else -1
+        self._require_room(name, axis, terms.end_counts, sign * terms.overtravel_counts)
         _require_direction(name, axis_reading, request, "forward" if sign > 0 else "reverse")
-        scale = float(axis.scale)
-        move = LimitMove(request.end_counts, request.speed * scale, limits.acceleration * scale)
-        if point is not None:
-            move = ProbeMove(
-                move.end_counts, move.speed_counts_s, move.ramp_counts_s2, point=point, active=request.active
-            )
-        self._require_bound(name, axis, move, request)
-        if isinstance(move, ProbeMove) and reading.inputs.get(move.point.number) != (not move.level):
-            word = "active" if request.active else "passive"
-            text = f"input {request.input} is {word} already"
-            raise Refusal("line-level", text, "move the axis away from the contact first, or check the input's wire")
-        return move
+        speed, ramp_counts_s2 = terms.speed * float(axis.scale), ramp * float(axis.scale)
+        if point is None:
+            return LimitMove(terms.end_counts, speed, ramp_counts_s2)
+        return ProbeMove(terms.end_counts, speed, ramp_counts_s2, point=point, active=request.active)
+
+    def _find_ability(self, name: str, move: LimitMove, request: ProbeRequest) -> ProbeAbility | None:
+        """What stops an axis that moves alone."""
+        return self._host.ability if request.by == "host" else self._find_way(name, move)
 
     def _require_room(self, name: str, axis: Axis, end: int, overtravel: float) -> None:
         """Raise `Refusal` unless the end of the probe, and what the axis may go on there, are inside its range."""
@@ -145,15 +205,19 @@ class AxisProbing:
             )
             raise Refusal("soft-limit", text, "end the probe earlier, probe more slowly, or change the soft limits")
 
-    def _require_bound(self, name: str, axis: Axis, move: LimitMove, request: ProbeRequest) -> None:
-        """Raise `Refusal` where what stops the axis has a longer overtravel than the request states."""
-        ability = self._host.ability if request.by == "host" else self._find_way(name, move)
-        if ability is None:
-            return
-        most = ability.find_overtravel(move.speed_counts_s, move.ramp_counts_s2)
-        if most > request.overtravel_counts * (1 + OVERTRAVEL_TOLERANCE):
-            text = f"axis {name} goes on by at most {abs(axis.to_length(most)):g} {axis.unit} behind a contact"
-            raise Refusal("overtravel", f"{text}, which is more than was stated", "run the job again")
+
+def _require_bound(name: str, axis: Axis, move: LimitMove, terms: ProbeTerms, ability: ProbeAbility | None) -> None:
+    """Raise `Refusal` where what stops the axis has a longer overtravel than the request states."""
+    if ability is None:
+        return
+    most = ability.find_overtravel(move.speed_counts_s, move.ramp_counts_s2)
+    if most > terms.overtravel_counts * (1 + OVERTRAVEL_TOLERANCE):
+        text = f"axis {name} goes on by at most {abs(axis.to_length(most)):g} {axis.unit} behind a contact"
+        raise Refusal("overtravel", f"{text}, which is more than was stated", "run the job again")
+
+
+def _name_level(move: ProbeMove) -> Literal["active", "passive"]:
+    return "active" if move.active else "passive"
 
 
 def _require_direction(name: str, reading: AxisReading, request: ProbeRequest, direction: str) -> None:

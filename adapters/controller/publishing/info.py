@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from adapters.abilities import LimitProbeDriver, ProbeDriver
+from adapters.abilities import LimitProbeDriver, LineProbeDriver, ProbeDriver
 from adapters.contract import ControllerIdentity
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.host_ability import find_host_ability
@@ -37,6 +37,7 @@ def make_info(context: ControllerContext, identity: ControllerIdentity | None) -
         jog_ramps=capabilities.jog_ramps,
         probe=driver.probe_ability if isinstance(driver, ProbeDriver) else None,
         limit_probe=driver.limit_ability if isinstance(driver, LimitProbeDriver) else None,
+        line_probe=driver.line_ability if isinstance(driver, LineProbeDriver) else None,
         host_probe=find_host_ability(driver, config),
         digest=config.digest,
         options_schema=_options_schema(context.make.options_model),

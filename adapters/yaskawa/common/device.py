@@ -286,14 +286,14 @@ class SmcDevice:
         """Send `ST` to these axes, now; other axes and programs continue (L10124), but for those that `halts` end."""
         letters = "".join(AXIS_LETTERS[index] for index in indices)
         if letters:  # without letters it would stop all axes
-            self._write_stop(*halts, f"ST{letters}")
+            self.write_stop(*halts, f"ST{letters}")
 
     def stop_all(self, *, abort: bool) -> None:
         """Stop everything, now, without waiting for any reply."""
         self.stop_counts.count_all()
-        self._write_stop(*stop_commands(abort=abort))
+        self.write_stop(*stop_commands(abort=abort))
 
-    def _write_stop(self, *commands: str) -> None:
+    def write_stop(self, *commands: str) -> None:
         """Write to the handle for stops, bypassing everything that is under way on the other handle."""
         try:
             self.connection.stops.write_stop(*commands)

@@ -51,7 +51,7 @@ Names begin with X, which begins no op-code, so that no assignment can be mistak
     XRM    mask of it as a ring             XRF    samples before which a trigger is far
     XRE    1: the ring ends where it is
     XKI    input that ends a probe, as AI takes it; 0: there is no probe
-    XKT    sample after its edge; 0 before  XK1..4 positions of encoders before that
+    XKT    sample after its edge; 0 before  XK1..4 positions of encoders before that, one after the other
     XC1..4 arrays: increments of an axis    XTD    array: DT of the records that are shorter
 """
 
@@ -82,6 +82,7 @@ TABLE = "XRT"  # of triggers
 TABLE_VARIABLES = ("XRN", "XRI", "XRV")
 RING_VARIABLES = ("XRM", "XRF", "XRE")
 PROBE_INPUT, PROBE_TIME = "XKI", "XKT"
+LINE_PROBE_LABEL = "#LPROBE"
 PULSE_LABEL, LEVEL_LABEL = "#PULSE", "#LEVEL"
 RING_PULSE_LABEL, RING_LEVEL_LABEL = "#RPULSE", "#RLEVEL"
 FAR_TICKS = 8  # from one look for the next trigger of a ring to another
@@ -359,16 +360,19 @@ def ring_lines() -> tuple[str, ...]:
 
 
 def probe_lines(axes: int) -> tuple[str, ...]:
-    """Return the lines that begin an axis and stop it by an input.
+    """Return the lines that begin an axis, or the sequence of a line (L13004-13015), and stop it by an input.
 
     AI tests the level (L2491), so a contact that is made before the axis begins stops it, too. The stop comes first;
     the position behind it is one after the edge, while the axis moves no faster than before.
     """
-    return tuple(
-        f"{probe_label(index)};BG{letter};AI {PROBE_INPUT};ST{letter};"
-        f"{probe_position(index)}=_TP{letter};{PROBE_TIME}=TIME;EN"
-        for index, letter in enumerate(AXIS_LETTERS[:axes])
+    letters = AXIS_LETTERS[:axes]
+    reads = [f"{probe_position(index)}=_TP{letter}" for index, letter in enumerate(letters)]
+    axis_lines = (
+        f"{probe_label(index)};BG{letter};AI {PROBE_INPUT};ST{letter};{read_text};{PROBE_TIME}=TIME;EN"
+        for index, (letter, read_text) in enumerate(zip(letters, reads, strict=True))
     )
+    line = f"{LINE_PROBE_LABEL};BGS;AI {PROBE_INPUT};STS;{';'.join(reads)};{PROBE_TIME}=TIME;EN"
+    return (*axis_lines, *([line] if axes > 1 else []))
 
 
 def edge_lines() -> tuple[str, ...]:

@@ -43,7 +43,7 @@ class ResidentProgram:
                 motion = "contour" if is_contour else "probe"
                 session.log.warning(f"a {motion} of an earlier session is in progress; it is stopped by its ramps")
                 # Without its program a contour would stop abruptly (L13968), and a probe would not stop at its contact.
-                await session.send_command(f"ST{axis_letters((1 << axes) - 1)}")
+                await session.send_command(f"ST{axis_letters((1 << axes) - 1)}" + ("" if is_contour else "S"))
             await self.unload(session)
         else:
             await self._require_replaceable(session, present)

@@ -256,9 +256,9 @@ class SerialDevice(SmcDevice):
 
     def stop_all(self, *, abort: bool) -> None:
         self.stop_counts.count_all()
-        self._write_stop(*stop_commands(abort=abort))
+        self.write_stop(*stop_commands(abort=abort))
 
-    def _write_stop(self, *commands: str) -> None:
+    def write_stop(self, *commands: str) -> None:
         self.session.write_at_once(*commands)
 
 

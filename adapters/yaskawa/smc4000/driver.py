@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from adapters.abilities import LatchDriver, LimitProbeDriver, ProbeDriver
+from adapters.abilities import LatchDriver, LimitProbeDriver, LineProbeDriver, ProbeDriver
 from adapters.contract import (
     AxisReading,
     ControllerReading,
@@ -48,6 +48,7 @@ from adapters.yaskawa.pairs.homing import PairHoming
 from adapters.yaskawa.shapes.model import SMC4000, ModelTraits
 from adapters.yaskawa.triggers.latch import LATCH_INPUTS, LATCHES, PositionLatch
 from adapters.yaskawa.triggers.limit_probe import LimitProbe, find_limit_ability
+from adapters.yaskawa.triggers.line_probe import LineProbe, find_line_ability
 from adapters.yaskawa.triggers.lowering import NO_TRIGGERS, TriggerNeeds, add_triggers, find_chunk_triggers, find_needs
 from adapters.yaskawa.triggers.probe import LatchProbe, LatchTarget, find_ability, require_encoder
 from adapters.yaskawa.triggers.program_probe import ProgramProbe, find_program_ability
@@ -90,7 +91,7 @@ LEAVE_EXCHANGES = 2  # contour mode is left before a step; a refusal is queried
 _BITS = tuple({number + 1: bool(value >> number & 1) for number in range(POINTS)} for value in range(1 << POINTS))
 
 
-class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver, LimitProbeDriver):
+class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver, LineProbeDriver, LimitProbeDriver):
     """One SMC-4000."""
 
     # After the first ones the controller accepts no commands; QR is answered by a record.
@@ -268,11 +269,25 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver, LimitPro
         device, index = self._device, self._motors[axis]
         if not move.active or move.point.number != LATCH_INPUTS[index]:
             with log_refusals(self._log, "the probe"):
-                return await ProgramProbe(device, self._clock, self._options, self.traits, index).run(axis, move)
+                motors = {axis: index}
+                contacts = await ProgramProbe(device, self._clock, self._options, self.traits, motors).run({axis: move})
+            return None if contacts is None else contacts[axis]
         latch = PositionLatch(device, self._clock, self._motors)
         target = LatchTarget(LATCH_TARGET_OFF, self.traits, self._watch)
         with log_refusals(self._log, "the probe"):
             return await LatchProbe(device, self._clock, latch, target, index).run(axis, move)
+
+    @property
+    def line_ability(self) -> ProbeAbility | None:
+        return find_line_ability(self._motors, self._options)
+
+    async def probe_line(self, moves: Mapping[str, ProbeMove]) -> Mapping[str, ProbedContact] | None:
+        for axis in moves:
+            require_encoder(axis, self._steppers)
+        self._jogging.drop_jogs(list(moves))
+        motors = {axis: self._motors[axis] for axis in moves}
+        with log_refusals(self._log, "the probe"):
+            return await LineProbe(self._device, self._clock, self._options, self.traits, motors).run(moves)
 
     @property
     def limit_ability(self) -> ProbeAbility | None:

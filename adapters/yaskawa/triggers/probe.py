@@ -72,7 +72,8 @@ class ProbeRegisters:
 
     @classmethod
     def find(cls, axis: str, move: LimitMove, tick_s: float, model: ModelTraits) -> "ProbeRegisters":
-        """Raises `Refusal` for a speed or a ramp that the registers do not have."""
+        """Those of an axis that moves alone, or of the way of several on a line. Raises `Refusal` for a speed or a ramp
+        that the registers do not have."""
         speed = exact_speed(axis, move.speed_counts_s, tick_s, model)
         ramp = exact_ramp(axis, move.ramp_counts_s2, tick_s, model)
         speed_counts_s, ramp_counts_s2 = speed / SPEED_UNIT / tick_s, ramp / RAMP_UNIT / tick_s**2
@@ -177,6 +178,12 @@ def brake_probe(device: SmcDevice, index: int, *halts: str) -> None:
     """Stop the axis of a probe that is given up, as far as the link is open. halts: see `SmcDevice.brake_axes`."""
     with suppress(LinkClosed):
         device.brake_axes([index], *halts)
+
+
+def brake_sequence(device: SmcDevice, *halts: str) -> None:
+    """As `brake_probe`, with the axes of a line, along it (L13007)."""
+    with suppress(LinkClosed):
+        device.write_stop(*halts, "STS")
 
 
 def make_stopped(axis: str) -> Refusal:

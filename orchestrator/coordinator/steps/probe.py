@@ -1,6 +1,7 @@
-"""An axis moves until an input changes: one request, which is answered when the axis is at rest."""
+"""Axes move until an input changes: one request, which is answered when they are at rest."""
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -10,14 +11,21 @@ from orchestrator.coordinator.steps.context import ReportFields, StepContext
 from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import ProbeReply, ProbeRequest, raise_first_refusal
+from orchestrator.model.messages import ProbedAxis, ProbeReply, ProbeRequest, ProbeTerms, raise_first_refusal
 from orchestrator.model.names import split_name
 from orchestrator.model.report import ProbeReport
 from orchestrator.model.state import AxisState, ControllerState, TimeInterval
-from orchestrator.model.steps.probe import Probe
+from orchestrator.model.steps.probe import Probe, find_line_ramps
 from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
-from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed, make_other_start
+from orchestrator.plan.probes import (
+    ProbeAbilities,
+    find_longest_s,
+    find_most_speeds,
+    find_overtravel,
+    find_probe_speeds,
+    make_other_start,
+)
 from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, parse_target
 
@@ -25,91 +33,145 @@ SPARE_S = 5.0  # to begin, to come to rest, and to read
 
 
 @dataclass(frozen=True, slots=True)
-class _PlannedProbe:
-    """A probe in counts. stated_counts: how far the axis goes on at most."""
+class _PlannedAxis:
+    """An axis of a probe in counts; speed in its unit/s. stated_counts: how far it goes on at most."""
 
-    step: Probe
+    name: str
     axis: Axis
     offset: Fraction
     end_counts: int
     speed: float
     stated_counts: float
-    longest_s: float
 
-    def make_report(self, reply: ProbeReply) -> ProbeReport:
+    def make_terms(self) -> ProbeTerms:
+        """What a request says of it."""
+        return ProbeTerms(end_counts=self.end_counts, speed=self.speed, overtravel_counts=self.stated_counts)
+
+    def make_report(self, step: Probe, reply: ProbeReply, probed_axis: ProbedAxis) -> ProbeReport:
         """The report of what was found, in user positions."""
         axis, shift = self.axis, float(self.offset)
-        ends = sorted(axis.to_unit(counts) for counts in (reply.least_counts, reply.most_counts))
+        ends = sorted(axis.to_unit(counts) for counts in (probed_axis.least_counts, probed_axis.most_counts))
         report = ProbeReport(
-            axis=self.step.axis,
-            until=self.step.until,
+            axis=self.name,
+            until=step.until,
             unit=axis.unit,
             touched=reply.touched,
-            start=axis.to_unit(reply.start_counts) + shift,
-            rest=axis.to_unit(reply.rest_counts) + shift,
+            start=axis.to_unit(probed_axis.start_counts) + shift,
+            rest=axis.to_unit(probed_axis.rest_counts) + shift,
             stated=abs(axis.to_length(self.stated_counts)),
-            by=self.step.by,
+            by=step.by,
         )
         if not reply.touched:
             return report
-        middle = axis.to_position(Fraction(reply.least_counts + reply.most_counts) / 2)
+        middle = axis.to_position(Fraction(probed_axis.least_counts + probed_axis.most_counts) / 2)
         return report.model_copy(
             update={
                 "least": ends[0] + shift,
                 "most": ends[1] + shift,
                 "motor": middle,
                 "seen": TimeInterval(earliest_ns=reply.earliest_ns, latest_ns=reply.latest_ns),
-                "overtravel": abs(axis.to_length(max(self._find_overtravels(reply)))),
+                "overtravel": abs(axis.to_length(max(_find_overtravels(probed_axis)))),
                 "released": reply.released,
             }
         )
 
-    def exceeds_bound(self, reply: ProbeReply) -> bool:
+    def exceeds_bound(self, probed_axis: ProbedAxis) -> bool:
         """Whether the axis has certainly gone on farther than was stated."""
-        return reply.touched and min(self._find_overtravels(reply)) > self.stated_counts
+        return min(_find_overtravels(probed_axis)) > self.stated_counts
 
-    def _find_overtravels(self, reply: ProbeReply) -> tuple[float, float]:
-        sign = 1 if reply.rest_counts >= reply.start_counts else -1
-        least, most = reply.least_counts, reply.most_counts
-        return max(0.0, sign * (reply.rest_counts - least)), max(0.0, sign * (reply.rest_counts - most))
+
+def _find_overtravels(probed_axis: ProbedAxis) -> tuple[float, float]:
+    sign = 1 if probed_axis.rest_counts >= probed_axis.start_counts else -1
+    least, most = probed_axis.least_counts, probed_axis.most_counts
+    return max(0.0, sign * (probed_axis.rest_counts - least)), max(0.0, sign * (probed_axis.rest_counts - most))
+
+
+@dataclass(frozen=True, slots=True)
+class _PlannedProbe:
+    """A probe in counts: its axes, of which the first one moves if any does."""
+
+    step: Probe
+    axes: list[_PlannedAxis]
+    longest_s: float
+
+    @property
+    def names(self) -> list[str]:
+        """The names of its axes in their controller."""
+        return [split_name(planned_axis.name)[1] for planned_axis in self.axes]
+
+    def make_report(self, reply: ProbeReply) -> ProbeReport:
+        """The report of what was found; the first axis of the step has those of the others."""
+        probed_axes = reply.list_axes(self.names)
+        reports = {
+            planned_axis.name: planned_axis.make_report(self.step, reply, probed_axes[name])
+            for planned_axis, name in zip(self.axes, self.names, strict=True)
+        }
+        first_report, *other_reports = [reports[name] for name in self.step.axes]
+        return first_report.model_copy(update={"others": other_reports})
+
+    def require_bounds(self, reply: ProbeReply, report: ProbeReport) -> None:
+        """Raise `Refusal` where an axis has certainly gone on farther than was stated."""
+        probed_axes = reply.list_axes(self.names)
+        reports = {axis_report.axis: axis_report for axis_report in (report, *report.others)}
+        for planned_axis, name in zip(self.axes, self.names, strict=True):
+            if reply.touched and planned_axis.exceeds_bound(probed_axes[name]):
+                axis_report = reports[planned_axis.name]
+                text = (
+                    f"{planned_axis.name} went on by {axis_report.overtravel:g} {axis_report.unit} behind the contact"
+                )
+                remedy = "see what delays the controller or its computer; probe more slowly"
+                controller = split_name(planned_axis.name)[0]
+                raise Refusal("overtravel", f"{text}, and {axis_report.stated:g} were stated", remedy, controller)
 
 
 async def run_probe(context: StepContext, step: Probe) -> ReportFields:
     """Probe; the report states the contact as `probe`. Raises `Refusal`, also where nothing was touched and the step
     does not say `else: continue`."""
     planned_probe = await _plan_probe(context, step)
-    context.targets.forget_target(step.axis)
-    reply = await _send_probe(context, planned_probe)
-    raise_first_refusal({split_name(step.axis)[0]: reply})
+    for name in step.axes:
+        context.targets.forget_target(name)
+    reply, controller = await _send_probe(context, planned_probe), split_name(step.until)[0]
+    raise_first_refusal({controller: reply})
     report = planned_probe.make_report(reply)
-    if planned_probe.exceeds_bound(reply):
-        text = f"{step.axis} went on by {report.overtravel:g} {report.unit} behind the contact"
-        remedy = "see what delays the controller or its computer; probe more slowly"
-        raise Refusal("overtravel", f"{text}, and {report.stated:g} were stated", remedy, split_name(step.axis)[0])
+    planned_probe.require_bounds(reply, report)
     if not report.touched and step.otherwise == "fail":
-        text = f"{step.until} has not become {step.level} up to {report.rest:g} {report.unit} of {step.axis}"
-        raise Refusal("not-touched", text, "check the contact and its wire, or go on farther", split_name(step.axis)[0])
+        ends = " and ".join(
+            f"{axis_report.rest:g} {axis_report.unit} of {axis_report.axis}" for axis_report in (report, *report.others)
+        )
+        text = f"{step.until} has not become {step.level} up to {ends}"
+        raise Refusal("not-touched", text, "check the contact and its wire, or go on farther", controller)
     return {"probe": report}
 
 
 async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
-    view, (controller, _) = context.fleet.view, split_name(step.axis)
-    axis, state, info = (
-        view.fleet.axis(step.axis),
-        await require_axis(view, step.axis),
-        await view.require_info(controller),
-    )
-    require_no_play(step.axis, axis, "contact")
-    require_single_motor(step.axis, axis, "probe")
-    ability = ProbeAbilities.of(info).require_ability(view.fleet, step)
-    speed = find_probe_speed(step, axis)
+    view, controller = context.fleet.view, split_name(step.until)[0]
+    axes = {name: view.fleet.axis(name) for name in step.axes}
+    states = {name: await require_axis(view, name) for name in axes}
+    info = await view.require_info(controller)
+    for name, axis in axes.items():
+        require_no_play(name, axis, "contact")
+        require_single_motor(name, axis, "probe")
+    abilities = ProbeAbilities.of(info)
+    ways_to_stop = {name: abilities.require_ability(view.fleet, step, name) for name in axes}
+    find_most_speeds(step, axes)
     await _require_start(context, step)
-    target = _find_target(context, step, axis, state)
-    end_counts = axis.to_target_counts(target)
-    distance = axis.to_length(end_counts - state.commanded_counts)
-    longest_s = find_longest_s(axis, distance, speed) + SPARE_S
-    stated_counts = find_overtravel(ability, axis, speed)
-    return _PlannedProbe(step, axis, state.offset, end_counts, speed, stated_counts, longest_s)
+    ends = {name: axes[name].to_target_counts(_find_target(context, step, name, states[name])) for name in axes}
+    ways = {name: axis.to_length(ends[name] - states[name].commanded_counts) for name, axis in axes.items()}
+    speeds = find_probe_speeds(step, axes, ways)
+    ramps = find_line_ramps(axes, speeds)
+    planned_axes = [
+        _PlannedAxis(
+            name,
+            axis,
+            states[name].offset,
+            ends[name],
+            speeds[name],
+            find_overtravel(ways_to_stop[name], axis, speeds[name], ramps[name]),
+        )
+        for name, axis in sorted(axes.items(), key=lambda item: not ways[item[0]])
+    ]
+    longest_s = max(find_longest_s(axis, ways[name], speeds[name]) for name, axis in axes.items())
+    return _PlannedProbe(step, planned_axes, longest_s + SPARE_S)
 
 
 async def _require_start(context: StepContext, step: Probe) -> None:
@@ -122,10 +184,10 @@ async def _require_start(context: StepContext, step: Probe) -> None:
             raise make_other_start(name, state.position, begin, axis)
 
 
-def _find_target(context: StepContext, step: Probe, axis: Axis, state: AxisState) -> Fraction:
-    """The motor position where the probe ends. Raises `Refusal`."""
-    ((name, value),) = step.to.items()
-    amount = parse_target(name, value, axis.unit)
+def _find_target(context: StepContext, step: Probe, name: str, state: AxisState) -> Fraction:
+    """The motor position where an axis of the probe ends. Raises `Refusal`."""
+    axis = context.fleet.view.fleet.axis(name)
+    amount = parse_target(name, step.to[name], axis.unit)
     position_here = context.targets.exact_position(name, state.commanded_counts, axis.to_position(state.axis_counts))
     target = choose_turn(axis, position_here, amount - state.offset, state.offset)
     beyond_limits = explain_beyond_limits(name, axis, target, state.offset)
@@ -134,27 +196,29 @@ def _find_target(context: StepContext, step: Probe, axis: Axis, state: AxisState
     return target
 
 
-async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeReply:
-    """Send the request, and stop the axis when one of its permits is lost. Raises `Refusal`."""
-    step, fleet = planned.step, context.fleet
-    controller, axis = split_name(step.axis)
+async def _send_probe(context: StepContext, planned_probe: _PlannedProbe) -> ProbeReply:
+    """Send the request, and stop the axes when one of their permits is lost. Raises `Refusal`."""
+    step, fleet, names = planned_probe.step, context.fleet, planned_probe.names
+    controller = split_name(step.until)[0]
+    first, *other_axes = planned_probe.axes
     request = ProbeRequest(
         **context.request_fields,
-        axes=[axis],
+        axes=names,
         holder=context.holder,
         input=None if step.limit is not None else split_name(step.until)[1],
         limit=step.limit,
         active=step.level == "active",
-        end_counts=planned.end_counts,
-        speed=planned.speed,
+        end_counts=first.end_counts,
+        speed=first.speed,
         by=step.by,
-        overtravel_counts=planned.stated_counts,
+        overtravel_counts=first.stated_counts,
+        line={name: other_axis.make_terms() for name, other_axis in zip(names[1:], other_axes, strict=True)},
     )
     search = SearchRequest(
-        controller, "probe", request, ProbeReply, planned.longest_s, lambda state: _moves(state, axis), "probe"
+        controller, "probe", request, ProbeReply, planned_probe.longest_s, lambda state: _moves(state, names), "probe"
     )
-    fleet.permits.require([step.axis])
-    guard, woken = fleet.permits.watch_losses([step.axis]), asyncio.Event()
+    fleet.permits.require(step.axes)
+    guard, woken = fleet.permits.watch_losses(step.axes), asyncio.Event()
     unlisten = fleet.permits.add_loss_listener(woken.set)
     try:
         async with running(search.send(fleet)) as answer:
@@ -171,5 +235,5 @@ async def _send_probe(context: StepContext, planned: _PlannedProbe) -> ProbeRepl
         unlisten()
 
 
-def _moves(state: ControllerState, axis: str) -> bool:
-    return state.mode == "moving" or state.axes[axis].moving
+def _moves(state: ControllerState, axes: Sequence[str]) -> bool:
+    return state.mode == "moving" or any(state.axes[axis].moving for axis in axes)

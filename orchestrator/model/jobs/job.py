@@ -74,8 +74,7 @@ class Job(ScriptModel):
                 problem = find_measure_problem(axis, target, probed_axes)
                 if problem and not self.is_open:
                     raise ValueError(f"{step.describe()}: {problem}")
-            for name in step.contact_names:
-                probed_axes[name] = step.named_axes[0]
+            probed_axes |= step.contact_names
         return self
 
     @model_validator(mode="after")

@@ -272,9 +272,9 @@ class Step(ScriptModel):
         return None
 
     @property
-    def contact_names(self) -> list[str]:
-        """How later steps name what it measures."""
-        return []
+    def contact_names(self) -> Mapping[str, str]:
+        """How later steps name what it measures, and the axis of each."""
+        return {}
 
     # Words
 

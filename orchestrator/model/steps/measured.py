@@ -55,9 +55,11 @@ def split_measured(fields: Any, key: str) -> Any:
     return {**plain_fields, key: plain_items, "measured": {**stated_items, **measured_items}}
 
 
-def name_contacts(name: str | None, axis: str) -> list[str]:
-    """How later steps name the contact of a probe: `EDGE.z`, `EDGE.gantry.z`."""
-    return [] if name is None else [f"{name}.{split_name(axis)[1]}", f"{name}.{axis}"]
+def name_contacts(name: str | None, axes: Iterable[str]) -> dict[str, str]:
+    """How later steps name the contact of a probe, and its axis: `EDGE.z`, `EDGE.gantry.z`."""
+    if name is None:
+        return {}
+    return {text: axis for axis in axes for text in (f"{name}.{split_name(axis)[1]}", f"{name}.{axis}")}
 
 
 def find_measure_problem(axis: str, target: MeasuredTarget, probed: Mapping[str, str]) -> str:

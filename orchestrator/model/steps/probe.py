@@ -1,35 +1,31 @@
-"""An axis moves until an input changes, or to a position."""
+"""Axes move until an input changes, or to a position."""
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import Field, model_validator
 
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import AxisTargets, Target, controller_of
 from orchestrator.model.steps.base import Step, TargetResolver
 from orchestrator.model.steps.measured import MEASURED, MeasuredTarget, name_contacts, split_measured
-from orchestrator.model.steps.speed import MANUAL, read_speed, scale_speed
+from orchestrator.model.steps.speed import MANUAL, Speed, scale_speed
 from orchestrator.model.units import AxisQuantity, Quantity
 
 Direction = Literal["forward", "reverse"]
 """Of a limit switch, in the direction of the controller's counts."""
 
 
-def _read_probe_speed(value: object) -> float | str:
-    return MANUAL if value == MANUAL else read_speed(value, "speed")
-
-
-ProbeSpeed = Annotated[
-    float | str,
-    BeforeValidator(_read_probe_speed),
-    WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0, "maximum": 1}, {"type": "string"}]}),
-]
+def find_line_ramps(axes: Mapping[str, Axis], speeds: Mapping[str, float]) -> dict[str, float]:
+    """The ramps of axes that come to these speeds together, in their units/s²: each within its acceleration. speeds: in
+    their units/s; the ramp of an axis that stands is its acceleration."""
+    ramp_s = max(speeds[name] / axis.limits.acceleration for name, axis in axes.items())
+    return {name: speeds[name] / ramp_s if speeds[name] else axis.limits.acceleration for name, axis in axes.items()}
 
 
 class Probe(Step):
-    """Move an axis until an input changes, or to a position where it comes to rest without that. The report has the
-    position at which the input changed, as an interval."""
+    """Move axes of one controller on a straight line until an input changes, or to a position where they come to rest
+    without that. The report has their positions at which the input changed, as intervals."""
 
     moves: ClassVar[bool] = True
     probes: ClassVar[bool] = True
@@ -38,22 +34,24 @@ class Probe(Step):
     do: Literal["probe"] = "probe"
     to: AxisTargets = Field(
         default={},
-        description="The axis and where it goes at most: a quantity, or the name of a position.",
+        description="The axis and where it goes at most: a quantity, or the name of a position. Several axes of one "
+        "controller move on a straight line, where it can stop them on that.",
     )
     measured: dict[str, MeasuredTarget] = MEASURED
     start: dict[str, AxisQuantity] = Field(
         default={}, description="Where axes must stand before, within a count; nothing moves otherwise."
     )
     until: str = Field(
-        description="controller.input, of the same controller as the axis; or controller.axis.forward or "
+        description="controller.input, of the same controller as the axes; or controller.axis.forward or "
         "controller.axis.reverse: its own limit switch, as the state names it."
     )
     level: Literal["active", "passive"] = Field(
         default="active", description="What the input becomes; it must be the other one at the beginning."
     )
-    speed: ProbeSpeed = Field(
-        description='How fast it moves: "1 mm/s", a fraction of the velocity limit, or `manual`: `manual_speed` of the '
-        "axis."
+    speed: Speed = Field(
+        description='How fast it moves: "1 mm/s", of several axes with one unit along their line; a fraction of the '
+        "velocity limits; one of both by axis ({gantry.x: 1 mm/s}), the others at most at their limits; or `manual`: "
+        "`manual_speed` of each axis. The slowest axis of a line sets its speed."
     )
     otherwise: Literal["fail", "continue"] = Field(
         default="fail", alias="else", description="What to do if the input has not changed up to there."
@@ -70,7 +68,7 @@ class Probe(Step):
             *,
             to: Mapping[str, Any],
             until: str,
-            speed: float | str,
+            speed: float | str | Mapping[str, float | str],
             name: str | None = None,
             **more: Any,
         ) -> None: ...
@@ -81,40 +79,58 @@ class Probe(Step):
         return split_measured(fields, "to")
 
     @model_validator(mode="after")
-    def _one_axis(self) -> "Probe":
-        axes = [*self.to, *self.measured]
-        if len(axes) != 1:
-            number = ", ".join(axes) or "none"
-            raise ValueError(f"a probe moves one axis, and `to` has {len(axes)} ({number}); write one probe for each")
-        if controller_of(self.axis) != controller_of(self.until):
-            raise ValueError(f"{self.until} cannot stop {self.axis}: name an input of the same controller")
+    def _stoppable(self) -> "Probe":
+        if not self.axes:
+            raise ValueError("`to` names no axis; write e.g. `to: {gantry.x: 15}`")
+        first, is_line = self.axes[0], self.is_line
+        for axis in self.axes:
+            if controller_of(axis) == controller_of(self.until):
+                continue
+            text = f"{self.until} cannot stop {axis}: name an input of the same controller"
+            if is_line:
+                text = f"{text}, and let a probe move axes of one controller; move {axis} by a step of its own"
+            raise ValueError(text)
         if self.until.count(".") > 1 and self.limit is None:
-            raise ValueError(f"{self.until} is no limit switch of {self.axis}: {self.axis}.forward or .reverse")
+            if is_line:
+                raise ValueError(f"{self.until} ends no line: a limit switch stops its own axis; probe with that alone")
+            raise ValueError(f"{self.until} is no limit switch of {first}: {first}.forward or .reverse")
         if self.limit is not None and (self.level, self.by) != ("active", "controller"):
-            raise ValueError(f"a limit switch stops {self.axis} by its controller, when it becomes active")
+            raise ValueError(f"a limit switch stops {first} by its controller, when it becomes active")
+        if is_line and self.by == "host":
+            text = f"a computer stops one axis at a time, and {' and '.join(self.axes)} would leave their line"
+            raise ValueError(f"{text}; leave `by: host` out, or write one probe for each")
+        if isinstance(self.speed, dict) and (strangers := self.speed.keys() - set(self.axes)):
+            raise ValueError(f"speed names {', '.join(sorted(strangers))}, which the probe does not move")
         return self
 
     @property
-    def axis(self) -> str:
-        """The axis that it moves."""
-        return next(iter((*self.to, *self.measured)))
+    def axes(self) -> list[str]:
+        """The axes that it moves."""
+        return [*self.to, *self.measured]
+
+    @property
+    def is_line(self) -> bool:
+        """Whether it moves several axes on a line."""
+        return len(self.axes) > 1
 
     @property
     def limit(self) -> Direction | None:
         """The limit switch that ends it; None: an input does."""
-        return next((way for way in get_args(Direction) if self.until == f"{self.axis}.{way}"), None)
+        if self.is_line:
+            return None
+        return next((way for way in get_args(Direction) if self.until == f"{self.axes[0]}.{way}"), None)
 
     @property
     def named_axes(self) -> list[str]:
-        return [self.axis]
+        return self.axes
 
     @property
     def absolute_axes(self) -> list[str]:
-        return [self.axis]
+        return self.axes
 
     @property
     def placed_axes(self) -> list[str]:
-        return [self.axis]
+        return self.axes
 
     @property
     def awaited_inputs(self) -> list[str]:
@@ -123,13 +139,15 @@ class Probe(Step):
     @property
     def relative_axes(self) -> list[str]:
         # The direction, and the bounds of what it finds.
-        return [self.axis]
+        return self.axes
 
     def describe_relative(self, number: int, axes: str) -> str:
         return f"step {number} probes with {axes} from the current position"
 
     def slow_down(self, rate: float, fleet: Fleet) -> Self:
-        speed = fleet.axis(self.axis).manual_speed if self.speed == MANUAL else self.speed
+        speed = self.speed
+        if speed == MANUAL:
+            speed = {axis: fleet.axis(axis).manual_speed for axis in self.axes}
         return self.model_copy(update={"speed": scale_speed(speed, rate)})
 
     @property
@@ -137,11 +155,11 @@ class Probe(Step):
         return self.measured
 
     def with_measured(self, targets: Mapping[str, Quantity]) -> Self:
-        return self.model_copy(update={"to": dict(targets), "measured": {}})
+        return self.model_copy(update={"to": {**self.to, **targets}, "measured": {}})
 
     @property
-    def contact_names(self) -> list[str]:
-        return name_contacts(self.name, self.axis)
+    def contact_names(self) -> Mapping[str, str]:
+        return name_contacts(self.name, self.axes)
 
     def iterate_targets(self) -> Iterator[tuple[str, Target]]:
         yield from self.to.items()

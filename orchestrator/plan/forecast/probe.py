@@ -1,12 +1,14 @@
-"""The forecast of a probe: the whole way to its end, and what its axis goes on there behind a contact."""
+"""The forecast of a probe: the whole way to its end, and what its axes go on there behind a contact."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.names import controller_of, is_position_name
-from orchestrator.model.steps.probe import Probe
+from orchestrator.model.state import ProbeAbility
+from orchestrator.model.steps.probe import Probe, find_line_ramps
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.measured import check_measured
 from orchestrator.plan.forecast.span import Span
@@ -15,41 +17,68 @@ from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
 from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
-from orchestrator.plan.probes import ContactRange, find_longest_s, find_overtravel, find_probe_speed, make_other_start
+from orchestrator.plan.probes import (
+    ContactRange,
+    find_longest_s,
+    find_most_speeds,
+    find_overtravel,
+    find_probe_speeds,
+    make_other_start,
+)
 from orchestrator.plan.racks import require_single_motor
 
 
 def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Span:
-    """Run a probe forward: its axis is somewhere on its way afterwards."""
-    field_place = ("to", step.axis)
-    axis = state.find_axis(at, step.axis, field_place, "axis")
-    if axis is None or (step.limit is None and not state.check_name(at, step.until, "input")):
+    """Run a probe forward: its axes are somewhere on their way afterwards."""
+    axes = _find_axes(state, at, step)
+    if axes is None:
         return Span()
-    state.require_ready(at, step.axis, field_place)
     if step.otherwise == "fail":
         state.notes[f"{step.until} becomes {step.level} on the way"] = None
     try:
-        require_no_play(step.axis, axis, "contact")
-        require_single_motor(step.axis, axis, "probe")
-        speed = find_probe_speed(step, axis)
-        overtravel = _find_overtravel(state, step, axis, speed)
+        for name, axis in axes.items():
+            require_no_play(name, axis, "contact")
+            require_single_motor(name, axis, "probe")
+        abilities = _find_abilities(state, step)
+        find_most_speeds(step, axes)
+        _check_start(state, at, step)
+        begins = {name: state.find_range(name) for name in axes}
+        ends = _find_ends(state, at, step)
+        state.lose_positions(at, axes)
+        state.contacts |= dict.fromkeys(step.contact_names)
+        ways = _find_ways(begins, ends)
+        speeds = find_most_speeds(step, axes) if ways is None else find_probe_speeds(step, axes, ways)
     except Refusal as error:
         state.add_problem(at, (), error)
         return Span()
-    _check_start(state, at, step)
-    begin = state.find_range(step.axis)
-    end = _find_end(state, at, step)
-    state.lose_positions(at, [step.axis])
-    state.contacts |= dict.fromkeys(step.contact_names)
-    if begin is None or end is None:
-        return Span(0.0, None)
-    return _take_way(state, at, step, _ProbeWay(begin, end, speed, overtravel))
+    overtravels = _find_overtravels(state, axes, speeds, abilities)
+    return _take_ways(
+        state,
+        at,
+        step,
+        {
+            name: _ProbeWay(begin, end, speeds[name], overtravels[name])
+            for name, begin in begins.items()
+            if begin is not None and (end := ends[name]) is not None
+        },
+    )
+
+
+def _find_axes(state: ForecastState, at: ForecastContext, step: Probe) -> dict[str, Axis] | None:
+    """The axes of a probe, which must be ready; None where one of them, or the input, is not known."""
+    axes = {name: state.find_axis(at, name, ("to", name), "axis") for name in step.axes}
+    known_axes = {name: axis for name, axis in axes.items() if axis is not None}
+    if len(known_axes) < len(axes) or (step.limit is None and not state.check_name(at, step.until, "input")):
+        return None
+    for name in axes:
+        state.require_ready(at, name, ("to", name))
+    return known_axes
 
 
 @dataclass(frozen=True, slots=True)
 class _ProbeWay:
-    """Where a probe begins and ends, as motor positions; its speed, and how far it goes on behind the contact at
-    most, in the unit of its axis."""
+    """Where an axis of a probe begins and ends, as motor positions; its speed, and how far it goes on behind the
+    contact at most, in its unit."""
 
     begin: ContactRange
     end: ContactRange
@@ -69,17 +98,43 @@ class _ProbeWay:
         return ContactRange(low, high + self.overtravel) if is_upward else ContactRange(low - self.overtravel, high)
 
 
-def _find_overtravel(state: ForecastState, step: Probe, axis: Axis, speed: float) -> Fraction:
-    """How far the axis goes on behind the contact at most, in its unit; 0 without its controller, which alone knows
-    that. Raises `Refusal` where it does not stop the axis by that input."""
-    abilities = state.probes.get(controller_of(step.axis))
+def _find_abilities(state: ForecastState, step: Probe) -> dict[str, ProbeAbility]:
+    """What stops each axis; empty without its controller, which alone knows that. Raises `Refusal` where it does not
+    stop an axis by that input."""
+    abilities = state.probes.get(controller_of(step.until))
     if abilities is None:
-        state.notes[f"the controller of {step.axis} stops it by {step.until}"] = None
-        return Fraction(0)
-    ability = abilities.require_ability(state.fleet, step)
-    overtravel = abs(Fraction(find_overtravel(ability, axis, speed)) / axis.scale)
-    state.notes[f"{step.axis} goes on by at most {float(overtravel):.3g} {axis.unit} behind the contact"] = None
-    return overtravel
+        pronoun = "them" if step.is_line else "it"
+        state.notes[f"the controller of {' and '.join(step.axes)} stops {pronoun} by {step.until}"] = None
+        return {}
+    return {name: abilities.require_ability(state.fleet, step, name) for name in step.axes}
+
+
+def _find_ways(
+    begins: Mapping[str, ContactRange | None], ends: Mapping[str, ContactRange | None]
+) -> dict[str, float] | None:
+    """How far each axis goes; None where that is not known of all."""
+    ways: dict[str, float] = {}
+    for name, begin in begins.items():
+        end = ends[name]
+        if begin is None or end is None or begin.low != begin.high or end.low != end.high:
+            return None
+        ways[name] = float(end.low - begin.low)
+    return ways
+
+
+def _find_overtravels(
+    state: ForecastState, axes: Mapping[str, Axis], speeds: Mapping[str, float], abilities: Mapping[str, ProbeAbility]
+) -> dict[str, Fraction]:
+    """How far each axis goes on behind the contact at most, in its unit; 0 without its controller."""
+    ramps, overtravels = find_line_ramps(axes, speeds), dict.fromkeys(axes, Fraction(0))
+    for name, ability in abilities.items():
+        axis, scale = axes[name], float(axes[name].scale)
+        counts = find_overtravel(ability, axis, speeds[name], ramps[name])
+        overtravels[name] = abs(Fraction(counts) / axis.scale)
+        text = f"{name} goes on by at most {float(overtravels[name]):.3g} {axis.unit} behind the contact"
+        off_line = ability.find_off_line(speeds[name] * scale) / scale
+        state.notes[f"{text}, and is off its line by at most {off_line:.3g} {axis.unit}" if off_line else text] = None
+    return overtravels
 
 
 def _check_start(state: ForecastState, at: ForecastContext, step: Probe) -> None:
@@ -97,29 +152,31 @@ def _check_start(state: ForecastState, at: ForecastContext, step: Probe) -> None
             state.add_problem(at, ("start", name), make_other_start(name, float(position_here), amount, axis))
 
 
-def _find_end(state: ForecastState, at: ForecastContext, step: Probe) -> ContactRange | None:
-    """Where a probe ends that touches nothing; None: it is not known."""
-    if step.measured:
-        return check_measured(state, at, step, "to")[step.axis]
-    ((name, value),) = step.to.items()
-    if is_position_name(value):
-        state.note_unknown_positions(step)
-        return None
-    field = TargetField("to", name, state.fleet.axis(name))
-    amount = state.parse_amount(at, value, field)
-    if amount is None:
-        return None
-    take_target(state, at, MoveWays(), field, amount)
-    return state.find_range(name)
+def _find_ends(state: ForecastState, at: ForecastContext, step: Probe) -> dict[str, ContactRange | None]:
+    """Where the axes of a probe end that touches nothing; None: it is not known."""
+    ends: dict[str, ContactRange | None] = dict.fromkeys(step.axes)
+    ends |= check_measured(state, at, step, "to")
+    state.note_unknown_positions(step)
+    for name, value in step.to.items():
+        field = TargetField("to", name, state.fleet.axis(name))
+        amount = None if is_position_name(value) else state.parse_amount(at, value, field)
+        if amount is not None:
+            take_target(state, at, MoveWays(), field, amount)
+            ends[name] = state.find_range(name)
+    return ends
 
 
-def _take_way(state: ForecastState, at: ForecastContext, step: Probe, way: _ProbeWay) -> Span:
-    """Check what the axis goes on behind a contact at the end, and where it may be afterwards."""
-    field, offset = TargetField("to", step.axis, state.fleet.axis(step.axis)), state.axes[step.axis].offset
-    state.contacts |= dict.fromkeys(step.contact_names, way.contact)
-    state.ranges[step.axis] = way.rest
-    for farthest in way.rest:
-        if farthest not in way.contact:
-            check_target(state, at, field, farthest, offset)
-    distance = max(abs(end - begin) for end in way.end for begin in way.begin)
-    return Span(0.0, find_longest_s(field.axis, float(distance), way.speed))
+def _take_ways(state: ForecastState, at: ForecastContext, step: Probe, ways: Mapping[str, _ProbeWay]) -> Span:
+    """Check what axes go on behind a contact at their ends, and where they may be afterwards. ways: of those whose
+    positions are known."""
+    longest_s: list[float] = []
+    for name, way in ways.items():
+        field, offset = TargetField("to", name, state.fleet.axis(name)), state.axes[name].offset
+        state.contacts |= {text: way.contact for text, axis in step.contact_names.items() if axis == name}
+        state.ranges[name] = way.rest
+        for farthest in way.rest:
+            if farthest not in way.contact:
+                check_target(state, at, field, farthest, offset)
+        distance = max(abs(end - begin) for end in way.end for begin in way.begin)
+        longest_s.append(find_longest_s(field.axis, float(distance), way.speed))
+    return Span(0.0, max(longest_s) if len(longest_s) == len(step.axes) else None)

@@ -18,12 +18,13 @@ def _change_one_thing(config: Controller, draw: Random, *, at_rest: bool) -> byt
 
 
 _TOUCH = TouchInput(1, "low", "controller")
+_TOUCH_OF_LINES = TouchInput(1, "low", "controller", line_motor="Y")
 ON_ETHERNET = CampaignTraits(
     refuse_reply=_refuse_reply,
     start_class="clock",
     keeps_half_open=True,
     change_one_thing=_change_one_thing,
-    touch=_TOUCH,
+    touch=_TOUCH_OF_LINES,
     beam=BeamCarrier(
         options={"watchdog_s": 0.5},
         homing={"method": "index", "speed": 0.5, "search_speed": 0.5},

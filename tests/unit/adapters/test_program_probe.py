@@ -8,6 +8,7 @@ import pytest
 from unit.adapters.test_smc4000_bench import World, run
 
 from adapters.contract import ProbedContact, ProbeMove
+from adapters.yaskawa.common import program
 from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from adapters.yaskawa.triggers import program_probe
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -74,7 +75,7 @@ def test_a_contact_at_any_instant_stops_the_axis_within_what_was_stated(seed: in
 
 def test_a_bound_that_is_too_small_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Mutation: it is stated that the program stops the axis at the edge."""
-    monkeypatch.setattr(program_probe, "_find_read_us", lambda _: 0.0)
+    monkeypatch.setattr(program_probe, "find_read_us", lambda *_: 0.0)
     with pytest.raises(AssertionError):
         test_a_contact_at_any_instant_stops_the_axis_within_what_was_stated(0)
 
@@ -163,3 +164,44 @@ def test_without_the_host_the_program_stops_the_axis() -> None:
         assert world.controller.physical_position("X") - touched <= find_stated(world)
 
     run(main)
+
+
+@pytest.mark.parametrize("by", ["the program", "a new connection"])
+def test_a_line_is_stopped_along_it_without_its_host(by: str) -> None:
+    async def main(world: World) -> None:
+        await world.ready()
+        assert isinstance(world.driver, SMC4000Driver)
+        unit, ways = world.controller, {"x": 30_000, "y": -40_000}
+        starts = {axis: unit.position(axis.upper()) for axis in ways}
+        moves = {
+            axis: ProbeMove(round(starts[axis]) + way, abs(way) / 10, abs(way), point=TOUCH, active=True)
+            for axis, way in ways.items()
+        }
+        probe = asyncio.ensure_future(world.driver.probe_line(moves))
+        await sleep_ns(world.clock, 200 * NS_PER_MS)
+        world.wire.cut = True
+        if by == "the program":
+            await touch(world, 300 * NS_PER_MS)
+        with pytest.raises((LinkClosed, ControllerFault)):
+            await probe
+        world.wire.cut = False
+        if by == "a new connection":
+            assert unit.is_moving("X") and unit.is_moving("Y")
+            await sleep_ns(world.clock, NS_PER_S)
+            await world.other().connect()
+        await sleep_ns(world.clock, 200 * NS_PER_MS)
+        assert not unit.is_moving("X") and not unit.is_moving("Y")
+        gone = {axis: unit.position(axis.upper()) - start for axis, start in starts.items()}
+        assert 0 < gone["x"] < 15_000 and abs(gone["y"] + gone["x"] * 4 / 3) <= 2
+
+    run(main)
+
+
+def test_a_line_that_its_program_does_not_stop_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mutation: the program does not stop the sequence of the line."""
+    probe_lines = program.probe_lines
+    monkeypatch.setattr(
+        program, "probe_lines", lambda axes: tuple(line.replace("STS;", "") for line in probe_lines(axes))
+    )
+    with pytest.raises(AssertionError):
+        test_a_line_is_stopped_along_it_without_its_host("the program")

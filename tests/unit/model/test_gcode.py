@@ -147,6 +147,16 @@ def test_what_follows_a_probe_is_a_move_from_rest(text: str, to: dict[str, Any],
     assert move["do"] == "move" and move.get("to", {}) == to and move.get("by", {}) == by and move["sync"] == "phase"
 
 
+def test_a_probe_of_several_axes_is_a_line() -> None:
+    probe, back, zero, move = read("G38.2 X3 Z-4 F60\nG92 X0\nG91 G0 Z1", **TOUCH).steps
+    assert probe["to"] == {"gantry.x": "3 mm", "gantry.z": "-4 mm"} and probe["speed"] == "1 mm/s"
+    contacts = {axis: {"of": f"line 1.{axis}"} for axis in ("gantry.x", "gantry.z")}
+    assert back["to"] == contacts and back["sync"] == "phase" and zero["do"] == "set-position"
+    assert move["to"] == {"gantry.z": {"of": "line 1.gantry.z", "plus": "1 mm"}}
+    with pytest.raises(FileError, match=r"G38\.2 moves X and Z, and a computer stops one axis at a time"):
+        read("G38.2 X3 Z-4 F60", probe={"input": "gantry.touch", "by": "host"})
+
+
 def test_a_probe_is_a_motion_that_holds() -> None:
     steps = read("G91 G38.2 Z-5 F60\nG0 Z1\nG38.2 Z-2 F30\nZ-1", **TOUCH, dialect="grbl").steps
     assert [step["do"] for step in steps] == ["probe", "move", "move", "probe", "move", "probe", "move"]
@@ -174,7 +184,6 @@ def test_a_program_has_a_contact_or_ends() -> None:
     [
         ("G38.2 Z0 F60", "column 1: G38.2 moves no axis"),
         ("G38.2 F60", "column 1: G38.2 moves no axis"),
-        ("G38.2 X1 Z-1 F60", "G38.2 moves X and Z; a probe moves one axis"),
         ("G38.2 Z-1", "no feed is chosen"),
         ("G38.6 Z-1 F60", "G38.6 is not supported"),
         ("G38 Z-1 F60", "G38 is not supported: it is G38.2 to G38.5"),

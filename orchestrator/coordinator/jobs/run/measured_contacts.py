@@ -21,8 +21,9 @@ class MeasuredContacts:
 
     def take_report(self, step: Step, report: StepReport) -> None:
         """Keep what a step has measured."""
-        if report.probe is not None:
-            self._probes |= dict.fromkeys(step.contact_names, report.probe)
+        axis_reports = {probe.axis: probe for probe in report.probed_axes}
+        names = step.contact_names.items()
+        self._probes |= {name: axis_reports[axis] for name, axis in names if axis in axis_reports}
 
     async def fill_measured(self, step: Step) -> Step:
         """The step with quantities for what was measured, as user positions of now: a contact is a place of the

@@ -1,6 +1,7 @@
 """Probing in a program: G38.2 to G38.5, as GRBL and LinuxCNC define them, and zeros at a contact."""
 
 from collections.abc import Mapping
+from math import hypot
 from typing import Any, NamedTuple
 
 from orchestrator.model.paths.files.base.imported import format_number
@@ -41,22 +42,25 @@ class ProbeRunner:
         self._last: Probe | None = None
 
     def run(self, line: CodeLine, place: Place) -> None:
-        """Move an axis to the place of a line until the input of the probe changes, and back to the contact; other axes
-        stand. Raises `LineError`."""
+        """Move axes on a straight line to the place of a line of the program until the input of the probe changes, and
+        back to the contact; other axes stand. Raises `LineError`."""
         machine, name = self._machine, self._machine.modes.motion
         probe_input = self._read_input(name, place)
         words = take_words(line, machine, name)
         to, fixed_letters = machine.find_target(words), machine.list_fixed(words)
         letters = machine.list_moved(to, fixed_letters)
-        if len(letters) != 1:
-            motion_text = f"moves {' and '.join(letters)}; a probe moves one axis" if letters else "moves no axis"
-            raise LineError(place.column, f"{name} {motion_text}")
-        (letter,) = letters
-        if letter in machine.contacts.present and letter not in fixed_letters:
-            self._require_certain(letter, name)
-        length = abs(to[letter] - machine.at[letter])
-        speed = f"{format_number(machine.find_speed(length))} mm/s"
-        self._last, contact = PROBES[name], Contact(f"line {place.line}", to[letter], PROBES[name].is_certain)
+        if not letters:
+            raise LineError(place.column, f"{name} moves no axis")
+        if len(letters) > 1 and probe_input.by == "host":
+            text = f"{name} moves {' and '.join(letters)}, and a computer stops one axis at a time"
+            raise LineError(place.column, f"{text}; move one, or leave `by: host` out")
+        for letter in letters:
+            if letter in machine.contacts.present and letter not in fixed_letters:
+                self._require_certain(letter, name)
+        length = hypot(*(to[letter] - machine.at[letter] for letter in letters))
+        speed, probe = f"{format_number(machine.find_speed(length))} mm/s", PROBES[name]
+        contacts = {letter: Contact(f"line {place.line}", to[letter], probe.is_certain) for letter in letters}
+        self._last, contact = probe, contacts[letters[0]]
         step: dict[str, Any] = {
             "do": "probe",
             "name": contact.name,
@@ -70,12 +74,14 @@ class ProbeRunner:
         if not machine.writer.has_moved:
             step["start"] = machine.writer.list_places()
         machine.writer.add_step(step, place.line)
-        machine.contacts.present[letter] = contact
+        machine.contacts.present |= contacts
         machine.at = to
         machine.writer.stand_at(to)
         if contact.is_certain:  # the axis has gone on, while it came to rest
             return_targets = machine.make_targets(to, letters, ())
             step = {"do": "move", "name": f"{contact.name}: to the contact", **return_targets, "speed": speed}
+            if len(letters) > 1:
+                step["sync"] = "phase"
             machine.writer.add_step(step, place.line)
         self._notes.act_by_entry(name)
 
