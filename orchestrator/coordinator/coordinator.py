@@ -98,6 +98,7 @@ class Coordinator:
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
+        self._zones = motion.zones
         motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
         services = JobServices(
             bus=bus,
@@ -247,7 +248,7 @@ class Coordinator:
         holder = f"start-{self._environment.new_id()[:8]}"
         try:
             await self._leases.acquire(LeaseUser(holder, "coordinator", "enabling at the start"), names, brief=True)
-            context = StepContext(self._fleet, self._targets, self._positions, holder, "coordinator")
+            context = StepContext(self._fleet, self._targets, self._positions, self._zones, holder, "coordinator")
             await switch_motors(context, names, on=True)
         except Refusal as error:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)

@@ -20,17 +20,19 @@ from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import ProbeAbilities, find_longest_s, find_overtravel, find_probe_speed, make_other_start
 from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, parse_target
+from orchestrator.plan.zones.course import Sweep, Timing
 
 SPARE_S = 5.0  # to begin, to come to rest, and to read
 
 
 @dataclass(frozen=True, slots=True)
 class _PlannedProbe:
-    """A probe in counts. stated_counts: how far the axis goes on at most."""
+    """A probe in counts. begin_counts: where its axis stands. stated_counts: how far it goes on at most."""
 
     step: Probe
     axis: Axis
     offset: Fraction
+    begin_counts: int
     end_counts: int
     speed: float
     stated_counts: float
@@ -78,6 +80,7 @@ async def run_probe(context: StepContext, step: Probe) -> ReportFields:
     """Probe; the report states the contact as `probe`. Raises `Refusal`, also where nothing was touched and the step
     does not say `else: continue`."""
     planned_probe = await _plan_probe(context, step)
+    await _require_zones(context, planned_probe)
     context.targets.forget_target(step.axis)
     reply = await _send_probe(context, planned_probe)
     raise_first_refusal({split_name(step.axis)[0]: reply})
@@ -109,7 +112,18 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     distance = axis.to_length(end_counts - state.commanded_counts)
     longest_s = find_longest_s(axis, distance, speed) + SPARE_S
     stated_counts = find_overtravel(ability, axis, speed)
-    return _PlannedProbe(step, axis, state.offset, end_counts, speed, stated_counts, longest_s)
+    begin_counts = state.commanded_counts
+    return _PlannedProbe(step, axis, state.offset, begin_counts, end_counts, speed, stated_counts, longest_s)
+
+
+async def _require_zones(context: StepContext, planned: _PlannedProbe) -> None:
+    """Raise `Refusal` for a probe whose axis may bring bodies together anywhere on its way, or by going on behind a
+    contact at its end."""
+    sign = 1 if planned.end_counts >= planned.begin_counts else -1
+    farthest = planned.end_counts + sign * planned.stated_counts
+    low, high = sorted(planned.axis.to_unit(counts) for counts in (planned.begin_counts, farthest))
+    name = planned.step.axis
+    await context.zones.require(Sweep({}, {name: (low, high)}, Timing({}), [name]), context.holder)
 
 
 async def _require_start(context: StepContext, step: Probe) -> None:

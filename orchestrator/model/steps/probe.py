@@ -32,6 +32,7 @@ class Probe(Step):
     position at which the input changed, as an interval."""
 
     moves: ClassVar[bool] = True
+    is_swept: ClassVar[bool] = True
     probes: ClassVar[bool] = True
     UNSAID: ClassVar[frozenset[str]] = frozenset({"measured"})
 

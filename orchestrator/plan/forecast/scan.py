@@ -16,6 +16,7 @@ from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
 from orchestrator.plan.forecast.virtual_scan import forecast_virtual_scan
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.forecast.zones import check_area, find_area, widen_area
 from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.virtual_moves import find_virtual_names
@@ -46,18 +47,22 @@ def _forecast_real_scan(state: ForecastState, at: ForecastContext, step: Scan) -
     except UnitError as error:
         state.add_problem(at, (), Refusal("bad-unit", str(error), "correct the unit"))
         return Span()
+    area = find_area(state, axes)
     first, sure = MoveWays(), {name: axis for name, axis in axes.items() if name not in unknown}
     for name, axis in sure.items():
         field = TargetField("axes", name, axis)
         state.require_ready(at, name, field.place)
         _take_corners(state, at, first, field, _describe_corners(corners[name], step.point_count))
+        widen_area(state, area, name, [corner.position for corner in corners[name]])
     span = plan_ways(state, at, step, first)
     if lines is not None:
         kinds.pop()  # the innermost axis moves
     between_span = Span()
     for kind in kinds:
         between_span = between_span.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
-    span = span.followed_by(between_span if lines is None else forecast_lines(state, at, lines, between_span))
+    if lines is None:
+        check_area(state, area, "ways between points")
+    span = span.followed_by(between_span if lines is None else forecast_lines(state, at, lines, between_span, area))
     state.lose_positions(at, unknown)
     return Span(span.least, None) if unknown else span
 

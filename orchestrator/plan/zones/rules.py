@@ -1,16 +1,16 @@
 """The rules of a fleet file, and whether a step keeps them."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, parse_quantity
 from orchestrator.model.zone_fields import LEAST_DISTANCE, Vector, ZoneRule, find_relation_axis, read_relation
 from orchestrator.model.zone_problems import find_range, list_zone_axes
 from orchestrator.plan.zones.chain import Body, Box, make_body, resolve_axis
 from orchestrator.plan.zones.clearance import (
+    MAX_LOOKS,
     Constraint,
     End,
     OutOfWork,
@@ -20,7 +20,7 @@ from orchestrator.plan.zones.clearance import (
     find_violation,
     halve,
 )
-from orchestrator.plan.zones.course import Course, Timing, find_margin, make_moving_axis
+from orchestrator.plan.zones.course import Course, Sweep, find_margin, make_moving_axis
 from orchestrator.plan.zones.shapes import make_shape
 from orchestrator.plan.zones.vectors import length, subtract
 
@@ -89,24 +89,20 @@ class FleetZones:
         words = f"{rule.when} forbids {rule.forbid}"
         return RelationConstraint(_make_end(fleet, rule.when, width), _make_end(fleet, rule.forbid), words)
 
-    def make_course(
-        self,
-        profiles: Mapping[str, Profile],
-        positions: Box,
-        timing: Timing,
-        adrift: Collection[str] = (),
-    ) -> Course:
-        """The course of a step. profiles: of the axes that it moves from a known position. positions: between what
-        motor positions axes that it does not move are; without one they may be anywhere in their range. adrift: axes
-        that it moves from where is not known."""
-        moving_axes = {name: make_moving_axis(self._fleet, name, profiles[name], timing) for name in profiles}
+    def make_course(self, sweep: Sweep) -> Course:
+        """The course of a step."""
+        profiles, positions, timing, paths = sweep.profiles, sweep.positions, sweep.timing, sweep.paths
+        moving_axes = {
+            name: make_moving_axis(self._fleet, name, profiles[name], timing, paths.get(name)) for name in profiles
+        }
         standing: dict[str, tuple[float, float]] = {}
         for name, ends in self.ranges.items():
             low, high = positions.get(name, ends)
             standing[name] = low - self.margins[name], high + self.margins[name]
         duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
         unknown = [name for name in self.ranges if name not in positions and name not in profiles]
-        return Course(moving_axes, standing, duration_s, max(self.skew_s, timing.skew_s), unknown, adrift)
+        skew_s = max(self.skew_s, timing.skew_s) * max((terms.rate for terms in paths.values()), default=1.0)
+        return Course(moving_axes, standing, duration_s, skew_s, unknown, sweep.adrift, sweep.recent, sweep.begin_s)
 
     def find_violations(self, course: Course) -> Iterator[Violation]:
         """Where a step may break each rule that depends on an axis that it moves."""
@@ -176,9 +172,13 @@ def find_rule_violation(rule: RuleCheck, course: Course, *, trust_step: bool | N
     the rule by default."""
     constraint, trust = rule.constraint, rule.trust_step if trust_step is None else trust_step
     finest_s = course.find_resolution(constraint.axes, trust_step=trust)
-    search, spans = Search(), [Span(0.0, course.duration_s, {})]
+    search, spans = Search(MAX_LOOKS + course.segments), [Span(course.begin_s, course.duration_s, {})]
     span = spans[0]
     try:
+        begin_box = course.find_begin_box(constraint.axes, trust_step=trust)
+        positions = None if begin_box is None else find_violation(search, constraint, begin_box)
+        if positions is not None:
+            return Violation(rule, 0.0, positions, search.nearest)
         while spans:
             span = spans.pop()
             box = course.find_box(constraint.axes, span.begin_s, span.end_s, trust_step=trust)
@@ -192,7 +192,7 @@ def find_rule_violation(rule: RuleCheck, course: Course, *, trust_step: bool | N
                 ]
             elif span.end_s - span.begin_s > finest_s:
                 middle_s = (span.begin_s + span.end_s) / 2
-                spans += [replace(span, begin_s=middle_s), replace(span, end_s=middle_s)]
+                spans += [replace(span, begin_s=middle_s), replace(span, end_s=middle_s)]  # the earlier one first
             else:
                 positions = find_violation(search, constraint, box)
                 if positions is not None:

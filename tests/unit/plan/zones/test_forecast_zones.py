@@ -10,9 +10,21 @@ from orchestrator.model.jobs.forecast import AxisForecast, JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.plan.forecast.job import JobForecaster, forecast_job
 
-FLEET = load_fleet(Path(__file__).parents[4] / "deploy" / "examples" / "zones.fleet.yaml")
+EXAMPLE = load_fleet(Path(__file__).parents[4] / "deploy" / "examples" / "zones.fleet.yaml")
 HOME = "{do: home}"
 RAISE, OVER, LOWER = (f"{{do: move, to: {{{target}}}}}" for target in ("gantry.z: 60", "gantry.x: 230", "gantry.z: 0"))
+
+
+def make_fleet(homes_away: Sequence[str], **controllers: Any) -> Fleet:
+    """The example with other axes whose homing leads away."""
+    plain = EXAMPLE.to_plain()
+    plain["zones"]["homes_away"] = list(homes_away)
+    for name, fields in controllers.items():
+        plain["controllers"][name] |= fields
+    return Fleet.model_validate(plain)
+
+
+FLEET = make_fleet(EXAMPLE.axis_names)
 
 
 def read_steps(text: str) -> Job:
