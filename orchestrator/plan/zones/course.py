@@ -79,7 +79,7 @@ class Course:
     with their uncertainty, and those that it moves from where is not known (`adrift`). unknown: of which nothing but
     their range is known, those included. skew_s: how far axes that keep step are apart. recent: where axes may have
     stopped in motions that end as it begins; it goes on for its stop time then. begin_s: where in its profiles it
-    begins."""
+    begins. margins: the uncertainty of axes that stand."""
 
     moving: Mapping[str, MovingAxis]
     standing: Box
@@ -89,6 +89,7 @@ class Course:
     adrift: Collection[str] = ()
     recent: Box = field(default_factory=dict[str, tuple[float, float]])
     begin_s: float = 0.0
+    margins: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def moved(self) -> set[str]:
@@ -173,6 +174,15 @@ class Course:
         if trust_step or len(rests_s) < 2:
             return finest_s
         return max(min(known_s, default=self.duration_s) / SHARE, finest_s)
+
+    def without_margins(self) -> "Course":
+        """The same with axes that are where they are said to be, and keep step at its begin."""
+        moving_axes = {name: replace(axis, margin=0.0) for name, axis in self.moving.items()}
+        standing = {
+            name: (low + self.margins.get(name, 0.0), high - self.margins.get(name, 0.0))
+            for name, (low, high) in self.standing.items()
+        }
+        return replace(self, moving=moving_axes, standing=standing, skew_s=0.0)
 
     def stretch(self, factor: float) -> "Course":
         """The same ways in a longer time."""

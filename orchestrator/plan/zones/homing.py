@@ -12,7 +12,8 @@ from orchestrator.plan.homing_order import HomingOrder, find_partners
 from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.course import Course, Sweep, Timing, join_spans
 from orchestrator.plan.zones.refusals import make_refusal
-from orchestrator.plan.zones.rules import FleetZones, Violation
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import Violation
 
 ORDER_WORDS = "home in this order, each axis by itself: "
 

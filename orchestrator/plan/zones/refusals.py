@@ -5,9 +5,11 @@ from itertools import permutations
 from math import isfinite
 
 from orchestrator.model.errors import Refusal
-from orchestrator.plan.zones.clearance import MAX_LOOKS
+from orchestrator.plan.zones.clearance import MAX_LOOKS, find_middle
 from orchestrator.plan.zones.course import Course
-from orchestrator.plan.zones.rules import FleetZones, Violation, find_rule_violation
+from orchestrator.plan.zones.exits import find_exit
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import Violation, find_rule_violation
 
 SLOWER = (2, 4, 8)
 """By how much slower a step is tried, to say what would fit."""
@@ -31,7 +33,10 @@ def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Ref
         return Refusal("zone", text, "move the other axes of this zone away first")
     begin_box = course.find_box(rule.constraint.axes, 0.0, 0.0, trust_step=True)
     if rule.constraint.look(begin_box).holds is False:
-        return Refusal("zone", text, "they stand so where the step begins: jog them apart first")
+        middle = find_middle({axis: begin_box[axis] for axis in rule.constraint.axes})
+        way_out = find_exit(zones, rule, middle)
+        words = "jog them apart first" if way_out is None else way_out.describe()
+        return Refusal("zone", text, f"they stand so where the step begins: {words}")
     is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
     if not is_trusted:
         text += "; it does while all axes keep step, and not where one of them stops and the others go on"

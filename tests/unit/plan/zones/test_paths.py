@@ -16,7 +16,7 @@ from orchestrator.plan.zones.clearance import PairClearance
 from orchestrator.plan.zones.course import Course, Sweep, Timing
 from orchestrator.plan.zones.extents import ProfileExtents
 from orchestrator.plan.zones.paths import bound_alone, find_path_terms
-from orchestrator.plan.zones.rules import find_rule_violation
+from orchestrator.plan.zones.search import find_rule_violation
 
 GANTRY = ("gantry.x", "gantry.z")
 

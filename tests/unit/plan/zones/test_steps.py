@@ -14,12 +14,13 @@ from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.targets import make_axis_move
-from orchestrator.plan.zones import rules
+from orchestrator.plan.zones import search
 from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.clearance import PairClearance
 from orchestrator.plan.zones.course import Course, Sweep, Timing
 from orchestrator.plan.zones.refusals import make_refusal
-from orchestrator.plan.zones.rules import FleetZones, RuleCheck, find_rule_violation
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import RuleCheck, find_rule_violation
 
 EXAMPLE = Path(__file__).parents[4] / "deploy" / "examples" / "zones.fleet.yaml"
 ALONE = {"gantry": 1.2, "stage": None}
@@ -191,7 +192,7 @@ def test_a_relation_holds_with_its_hysteresis(z: float, phi: float, clear: bool)
 def test_what_cannot_be_decided_is_refused_with_the_nearest_distance(monkeypatch: pytest.MonkeyPatch) -> None:
     course = make_course({"gantry.x": (0.0, 150.0), "stage.phi": (0.0, 30.0)})
     assert find_rule_violation(DETECTOR_SAMPLE, course) is None
-    monkeypatch.setattr(rules, "MAX_LOOKS", 1)
+    monkeypatch.setattr(search, "MAX_LOOKS", 1)
     violation = find_rule_violation(DETECTOR_SAMPLE, course)
     assert violation is not None and violation.positions is None
     assert "cannot be decided within" in make_refusal(ZONES, course, violation).text
