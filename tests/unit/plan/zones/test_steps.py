@@ -173,7 +173,10 @@ def test_a_step_that_does_not_move_the_bodies_of_a_rule_is_not_refused_for_it() 
     assert find_rule_violation(DETECTOR_SAMPLE, together) is not None
     low_detector = next(rule for rule in ZONES.rules if rule.name == "low-detector")
     assert low_detector not in [violation.rule for violation in ZONES.find_violations(together)]
-    assert "jog them apart" in make_refusal(ZONES, together, next(ZONES.find_violations(together))).remedy
+    assert (
+        "jog gantry.z by about 17 mm in the positive"
+        in make_refusal(ZONES, together, next(ZONES.find_violations(together))).remedy
+    )
 
 
 @pytest.mark.parametrize(("end", "clear"), [(154.4, True), (154.6, False)])
