@@ -95,10 +95,10 @@ class Coordinator:
         )
         self._targets = motion.targets
         self._virtual = VirtualObserver(self._view, bus, keys)
-        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
+        self._zones = motion.zones
+        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute, self._zones)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
-        self._zones = motion.zones
         motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
         services = JobServices(
             bus=bus,

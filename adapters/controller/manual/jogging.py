@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 
 from adapters.abilities import ManualDriver
 from adapters.contract import ControllerReading, Driver, JogMove
@@ -16,7 +17,7 @@ from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import JogRequest
+from orchestrator.model.messages import JogRequest, JogRoom
 
 HOLDERS_KEPT = 64
 SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
@@ -64,6 +65,8 @@ class JogControl:
         self._last_seq: dict[str, int] = {}
         self.find_reach: Callable[[str], float | None] = lambda axis: None
         """How far one jog of an axis goes, in its unit; None: to its soft limits."""
+        self.find_room: Callable[[str], JogRoom | None] = lambda axis: None
+        """Where zones allow it; None: everywhere."""
 
     # Requests of the lease holder
 
@@ -160,6 +163,9 @@ class JogControl:
         if limit in ("both", "forward" if counts_s > 0 else "reverse"):
             raise Refusal("limit", f"axis {name} is on its {limit} limit switch", "jog in the other direction")
         end = self._end_counts(name, axis, counts_s, reading)
+        room = self.find_room(name) if is_referenced else None
+        if room is not None:
+            end = _find_room_end(name, axis, axis_reading.commanded_counts, velocity, (end, room))
         reach = self.find_reach(name)
         if reach is not None:
             jog.begin = axis_reading.commanded_counts if jog.begin is None else jog.begin
@@ -251,6 +257,20 @@ class JogControl:
             del self._jogs[axis]
             self._status.jogging.discard(axis)
             self._end_reasons[axis] = reason
+
+
+def _find_room_end(name: str, axis: Axis, here: int, velocity: float, ends: tuple[int | None, JogRoom]) -> int:
+    """Where a jog at a velocity (unit/s) ends: at its soft limit, or at the end of its room. Raises `Refusal` there."""
+    limit, room = ends
+    position, rule = (room.high, room.high_by) if velocity > 0 else (room.low, room.low_by)
+    end, sign = axis.to_counts(Fraction(position)), 1 if velocity * float(axis.counts_per_unit) > 0 else -1
+    if (end - here) * sign <= 0:
+        cause = f"zone {rule}" if rule else "its range"
+        text = (
+            f"axis {name} may be jogged to {position:g} {axis.unit} (motor position) by {cause}, while other axes stand"
+        )
+        raise Refusal("zone", text, "jog in the other direction, or move the other axes of this zone away")
+    return end if limit is None else min(limit, end, key=lambda counts: counts * sign)
 
 
 def _find_nearer_end(name: str, here: int, counts_s: float, ends: tuple[int | None, int, int]) -> int:

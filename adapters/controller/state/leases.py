@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from adapters.controller.state.context import ControllerContext
 from orchestrator.clock.base import NS_PER_MS, ClockTimer
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import LeaseRequest, PairLease
+from orchestrator.model.messages import JogRoom, LeaseRequest, PairLease
 from orchestrator.model.names import controller_of
 
 HOLDERS_REMEMBERED = 64  # holders
@@ -18,7 +18,7 @@ _EVER = 2**53  # above the number of any acquisition
 @dataclass(frozen=True, slots=True)
 class _AxisLease:
     """session, since_ns: the session that it ends with (empty: none), and when it was granted first. pair: how it is
-    jogged, if it is one of a pair."""
+    jogged, if it is one of a pair. room: where it is jogged, if it moves bodies of zones."""
 
     holder: str
     actor: str
@@ -26,6 +26,7 @@ class _AxisLease:
     session: str
     since_ns: int
     pair: PairLease | None
+    room: JogRoom | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,8 @@ class MotionLeases:
         self._leases: dict[str, _AxisLease] = {}
         self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
         self._timer: ClockTimer | None = None
+        self.is_jogging: Callable[[str], bool] = lambda axis: False
+        """Whether an axis is being jogged."""
 
     @property
     def holders(self) -> dict[str, str]:
@@ -85,15 +88,26 @@ class MotionLeases:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
                 )
+        self._require_same_rooms(request)
         now_ns = self._clock.now_ns()
         until_ns = now_ns + request.ttl_ms * NS_PER_MS
         for axis in request.axes:
             lease = self._leases.get(axis)
             since_ns = now_ns if lease is None else lease.since_ns
+            pair, room = request.pairs.get(axis), request.rooms.get(axis)
             self._leases[axis] = _AxisLease(
-                request.holder, request.actor, until_ns, request.session, since_ns, request.pairs.get(axis)
+                request.holder, request.actor, until_ns, request.session, since_ns, pair, room
             )
         self._expire_leases()
+
+    def _require_same_rooms(self, request: LeaseRequest) -> None:
+        """Raise `Refusal` for another room of an axis that is being jogged: its end was given to its controller."""
+        for axis in request.axes:
+            lease = self._leases.get(axis)
+            if lease is not None and lease.room != request.rooms.get(axis) and self.is_jogging(axis):
+                raise Refusal(
+                    "jogging", f"axis {axis} is being jogged, and its room does not change", "wait until it rests"
+                )
 
     def require_lease(self, holder: str, axes: Iterable[str]) -> None:
         """Raise `Refusal` unless `holder` has the lease of all `axes`."""
@@ -122,6 +136,11 @@ class MotionLeases:
         """How far one jog of an axis goes, in its unit; None: to its soft limits."""
         lease = self._leases.get(axis)
         return None if lease is None or lease.pair is None else lease.pair.reach
+
+    def find_room(self, axis: str) -> JogRoom | None:
+        """Where an axis is jogged; None: it moves no bodies of zones."""
+        lease = self._leases.get(axis)
+        return None if lease is None else lease.room
 
     def end_all(self, reason: str) -> None:
         """End all leases: there is a new leader, which numbers its leases from the beginning, or none."""

@@ -1,6 +1,7 @@
 """Leases as the fleet sees them: their records, and what is published of them."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import timedelta
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.messages import JogRoom
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import LeaseState
 
@@ -35,6 +37,7 @@ class LeaseHold:
     idle: the adapters do not have it: the axes are reserved for the holder, which may not move them.
     acquisition: increases with each acquisition.
     session: the session that it ends with, enforced by the adapters; empty: none.
+    rooms: of axes that move bodies of zones, where they are jogged.
     """
 
     holder: str
@@ -46,6 +49,7 @@ class LeaseHold:
     idle: bool = False
     acquisition: int = 0
     session: str = ""
+    rooms: Mapping[str, JogRoom] = field(default_factory=dict[str, JogRoom])
 
 
 class LeaseStates:

@@ -1,7 +1,8 @@
 """Leases: the right to move axes. One holder each, kept here, enforced in the adapters, published on the bus."""
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
@@ -12,7 +13,7 @@ from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
-from orchestrator.model.messages import LeaseReply, LeaseRequest, PairLease
+from orchestrator.model.messages import JogRoom, LeaseReply, LeaseRequest, PairLease
 from orchestrator.model.names import controller_of
 from orchestrator.model.units import convert_units
 
@@ -22,6 +23,10 @@ TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 GIVE_BACK_NS = 10 * NS_PER_S  # for a brief lease to end: its holder waits for an answer of an adapter, twice at most
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
+
+
+RoomFinder = Callable[[Sequence[str], Mapping[str, JogRoom]], Awaitable[Mapping[str, JogRoom]]]
+"""Finds where axes are jogged under a lease, beside the rooms that some of them have already."""
 
 
 class AxesInUse(Refusal):
@@ -90,6 +95,11 @@ class LeaseRegistry:
             None,
         )
 
+    def find_room(self, axis: str) -> JogRoom | None:
+        """Where an axis is jogged by the holder of its lease; None: wherever its soft limits allow."""
+        rooms = (hold.rooms.get(axis) for hold in self._held.values())
+        return next((room for room in rooms if room is not None), None)
+
     def describe_use(self, held: LeaseHold) -> str:
         """A description of a lease for others that need its axes: by which user, what for, until when."""
         end = self._states.find_end_utc(held)
@@ -121,9 +131,11 @@ class LeaseRegistry:
         *,
         brief: bool = False,
         idle: bool = False,
+        find_rooms: RoomFinder | None = None,
     ) -> tuple[str, ...]:
         """Acquire `axes` for `user`, or renew its lease; return all axes of that lease: whole controllers where
-        axes cannot be leased separately. Raises `InUse`, `Refusal`; then no new lease has been made."""
+        axes cannot be leased separately. find_rooms: finds where axes are jogged under a new lease; it is called once no other
+        holder has them. Raises `InUse`, `Refusal`; then no new lease has been made."""
         holder = user.holder
         all_axes = await self._complete_controllers(axes)
         other_hold = await self._wait_for_release(all_axes, holder)
@@ -152,7 +164,10 @@ class LeaseRegistry:
             idle=idle,
             acquisition=taking,
             session=user.session,
+            rooms={} if hold_before is None else hold_before.rooms,
         )
+        if find_rooms is not None and (hold_before is None or set(own_axes) != set(hold_before.axes)):
+            hold = self._held[holder] = replace(hold, rooms=await find_rooms(own_axes, hold.rooms))
         if hold_before is None or set(own_axes) != set(hold_before.axes):
             try:
                 if not idle:
@@ -164,6 +179,30 @@ class LeaseRegistry:
                 raise Refusal("not-leased", "the lease ended while it was being acquired")
             self._states.publish(hold, holder)
         return all_axes
+
+    async def change_rooms(self, holder: str, rooms: Mapping[str, JogRoom]) -> bool:
+        """Give the axes of a lease other rooms; return whether they have them: while one of them is being jogged, none
+        of them changes.
+
+        All places in the rooms of before are allowed together, and all in the new ones, but not those of one with those
+        of the other. So first each axis is kept in both of its rooms.
+        """
+        before = self._held.get(holder)
+        if before is None or before.idle or before.brief:
+            return False
+        both_rooms = {axis: room.narrow(before.rooms[axis]) for axis, room in rooms.items() if axis in before.rooms}
+        try:
+            await self._send_lease(replace(before, rooms=both_rooms), TTL_MS)
+        except Refusal as error:
+            self._fleet.log.info(f"rooms for jogs stay as they are: {error.text}", holder=holder)
+            return False
+        hold = self._held.get(holder)
+        if hold is None or hold.brief or hold.rooms is not before.rooms:
+            return False
+        hold = self._held[holder] = replace(hold, rooms=rooms)
+        with suppress(Refusal):  # the next renewal brings them
+            await self._send_lease(hold, TTL_MS)
+        return True
 
     async def _wait_for_release(self, axes: Iterable[str], holder: str) -> LeaseHold | None:
         """Wait for the end of another holder's brief lease on `axes`; return the lease that is still in the way."""
@@ -231,6 +270,7 @@ class LeaseRegistry:
                 **self._fleet.requests.request_fields(held.actor),
                 axes=names,
                 pairs=_find_pairs(self._fleet.view.fleet, controller, names),
+                rooms={name: room for name in names if (room := held.rooms.get(f"{controller}.{name}")) is not None},
                 holder=held.holder,
                 acquisition=held.acquisition,
                 session=held.session,

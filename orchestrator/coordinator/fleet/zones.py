@@ -15,6 +15,7 @@ from orchestrator.plan.homing_order import HomingOrder
 from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.course import Sweep
 from orchestrator.plan.zones.memory import ZoneMemory
+from orchestrator.plan.zones.rooms import Room
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class ZoneGuard:
         `query_rest_positions`. execute: calls this check.
         """
         moved_axes = {*sweep.profiles, *sweep.adrift}
-        if moved_axes.isdisjoint(self._list_axes()):
+        if moved_axes.isdisjoint(self.list_axes()):
             return sweep.recent
         positions = await self._query_positions(moved_axes, holder, ends)
         sweep = replace(sweep, positions={**positions, **sweep.positions})
@@ -47,17 +48,25 @@ class ZoneGuard:
 
     async def require_homing(self, order: HomingOrder, holder: str) -> None:
         """Raise `Refusal` (code `zone`) for a homing in an order that may bring bodies together."""
-        if not order.axes.isdisjoint(self._list_axes()):
+        if not order.axes.isdisjoint(self.list_axes()):
             positions = await self._query_positions((), holder)
             await self.execute(self.memory.require_homing, self.view.fleet, positions, order)
 
     async def require_search(self, axes: Collection[str], holder: str) -> None:
         """Raise `Refusal` (code `zone`) for axes that would search for their references at the same time."""
-        if not set(axes).isdisjoint(self._list_axes()):
+        if not set(axes).isdisjoint(self.list_axes()):
             positions = await self._query_positions(axes, holder)
             await self.execute(self.memory.require_search, self.view.fleet, positions, axes)
 
-    def _list_axes(self) -> list[str]:
+    async def find_rooms(self, axes: Collection[str], holder: str) -> Mapping[str, Room]:
+        """Where axes that are jogged under one lease may be, by axis; those whose positions are not known have none."""
+        if set(axes).isdisjoint(self.list_axes()):
+            return {}
+        positions = await self._query_positions((), holder)
+        return await self.execute(self.memory.find_rooms, self.view.fleet, positions, axes)
+
+    def list_axes(self) -> list[str]:
+        """The real axes on which rules depend."""
         fleet = self.view.fleet
         return [] if fleet.zones is None else list_zone_axes(fleet.zones, fleet)
 
@@ -65,7 +74,7 @@ class ZoneGuard:
         self, moved: Collection[str], holder: str, ends: Mapping[str, tuple[Fraction, int]] | None = None
     ) -> Box:
         """As `query_rest_positions`, of all axes on which rules depend. moved: without these."""
-        resting_axes = [name for name in self._list_axes() if name not in moved]
+        resting_axes = [name for name in self.list_axes() if name not in moved]
         return await query_rest_positions(self.view, resting_axes, ends or {}, holder)
 
 

@@ -8,6 +8,7 @@ from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.course import Sweep
 from orchestrator.plan.zones.homing import ZoneHoming
 from orchestrator.plan.zones.refusals import make_refusal
+from orchestrator.plan.zones.rooms import Room, find_rooms
 from orchestrator.plan.zones.rules import FleetZones
 
 
@@ -37,6 +38,10 @@ class ZoneMemory:
         refusal = ZoneHoming(self.read(fleet), fleet, positions).find_refusal(axes)
         if refusal is not None:
             raise refusal
+
+    def find_rooms(self, fleet: Fleet, positions: Box, axes: Collection[str]) -> dict[str, Room]:
+        """How far axes may be jogged together, see `find_rooms`."""
+        return find_rooms(self.read(fleet), positions, axes)
 
     def read(self, fleet: Fleet) -> FleetZones:
         """The rules of a fleet."""
