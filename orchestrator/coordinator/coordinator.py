@@ -94,7 +94,7 @@ class Coordinator:
             plan_long=environment.plan_long,
         )
         self._targets = motion.targets
-        self._virtual = VirtualObserver(self._view, bus, keys)
+        self._virtual = VirtualObserver(self._view, bus, keys, self._leases)
         self._zones = motion.zones
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute, self._zones)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)

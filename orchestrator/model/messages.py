@@ -516,8 +516,8 @@ class PairLease(Model):
 class JogRoom(Model):
     """Between which motor positions an axis that moves bodies of zones is jogged while it has a reference, in its unit.
 
-    low, high: it is not jogged beyond; it may be jogged back from there. low_by, high_by: the rule of the fleet file that
-    ends it; empty: its range does. Where the bodies of a rule stand too near already, the room leads out.
+    low, high: it is not jogged beyond; it may be jogged back from there. low_by, high_by: the rule of the fleet file
+    that ends it; empty: its range does. Where the bodies of a rule stand too near already, the room leads out.
     """
 
     low: float
@@ -538,8 +538,8 @@ class LeaseRequest(AxesRequest):
     What the holder moves when its lease ends is stopped. holder: of a job, its id. reason: why it is ended.
     acquisition: increases with each acquisition of axes, so that a late renewal does not revive a lease that has ended.
     session: the session of a command that a person waits for; the lease ends when its signs of life are missing.
-    pairs: of axes that are one of a pair, how they are jogged. rooms: of axes that move bodies of zones, where; those of
-    an axis that is being jogged do not change.
+    pairs: of axes that are one of a pair, how they are jogged. rooms: of axes that move bodies of zones,
+    where; that of an axis that is being jogged does not change.
     """
 
     holder: Label
@@ -553,9 +553,10 @@ class LeaseRequest(AxesRequest):
 
 class LeaseReply(Reply):
     """state: the controller's state if another holder had the axes before, which saves a query; None if nothing has
-    changed."""
+    changed. kept: axes that are being jogged, and keep another room than that of the request."""
 
     state: ControllerState | None = None
+    kept: list[Id] = Field(default=[], exclude_if=lambda axes: not axes)
 
 
 class LeasedRequest(AxesRequest):

@@ -32,6 +32,7 @@ class _AxisJog:
     velocity: unit/s, of the last command that the controller has accepted.
     wanted: unit/s, of the last command that was sent.
     accepted_ns: when the controller accepted a command.
+    end_words: what it has reached where it comes to rest by itself.
     begin: counts where it began, from which its reach counts."""
 
     holder: str
@@ -39,6 +40,7 @@ class _AxisJog:
     velocity: float = 0.0
     wanted: float = 0.0
     accepted_ns: int | None = None
+    end_words: str = "its soft limit"
     begin: int | None = None
 
 
@@ -165,7 +167,7 @@ class JogControl:
         end = self._end_counts(name, axis, counts_s, reading)
         room = self.find_room(name) if is_referenced else None
         if room is not None:
-            end = _find_room_end(name, axis, axis_reading.commanded_counts, velocity, (end, room))
+            end, jog.end_words = _find_room_end(name, axis, axis_reading.commanded_counts, velocity, (end, room))
         reach = self.find_reach(name)
         if reach is not None:
             jog.begin = axis_reading.commanded_counts if jog.begin is None else jog.begin
@@ -236,7 +238,7 @@ class JogControl:
                 and not axis_reading.moving
                 and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS
             ):
-                reason = "it is on its limit switch" if axis_reading.limit != "none" else "it is at its soft limit"
+                reason = "it is on its limit switch" if axis_reading.limit != "none" else f"it is at {jog.end_words}"
                 self._tasks.spawn(self.stop_axes([axis], reason))
 
     def _expect_rest(self, axes: Sequence[str]) -> None:
@@ -259,18 +261,21 @@ class JogControl:
             self._end_reasons[axis] = reason
 
 
-def _find_room_end(name: str, axis: Axis, here: int, velocity: float, ends: tuple[int | None, JogRoom]) -> int:
-    """Where a jog at a velocity (unit/s) ends: at its soft limit, or at the end of its room. Raises `Refusal` there."""
+def _find_room_end(
+    name: str, axis: Axis, here: int, velocity: float, ends: tuple[int | None, JogRoom]
+) -> tuple[int, str]:
+    """Where a jog at a velocity (unit/s) ends, in counts, and what that is: its soft limit, or the end of its room.
+    Raises `Refusal` there."""
     limit, room = ends
     position, rule = (room.high, room.high_by) if velocity > 0 else (room.low, room.low_by)
     end, sign = axis.to_counts(Fraction(position)), 1 if velocity * float(axis.counts_per_unit) > 0 else -1
     if (end - here) * sign <= 0:
         cause = f"zone {rule}" if rule else "its range"
-        text = (
-            f"axis {name} may be jogged to {position:g} {axis.unit} (motor position) by {cause}, while other axes stand"
-        )
+        text = f"axis {name} may be jogged to {position:g} {axis.unit} (motor position) here, by {cause}"
         raise Refusal("zone", text, "jog in the other direction, or move the other axes of this zone away")
-    return end if limit is None else min(limit, end, key=lambda counts: counts * sign)
+    if limit is not None and limit * sign <= end * sign:
+        return limit, "its soft limit"
+    return end, f"the end of its room among zones ({rule or 'its range'})"
 
 
 def _find_nearer_end(name: str, here: int, counts_s: float, ends: tuple[int | None, int, int]) -> int:

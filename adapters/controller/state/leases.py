@@ -66,8 +66,9 @@ class MotionLeases:
         """Holder by axis, for axes that are leased."""
         return {axis: lease.holder for axis, lease in self._leases.items()}
 
-    def apply_request(self, request: LeaseRequest) -> None:
-        """Grant, renew or (`ttl_ms` 0) release a lease. Raises `Refusal`; then nothing has changed."""
+    def apply_request(self, request: LeaseRequest) -> list[str]:
+        """Grant, renew or (`ttl_ms` 0) release a lease; return the axes that are being jogged, and keep another room:
+        its end was given to their controller. Raises `Refusal`; then nothing has changed."""
         if not self._driver.capabilities.independent_axes and set(request.axes) != set(self._config.axes):
             raise Refusal(
                 "whole-controller",
@@ -78,7 +79,7 @@ class MotionLeases:
             own_axes = [axis for axis in request.axes if self._is_holder(request.holder, axis)]
             self._end_leases(own_axes, request.reason or "the lease was released")
             self._record_end(request.holder, request.reason or "the lease was released", request.acquisition)
-            return
+            return []
         lease_end = self._lease_ends.get(request.holder)
         if lease_end is not None and lease_end.taking is not None and request.acquisition <= lease_end.taking:
             raise Refusal("lease-over", f"the lease of {request.holder} is over", "acquire it under a new name")
@@ -88,26 +89,21 @@ class MotionLeases:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
                 )
-        self._require_same_rooms(request)
         now_ns = self._clock.now_ns()
         until_ns = now_ns + request.ttl_ms * NS_PER_MS
+        kept_axes: list[str] = []
         for axis in request.axes:
             lease = self._leases.get(axis)
             since_ns = now_ns if lease is None else lease.since_ns
             pair, room = request.pairs.get(axis), request.rooms.get(axis)
+            if lease is not None and lease.room != room and self.is_jogging(axis):
+                kept_axes.append(axis)
+                room = lease.room
             self._leases[axis] = _AxisLease(
                 request.holder, request.actor, until_ns, request.session, since_ns, pair, room
             )
         self._expire_leases()
-
-    def _require_same_rooms(self, request: LeaseRequest) -> None:
-        """Raise `Refusal` for another room of an axis that is being jogged: its end was given to its controller."""
-        for axis in request.axes:
-            lease = self._leases.get(axis)
-            if lease is not None and lease.room != request.rooms.get(axis) and self.is_jogging(axis):
-                raise Refusal(
-                    "jogging", f"axis {axis} is being jogged, and its room does not change", "wait until it rests"
-                )
+        return kept_axes
 
     def require_lease(self, holder: str, axes: Iterable[str]) -> None:
         """Raise `Refusal` unless `holder` has the lease of all `axes`."""

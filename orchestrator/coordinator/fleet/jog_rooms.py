@@ -14,11 +14,11 @@ not know where its room is."""
 
 
 class JogRooms:
-    """Finds the rooms of leases for manual control, and finds them anew where axes of a lease have come to rest at other
-    places.
+    """Finds the rooms of leases for manual control, and finds them anew where axes of a lease have come to rest at
+    other places.
 
-    They hold whatever happens around them: what stood there when they were found may be moved afterwards, but counts with
-    these axes as anywhere in their range then.
+    They hold whatever happens around them: what stood there when they were found may be moved afterwards, but counts
+    with these axes as anywhere in their range then.
     """
 
     def __init__(self, zones: ZoneGuard, leases: LeaseRegistry) -> None:
@@ -65,10 +65,10 @@ class JogRooms:
         places: dict[str, float | None] = {}
         for axis in self.list_bound(axes):
             state = self._zones.view.axis_now(axis)
-            is_known = state is not None and not state.moving and not state.homing
-            places[axis] = (
-                None if state is None or not is_known else state.commanded_counts if state.referenced else NOWHERE
-            )
+            if state is None or state.moving or state.homing:
+                places[axis] = None
+            else:
+                places[axis] = state.commanded_counts if state.referenced else NOWHERE
         return places
 
 

@@ -1,5 +1,6 @@
 """Leases as the fleet sees them: their records, and what is published of them."""
 
+import asyncio
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import timedelta
@@ -50,6 +51,8 @@ class LeaseHold:
     acquisition: int = 0
     session: str = ""
     rooms: Mapping[str, JogRoom] = field(default_factory=dict[str, JogRoom])
+    sending: asyncio.Lock = field(default_factory=asyncio.Lock, compare=False)
+    """Held while it is sent to the adapters, so that its rooms arrive in their order."""
 
 
 class LeaseStates:

@@ -25,8 +25,13 @@ RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
 
 
-RoomFinder = Callable[[Sequence[str], Mapping[str, JogRoom]], Awaitable[Mapping[str, JogRoom]]]
-"""Finds where axes are jogged under a lease, beside the rooms that some of them have already."""
+RoomFinder = Callable[[Sequence[str], Mapping[str, JogRoom], str], Awaitable[Mapping[str, JogRoom]]]
+"""Finds where axes are jogged under the lease of a holder, beside the rooms that some of them have already."""
+
+
+async def _find_no_rooms(axes: Sequence[str], rooms: Mapping[str, JogRoom], holder: str) -> Mapping[str, JogRoom]:
+    del axes, rooms, holder
+    return {}
 
 
 class AxesInUse(Refusal):
@@ -48,6 +53,8 @@ class LeaseRegistry:
         self._told_ns: dict[str, int] = {}  # by holder: when it was last sent to the adapters
         self._takings = 0
         self._listeners: list[Callable[[str], None]] = []
+        self.find_rooms: RoomFinder = _find_no_rooms
+        """Finds where axes are jogged under manual control; it is called once no other holder has them."""
 
     async def start(self) -> None:
         """Begin to renew leases, and to answer queries for them."""
@@ -131,11 +138,10 @@ class LeaseRegistry:
         *,
         brief: bool = False,
         idle: bool = False,
-        find_rooms: RoomFinder | None = None,
     ) -> tuple[str, ...]:
         """Acquire `axes` for `user`, or renew its lease; return all axes of that lease: whole controllers where
-        axes cannot be leased separately. find_rooms: finds where axes are jogged under a new lease; it is called once no other
-        holder has them. Raises `InUse`, `Refusal`; then no new lease has been made."""
+        axes cannot be leased separately. ttl_ns: of manual control, under which axes are jogged. Raises `InUse`,
+        `Refusal`; then no new lease has been made."""
         holder = user.holder
         all_axes = await self._complete_controllers(axes)
         other_hold = await self._wait_for_release(all_axes, holder)
@@ -164,11 +170,17 @@ class LeaseRegistry:
             idle=idle,
             acquisition=taking,
             session=user.session,
-            rooms={} if hold_before is None else hold_before.rooms,
         )
-        if find_rooms is not None and (hold_before is None or set(own_axes) != set(hold_before.axes)):
-            hold = self._held[holder] = replace(hold, rooms=await find_rooms(own_axes, hold.rooms))
-        if hold_before is None or set(own_axes) != set(hold_before.axes):
+        if hold_before is not None:
+            hold = self._held[holder] = replace(hold, rooms=hold_before.rooms, sending=hold_before.sending)
+        is_new = hold_before is None or set(own_axes) != set(hold_before.axes)
+        if is_new and ttl_ns is not None:
+            self._told_ns[holder] = self._fleet.clock.now_ns()  # it is not renewed before
+            rooms = await self.find_rooms(own_axes, hold.rooms, holder)
+            if self._held.get(holder) is not hold:
+                raise Refusal("not-leased", "the lease ended while it was being acquired")
+            hold = self._held[holder] = replace(hold, rooms=rooms)
+        if is_new:
             try:
                 if not idle:
                     await self._send_lease(hold, TTL_MS, tries=TRIES)
@@ -190,18 +202,19 @@ class LeaseRegistry:
         before = self._held.get(holder)
         if before is None or before.idle or before.brief:
             return False
-        both_rooms = {axis: room.narrow(before.rooms[axis]) for axis, room in rooms.items() if axis in before.rooms}
-        try:
-            await self._send_lease(replace(before, rooms=both_rooms), TTL_MS)
-        except Refusal as error:
-            self._fleet.log.info(f"rooms for jogs stay as they are: {error.text}", holder=holder)
-            return False
-        hold = self._held.get(holder)
-        if hold is None or hold.brief or hold.rooms is not before.rooms:
-            return False
-        hold = self._held[holder] = replace(hold, rooms=rooms)
-        with suppress(Refusal):  # the next renewal brings them
-            await self._send_lease(hold, TTL_MS)
+        async with before.sending:  # a renewal with the rooms of before does not arrive in between
+            both_rooms = {axis: room.narrow(before.rooms[axis]) for axis, room in rooms.items() if axis in before.rooms}
+            try:
+                kept_axes = await self._send_lease(replace(before, rooms=both_rooms), TTL_MS)
+            except Refusal as error:
+                self._fleet.log.info(f"rooms for jogs stay as they are: {error.text}", holder=holder)
+                return False
+            hold = self._held.get(holder)
+            if kept_axes or hold is None or hold.brief or hold.rooms is not before.rooms:
+                return False
+            self._held[holder] = replace(hold, rooms=rooms)
+            with suppress(Refusal):  # the next renewal brings them
+                await self._send_lease(self._held[holder], TTL_MS)
         return True
 
     async def _wait_for_release(self, axes: Iterable[str], holder: str) -> LeaseHold | None:
@@ -259,8 +272,9 @@ class LeaseRegistry:
             all_axes += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
         return tuple(all_axes)
 
-    async def _send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "", tries: int = 1) -> None:
-        """Send a lease to the adapters. Raises `Refusal` for the first that refuses.
+    async def _send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "", tries: int = 1) -> list[str]:
+        """Send a lease to the adapters; return the axes that keep another room. Raises `Refusal` for the first that
+        refuses.
 
         tries: a request that is lost in a gap of the bus is sent again; it keeps its id, so it counts once.
         """
@@ -289,6 +303,7 @@ class LeaseRegistry:
                 raise reply.refused.as_step_error()
             if reply.state is not None:
                 self._fleet.view.note_answer(reply.state, asked_ns)
+        return [f"{controller}.{axis}" for controller, reply in replies.items() for axis in reply.kept]
 
     async def _renew_leases(self) -> None:
         """Renew each lease at its own time: a job that has just acquired one is about to load all its members, and
@@ -307,7 +322,10 @@ class LeaseRegistry:
 
     async def _renew_one(self, held: LeaseHold) -> None:
         try:
-            await self._send_lease(held, TTL_MS)
+            async with held.sending:
+                hold = self._held.get(held.holder)  # its rooms may have changed while this waited
+                if hold is not None and not hold.brief:
+                    await self._send_lease(hold, TTL_MS)
         except Refusal as error:
             self._fleet.log.warning(f"lease not renewed: {error.text}", holder=held.holder)
 

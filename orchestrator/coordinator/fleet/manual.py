@@ -8,7 +8,6 @@ the coordinator; only the right to move ends then.
 import asyncio
 from collections.abc import Coroutine
 from datetime import datetime, timedelta
-from functools import partial
 from typing import Any
 
 from orchestrator.clock.base import NS_PER_S
@@ -35,6 +34,7 @@ class ManualLeases:
     ) -> None:
         self._fleet = fleet
         self._rooms = JogRooms(zones, leases)
+        leases.find_rooms = self._rooms.find
         self._leases = leases
         self._journal = journal
         self._execute = execute
@@ -83,9 +83,7 @@ class ManualLeases:
         ttl_ns = round(request.ttl_s * NS_PER_S)
         idle = missing_permit is not None
         user = LeaseUser(request.holder, request.actor, request.what)
-        hold = await self._leases.acquire(
-            user, axes, ttl_ns, idle=idle, find_rooms=partial(self._rooms.find, holder=request.holder)
-        )
+        hold = await self._leases.acquire(user, axes, ttl_ns, idle=idle)
         if request.holder in self._guards:
             self._spawn(self._rooms.renew(hold, request.holder))
         if request.reserve:
