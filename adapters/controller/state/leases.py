@@ -89,21 +89,31 @@ class MotionLeases:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
                 )
-        now_ns = self._clock.now_ns()
-        until_ns = now_ns + request.ttl_ms * NS_PER_MS
-        kept_axes: list[str] = []
-        for axis in request.axes:
-            lease = self._leases.get(axis)
-            since_ns = now_ns if lease is None else lease.since_ns
-            pair, room = request.pairs.get(axis), request.rooms.get(axis)
-            if lease is not None and lease.room != room and self.is_jogging(axis):
-                kept_axes.append(axis)
-                room = lease.room
-            self._leases[axis] = _AxisLease(
-                request.holder, request.actor, until_ns, request.session, since_ns, pair, room
-            )
+        kept_axes = self._grant_axes(request)
         self._expire_leases()
         return kept_axes
+
+    def _grant_axes(self, request: LeaseRequest) -> list[str]:
+        kept_axes = [axis for axis in request.axes if self._keeps_room(axis, request.rooms.get(axis))]
+        for axis in request.axes:
+            self._grant_axis(axis, request, keeps_room=axis in kept_axes)
+        return kept_axes
+
+    def _keeps_room(self, axis: str, room: JogRoom | None) -> bool:
+        lease = self._leases.get(axis)
+        return lease is not None and lease.room != room and self.is_jogging(axis)
+
+    def _grant_axis(self, axis: str, request: LeaseRequest, *, keeps_room: bool) -> None:
+        now_ns, lease = self._clock.now_ns(), self._leases.get(axis)
+        self._leases[axis] = _AxisLease(
+            holder=request.holder,
+            actor=request.actor,
+            until_ns=now_ns + request.ttl_ms * NS_PER_MS,
+            session=request.session,
+            since_ns=now_ns if lease is None else lease.since_ns,
+            pair=request.pairs.get(axis),
+            room=lease.room if lease is not None and keeps_room else request.rooms.get(axis),
+        )
 
     def require_lease(self, holder: str, axes: Iterable[str]) -> None:
         """Raise `Refusal` unless `holder` has the lease of all `axes`."""

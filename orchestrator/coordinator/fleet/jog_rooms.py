@@ -1,9 +1,12 @@
 """The rooms in which axes of zones are jogged, by what stands around them."""
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 
-from orchestrator.coordinator.fleet.leases import LeaseRegistry
+from orchestrator.coordinator.fleet.leases import TTL_MS, LeaseRegistry
 from orchestrator.coordinator.fleet.zones import ZoneGuard
+from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import JogRoom
 from orchestrator.plan.zones.rooms import Room
 
@@ -48,12 +51,34 @@ class JogRooms:
         self._renewed.add(holder)
         try:
             rooms = _make_rooms(await self._zones.find_rooms(axes, holder))
-            if places == self._read_places(axes):
-                is_changed = await self._leases.change_rooms(holder, {**dict.fromkeys(places, CLOSED), **rooms})
-                if is_changed:
-                    self._places[holder] = places
+            all_rooms = {**dict.fromkeys(places, CLOSED), **rooms}
+            if places == self._read_places(axes) and await self._change_rooms(holder, all_rooms):
+                self._places[holder] = places
         finally:
             self._renewed.discard(holder)
+
+    async def _change_rooms(self, holder: str, rooms: Mapping[str, JogRoom]) -> bool:
+        """Give the axes of a lease other rooms; return whether they have them: while one of them is being jogged, none
+        of them changes.
+
+        All places in the rooms of before are allowed together, and all in the new ones, but not those of one with those
+        of the other. So first each axis is kept in both of its rooms.
+        """
+        leases, hold_before = self._leases, self._leases.find_lease(holder)
+        if hold_before is None or hold_before.idle or hold_before.brief:
+            return False
+        both_rooms = {axis: room.narrow(hold_before.find_room(axis) or CLOSED) for axis, room in rooms.items()}
+        async with hold_before.sending:  # a renewal with the rooms of before does not arrive in between
+            try:
+                kept_axes = await leases.send_lease(replace(hold_before, rooms=both_rooms), TTL_MS)
+            except Refusal:
+                return False
+            hold = leases.find_lease(holder)
+            if kept_axes or hold is None or hold.brief or hold.rooms is not hold_before.rooms:
+                return False
+            with suppress(Refusal):  # the next renewal brings them
+                await leases.send_lease(leases.set_rooms(hold, rooms), TTL_MS)
+        return True
 
     def forget(self, holder: str) -> None:
         """The lease of a holder is over."""

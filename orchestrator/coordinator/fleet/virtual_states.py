@@ -2,6 +2,7 @@
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.coordinator.fleet.lease_states import find_room
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.view import FleetView, find_answering_states
 from orchestrator.model.messages import Request
@@ -37,5 +38,5 @@ class VirtualObserver:
         return observe_group(group, fleet, states, self._find_room)
 
     def _find_room(self, axis: str) -> tuple[float, float] | None:
-        room = self._leases.find_room(axis)
+        room = find_room(self._leases.all_leases, axis)
         return None if room is None else (room.low, room.high)

@@ -269,14 +269,14 @@ async def _require_zones(
         return planned
     request, path = planned.request, planned.path
     skew_ns = max(request.max_start_skew_ns, request.max_end_skew_ns or 0, request.max_path_skew_ns or 0)
-    alone = {name: info.alone_s for name, info in infos.items()}
+    alone_times = {name: info.alone_s for name, info in infos.items()}
     if path is not None and path.course is not None and not planned.triggers:
         chunks = {name: info.chunk_s for name, info in infos.items() if info.chunk_s and max(info.orders) > 2}
-        alone = bound_alone(alone, chunks)
+        alone_times = bound_alone(alone_times, chunks)
     sweep = Sweep(
         planned.plan.profiles,
         {},
-        Timing(alone, skew_ns / NS_PER_S),
+        Timing(alone_times, skew_ns / NS_PER_S),
         paths={} if path is None else find_path_terms(path),
         recent={} if before is None else before.recent,
         begin_s=planned.begun_s,

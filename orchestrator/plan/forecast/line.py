@@ -63,8 +63,7 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
         state.add_problem(at, ("fly",), error)
         return between
     problems = len(state.problems)
-    if part is None or part.end - part.first < lines.scan.point_count:
-        check_area(state, area, "lines")
+    _check_lines(state, part, lines, area)
     if part is not None and lines.scan.is_curved:
         is_known = all(name in state.chunks for name in abilities)
         condition = "" if is_known else ", where all its controllers load paths in chunks"
@@ -94,6 +93,12 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     )
     most_s = None if singly.most is None else max(together_s, singly.most)
     return Span(min(together_s, singly.least), most_s)
+
+
+def _check_lines(state: ForecastState, part: FlownPart | None, lines: FlownLines, area: ZoneArea) -> None:
+    """Check all lines by their area, unless they are one motion, which is checked along its way."""
+    if part is None or part.end - part.first < lines.scan.point_count:
+        check_area(state, area, "lines")
 
 
 def _forecast_curve(state: ForecastState, at: ForecastContext, part: FlownPart, condition: str) -> Span:

@@ -61,8 +61,8 @@ def check_path(
             low, high = sorted(map(state.fleet.axis(name).to_unit, path.plan.profiles[name].extent_counts))
             positions[name] = low, high + float(reach.high - reach.low)
     chunks = {name: ability.most_s for name, ability in state.chunks.items() if ability.most_s}
-    alone = bound_alone(state.alone, {} if path.course is None or step.triggers else chunks)
-    timing = Timing(alone, _find_skew_s(step))
+    alone_times = bound_alone(state.alone, {} if path.course is None or step.triggers else chunks)
+    timing = Timing(alone_times, _find_skew_s(step))
     _check(state, at, Sweep(profiles, positions, timing, list(afloat), find_path_terms(path)))
 
 

@@ -30,7 +30,7 @@ class ZoneHoming:
         self._away = set(fleet.zones.homes_away)
 
     def require_order(self, order: HomingOrder) -> None:
-        """Raise `Refusal` (code `zone`) for a homing that may bring bodies together, with an order that does not, or
+        """Raise `Refusal` (code `zone`) for a homing that may bring bodies group, with an order that does not, or
         with the axes that cannot be homed in any."""
         begin_positions = dict(self._positions)
         for axes in [*order.entries, *([axis] for axis in order.loners)]:
@@ -59,15 +59,15 @@ class ZoneHoming:
         left_axes, order, partners = list(axes), list[str](), find_partners(self._fleet)
         while left_axes:
             for axis in left_axes:
-                together = [name for name in (axis, partners.get(axis)) if name is not None]
+                group = [name for name in (axis, partners.get(axis)) if name is not None]
                 waits = set(self._fleet.axis(axis).homing.after) & set(left_axes)
-                if not waits and self.find_refusal(together) is None:
+                if not waits and self.find_refusal(group) is None:
                     break
             else:
                 return None
-            self.take(together)
-            order += together
-            left_axes = [name for name in left_axes if name not in together]
+            self.take(group)
+            order += group
+            left_axes = [name for name in left_axes if name not in group]
         return order
 
     def _make_course(self, axes: Collection[str]) -> Course | None:

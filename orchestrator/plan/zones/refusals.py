@@ -50,8 +50,8 @@ def _describe(zones: FleetZones, course: Course, violation: Violation) -> str:
         return f"cannot be decided within {MAX_LOOKS} looks{nearest}"
     constraint = violation.rule.constraint
     places = [f"{axis} {violation.positions[axis]:.6g} {zones.units[axis]}" for axis in constraint.axes]
-    when = f"{violation.instant_s:.3g} s after its start" if course.moving else "somewhere on its way"
-    return f"{when} {constraint.describe(violation.positions)} ({', '.join(places)})"
+    instant_text = f"{violation.instant_s:.3g} s after its start" if course.moving else "somewhere on its way"
+    return f"{instant_text} {constraint.describe(violation.positions)} ({', '.join(places)})"
 
 
 def _find_remedy(zones: FleetZones, course: Course, *, trusted: bool) -> str:
