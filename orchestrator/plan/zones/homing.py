@@ -30,7 +30,7 @@ class ZoneHoming:
         self._away = set(fleet.zones.homes_away)
 
     def require_order(self, order: HomingOrder) -> None:
-        """Raise `Refusal` (code `zone`) for a homing that may bring bodies group, with an order that does not, or
+        """Raise `Refusal` (code `zone`) for a homing that may bring bodies together, with an order that does not, or
         with the axes that cannot be homed in any."""
         begin_positions = dict(self._positions)
         for axes in [*order.entries, *([axis] for axis in order.loners)]:

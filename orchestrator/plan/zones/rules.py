@@ -63,7 +63,9 @@ class FleetZones:
         """The course of a step."""
         profiles, positions, timing, paths = sweep.profiles, sweep.positions, sweep.timing, sweep.paths
         moving_axes = {
-            name: make_moving_axis(self._fleet, name, profiles[name], timing, paths.get(name)) for name in profiles
+            name: make_moving_axis(self._fleet, name, profiles[name], timing, paths.get(name))
+            for name in profiles
+            if name in self.ranges
         }
         standing: dict[str, tuple[float, float]] = {}
         for name, ends in self.ranges.items():

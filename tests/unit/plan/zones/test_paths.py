@@ -1,7 +1,7 @@
 """Paths and motions that follow each other: clear after any single stop, at any speed that users may ask for."""
 
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 
@@ -21,10 +21,10 @@ from orchestrator.plan.zones.search import find_rule_violation
 GANTRY = ("gantry.x", "gantry.z")
 
 
-def plan_path(points: list[tuple[float, float]], speed: str = "80 mm/s") -> PlannedPath:
+def plan_path(points: Sequence[tuple[float, float]], speed: str = "80 mm/s", tolerance: str = "100 um") -> PlannedPath:
     """A path of lines of both axes of the gantry."""
     pieces = [{"piece": "line", "to": list(point)} for point in points[1:]]
-    step = FollowPath(axes=list(GANTRY), start=list(points[0]), tolerance="100 um", speed=speed, pieces=pieces)
+    step = FollowPath(axes=list(GANTRY), start=list(points[0]), tolerance=tolerance, speed=speed, pieces=pieces)
     starts = [
         PathStart(name, axis, Fraction(value), axis.to_counts(Fraction(value)), Fraction(0), 3)
         for name, value in zip(GANTRY, points[0], strict=True)
