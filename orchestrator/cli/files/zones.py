@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from orchestrator.plan.zones.rules import FleetZones
 
 CHECKED = (
-    "moves, paths, scans, probes and homing, in `tutti job check`, in dry runs, and before each step; jogs of axes that "
-    "have a reference"
+    "moves, paths, scans, probes and homing, in `tutti job check`, in dry runs, and before each step; "
+    "jogs of axes that have a reference"
 )
 NOT_CHECKED = "jogs of axes without a reference, homing of `homes_away`, and what other programs move; "
 NOT_CHECKED += "actual positions are not watched"

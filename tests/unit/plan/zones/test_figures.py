@@ -81,17 +81,18 @@ def test_a_step_of_64_axes_with_20_bodies_is_checked_in_5_ms() -> None:
 
 
 @pytest.mark.nightly
-def test_a_path_of_10000_pieces_is_checked_in_1_ms_a_piece() -> None:
-    draw = random.Random(7)
+def test_a_path_of_thousands_of_pieces_is_checked_in_1_ms_a_piece() -> None:
+    """It stops at each corner, so that its profiles have nearly as many segments as a path may have."""
+    draw, pieces = random.Random(7), 6000
     x, z = 200.0, 40.0
     points = [(x, z)]
-    for _ in range(10_000):
+    for _ in range(pieces):
         x, z = min(max(x + draw.uniform(-3, 3), 100.0), 320.0), min(max(z + draw.uniform(-2, 2), 24.0), 60.0)
         points.append((x, z))
-    course = make_course(plan_path(points, tolerance="1 mm"))
-    assert course.segments > 10_000
+    course = make_course(plan_path(points))
+    assert course.segments > 50_000
     took_s = measure(lambda: ZONES.is_clear(course), 1)
-    assert took_s <= 10_000 * MOST_PIECE_S, f"{1e3 * took_s:.0f} ms"
+    assert took_s <= pieces * MOST_PIECE_S, f"{1e3 * took_s:.0f} ms"
 
 
 @pytest.mark.nightly
@@ -103,10 +104,11 @@ def test_rooms_of_four_axes_are_found_in_less_than_a_second() -> None:
 
 
 @pytest.mark.nightly
-def test_many_random_steps_have_no_violation_that_is_missed_and_few_refusals_without_need() -> None:
-    draw, refused, unconfirmed, clear = random.Random(577), 0, 0, 0
+@pytest.mark.parametrize("seed", range(8))
+def test_random_steps_have_no_violation_that_is_missed_and_few_refusals_without_need(seed: int) -> None:
+    draw, refused, unconfirmed, clear = random.Random(seed), 0, 0, 0
     constraint = DETECTOR_SAMPLE.constraint
-    for _ in range(2000):
+    for _ in range(200):
         ways, standing = draw_step(draw)
         step = plan(ways)
         positions = {name: (standing[name], standing[name]) for name in standing if name not in ways}
@@ -122,4 +124,4 @@ def test_many_random_steps_have_no_violation_that_is_missed_and_few_refusals_wit
                 for places in draw_places(draw, course, constraint.axes)
             )
     counts = f"{clear} clear, {refused} refused, {unconfirmed} of them not confirmed by samples"
-    assert clear > 500 and refused > 500 and unconfirmed <= refused / 20, counts
+    assert clear > 50 and refused > 50 and unconfirmed <= refused / 20, counts
