@@ -195,10 +195,10 @@ class ControllerCommands:
     async def _handle_lease(self, request: LeaseRequest) -> LeaseReply:
         self._status.require_known(request.axes)
         old_holders = self._components.leases.holders
-        self._components.leases.apply_request(request)
+        kept_axes = self._components.leases.apply_request(request)
         # The requester gets the state at once, others with the next poll or heartbeat; not at each renewal.
         is_changed = self._components.leases.holders != old_holders
-        return LeaseReply(state=self._publisher.current_state() if is_changed else None)
+        return LeaseReply(state=self._publisher.current_state() if is_changed else None, kept=kept_axes)
 
     async def _handle_enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)

@@ -79,7 +79,8 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
     )
     present = PresentMotion(context, steps, fence, leases, status)
     jogging = JogControl(driver, clock, status, tasks, timer)
-    jogging.find_reach = leases.find_reach
+    jogging.find_reach, jogging.find_room = leases.find_reach, leases.find_room
+    leases.is_jogging = status.jogging.__contains__
     return Components(
         remembered=remembered,
         fence=fence,

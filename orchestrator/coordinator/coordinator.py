@@ -96,8 +96,9 @@ class Coordinator:
             plan_long=environment.plan_long,
         )
         self._targets = motion.targets
-        self._virtual = VirtualObserver(self._view, bus, keys)
-        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute)
+        self._virtual = VirtualObserver(self._view, bus, keys, self._leases)
+        self._zones = motion.zones
+        self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute, self._zones)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         ZoneWatch(access, self._alarms.report_condition)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
@@ -251,7 +252,7 @@ class Coordinator:
         holder = f"start-{self._environment.new_id()[:8]}"
         try:
             await self._leases.acquire(LeaseUser(holder, "coordinator", "enabling at the start"), names, brief=True)
-            context = StepContext(self._fleet, self._targets, self._positions, holder, "coordinator")
+            context = StepContext(self._fleet, self._targets, self._positions, self._zones, holder, "coordinator")
             await switch_motors(context, names, on=True)
         except Refusal as error:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)

@@ -513,17 +513,38 @@ class PairLease(Model):
     reach: float = Field(gt=0)
 
 
+class JogRoom(Model):
+    """Between which motor positions an axis that moves bodies of zones is jogged while it has a reference, in its unit.
+
+    low, high: it is not jogged beyond; it may be jogged back from there. low_by, high_by: the rule of the fleet file
+    that ends it; empty: its range does. Where the bodies of a rule stand too near already, the room leads out.
+    """
+
+    low: float
+    high: float
+    low_by: str = Field(default="", max_length=140)
+    high_by: str = Field(default="", max_length=140)
+
+    def narrow(self, other: "JogRoom") -> "JogRoom":
+        """The room in both."""
+        low = self if self.low >= other.low else other
+        high = self if self.high <= other.high else other
+        return JogRoom(low=low.low, low_by=low.low_by, high=high.high, high_by=high.high_by)
+
+
 class LeaseRequest(AxesRequest):
     """Only `holder` may move these axes, for `ttl_ms` or until the lease is renewed; 0 ends it.
 
     What the holder moves when its lease ends is stopped. holder: of a job, its id. reason: why it is ended.
     acquisition: increases with each acquisition of axes, so that a late renewal does not revive a lease that has ended.
     session: the session of a command that a person waits for; the lease ends when its signs of life are missing.
-    pairs: of axes that are one of a pair, how they are jogged.
+    pairs: of axes that are one of a pair, how they are jogged. rooms: of axes that move bodies of zones,
+    where; that of an axis that is being jogged does not change.
     """
 
     holder: Label
     pairs: dict[Id, PairLease] = Field(default={}, max_length=64)
+    rooms: dict[Id, JogRoom] = Field(default={}, max_length=64, exclude_if=lambda rooms: not rooms)
     acquisition: Int53 = 0
     session: Label = ""
     reason: Sentence = ""
@@ -532,9 +553,10 @@ class LeaseRequest(AxesRequest):
 
 class LeaseReply(Reply):
     """state: the controller's state if another holder had the axes before, which saves a query; None if nothing has
-    changed."""
+    changed. kept: axes that are being jogged, and keep another room than that of the request."""
 
     state: ControllerState | None = None
+    kept: list[Id] = Field(default=[], exclude_if=lambda axes: not axes)
 
 
 class LeasedRequest(AxesRequest):

@@ -259,6 +259,11 @@ class Zones(Model):
         description="By real axis: where it can be at all, [least, most], from one end stop to the other. It counts as "
         "anywhere there while its position is not known. Default: its soft limits.",
     )
+    homes_away: list[str] = Field(
+        default=[],
+        description="Real axes whose homing leads away from all bodies, from wherever they may stand; it is not "
+        "checked.",
+    )
     step_skew: Seconds = Field(
         default=0.05,
         gt=0,

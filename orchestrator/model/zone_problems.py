@@ -21,6 +21,7 @@ def find_zone_problems(zones: Zones, fleet: "Fleet") -> list[Problem]:
         *_find_carrier_problems(zones, fleet),
         *_find_relation_problems(zones, fleet),
         *_find_range_problems(zones, fleet),
+        *_find_away_problems(zones, fleet),
     ]
     # Which axes the rules depend on is known where all names are.
     return problems or list(_find_missing_ranges(zones, fleet))
@@ -144,6 +145,13 @@ def _find_range_problems(zones: Zones, fleet: "Fleet") -> Iterator[Problem]:
                 text = str(error)
         if text is not None:
             yield Problem(("ranges", axis), text, ends)
+
+
+def _find_away_problems(zones: Zones, fleet: "Fleet") -> Iterator[Problem]:
+    for number, axis in enumerate(zones.homes_away):
+        text = fleet.names.explain_unknown(axis, "axis")
+        if text is not None:
+            yield Problem(("homes_away", number), text, axis)
 
 
 def _find_missing_ranges(zones: Zones, fleet: "Fleet") -> Iterator[Problem]:

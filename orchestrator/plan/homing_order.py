@@ -14,6 +14,11 @@ class HomingOrder:
     entries: list[list[str]]
     loners: list[str]
 
+    @property
+    def axes(self) -> set[str]:
+        """All axes that are homed."""
+        return {*self.loners, *(axis for entry in self.entries for axis in entry)}
+
 
 def homing_order(fleet: Fleet, axes: list[str] | None) -> HomingOrder:
     """The given axes in the given order; else the fleet's `home_order`, followed by all axes that are not in it."""

@@ -11,6 +11,8 @@ import numpy as np
 
 from orchestrator.plan.path_profiles import Array
 
+MOST_RATE = 1.2
+"""The highest rate that users may ask for (feed override)."""
 HALVINGS = 50  # of a ramp, in which an instant is
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 
 from adapters.abilities import ManualDriver
 from adapters.contract import ControllerReading, Driver, JogMove
@@ -16,7 +17,7 @@ from orchestrator.clock.base import NS_PER_MS, Clock, sleep_until_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Axis
-from orchestrator.model.messages import JogRequest
+from orchestrator.model.messages import JogRequest, JogRoom
 
 HOLDERS_KEPT = 64
 SPEED_TOLERANCE = 1e-9  # tolerance for a speed that was rounded in transit
@@ -31,6 +32,7 @@ class _AxisJog:
     velocity: unit/s, of the last command that the controller has accepted.
     wanted: unit/s, of the last command that was sent.
     accepted_ns: when the controller accepted a command.
+    end_words: what it has reached where it comes to rest by itself.
     begin: counts where it began, from which its reach counts."""
 
     holder: str
@@ -38,6 +40,7 @@ class _AxisJog:
     velocity: float = 0.0
     wanted: float = 0.0
     accepted_ns: int | None = None
+    end_words: str = "its soft limit"
     begin: int | None = None
 
 
@@ -64,6 +67,8 @@ class JogControl:
         self._last_seq: dict[str, int] = {}
         self.find_reach: Callable[[str], float | None] = lambda axis: None
         """How far one jog of an axis goes, in its unit; None: to its soft limits."""
+        self.find_room: Callable[[str], JogRoom | None] = lambda axis: None
+        """Where zones allow it; None: everywhere."""
 
     # Requests of the lease holder
 
@@ -160,6 +165,9 @@ class JogControl:
         if limit in ("both", "forward" if counts_s > 0 else "reverse"):
             raise Refusal("limit", f"axis {name} is on its {limit} limit switch", "jog in the other direction")
         end = self._end_counts(name, axis, counts_s, reading)
+        room = self.find_room(name) if is_referenced else None
+        if room is not None:
+            end, jog.end_words = _find_room_end(name, axis, axis_reading.commanded_counts, velocity, (end, room))
         reach = self.find_reach(name)
         if reach is not None:
             jog.begin = axis_reading.commanded_counts if jog.begin is None else jog.begin
@@ -230,7 +238,7 @@ class JogControl:
                 and not axis_reading.moving
                 and reading.at_ns > jog.accepted_ns + SEEN_MOVING_NS
             ):
-                reason = "it is on its limit switch" if axis_reading.limit != "none" else "it is at its soft limit"
+                reason = "it is on its limit switch" if axis_reading.limit != "none" else f"it is at {jog.end_words}"
                 self._tasks.spawn(self.stop_axes([axis], reason))
 
     def _expect_rest(self, axes: Sequence[str]) -> None:
@@ -251,6 +259,23 @@ class JogControl:
             del self._jogs[axis]
             self._status.jogging.discard(axis)
             self._end_reasons[axis] = reason
+
+
+def _find_room_end(
+    name: str, axis: Axis, here: int, velocity: float, ends: tuple[int | None, JogRoom]
+) -> tuple[int, str]:
+    """Where a jog at a velocity (unit/s) ends, in counts, and what that is: its soft limit, or the end of its room.
+    Raises `Refusal` there."""
+    limit, room = ends
+    position, rule = (room.high, room.high_by) if velocity > 0 else (room.low, room.low_by)
+    end, sign = axis.to_counts(Fraction(position)), 1 if velocity * float(axis.counts_per_unit) > 0 else -1
+    if (end - here) * sign <= 0:
+        cause = f"zone {rule}" if rule else "its range"
+        text = f"axis {name} may be jogged to {position:g} {axis.unit} (motor position) here, by {cause}"
+        raise Refusal("zone", text, "jog in the other direction, or move the other axes of this zone away")
+    if limit is not None and limit * sign <= end * sign:
+        return limit, "its soft limit"
+    return end, f"the end of its room among zones ({rule or 'its range'})"
 
 
 def _find_nearer_end(name: str, here: int, counts_s: float, ends: tuple[int | None, int, int]) -> int:

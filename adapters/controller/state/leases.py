@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from adapters.controller.state.context import ControllerContext
 from orchestrator.clock.base import NS_PER_MS, ClockTimer
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import LeaseRequest, PairLease
+from orchestrator.model.messages import JogRoom, LeaseRequest, PairLease
 from orchestrator.model.names import controller_of
 
 HOLDERS_REMEMBERED = 64  # holders
@@ -18,7 +18,7 @@ _EVER = 2**53  # above the number of any acquisition
 @dataclass(frozen=True, slots=True)
 class _AxisLease:
     """session, since_ns: the session that it ends with (empty: none), and when it was granted first. pair: how it is
-    jogged, if it is one of a pair."""
+    jogged, if it is one of a pair. room: where it is jogged, if it moves bodies of zones."""
 
     holder: str
     actor: str
@@ -26,6 +26,7 @@ class _AxisLease:
     session: str
     since_ns: int
     pair: PairLease | None
+    room: JogRoom | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +58,17 @@ class MotionLeases:
         self._leases: dict[str, _AxisLease] = {}
         self._lease_ends: OrderedDict[str, _LeaseEnd] = OrderedDict()
         self._timer: ClockTimer | None = None
+        self.is_jogging: Callable[[str], bool] = lambda axis: False
+        """Whether an axis is being jogged."""
 
     @property
     def holders(self) -> dict[str, str]:
         """Holder by axis, for axes that are leased."""
         return {axis: lease.holder for axis, lease in self._leases.items()}
 
-    def apply_request(self, request: LeaseRequest) -> None:
-        """Grant, renew or (`ttl_ms` 0) release a lease. Raises `Refusal`; then nothing has changed."""
+    def apply_request(self, request: LeaseRequest) -> list[str]:
+        """Grant, renew or (`ttl_ms` 0) release a lease; return the axes that are being jogged, and keep another room:
+        its end was given to their controller. Raises `Refusal`; then nothing has changed."""
         if not self._driver.capabilities.independent_axes and set(request.axes) != set(self._config.axes):
             raise Refusal(
                 "whole-controller",
@@ -75,7 +79,7 @@ class MotionLeases:
             own_axes = [axis for axis in request.axes if self._is_holder(request.holder, axis)]
             self._end_leases(own_axes, request.reason or "the lease was released")
             self._record_end(request.holder, request.reason or "the lease was released", request.acquisition)
-            return
+            return []
         lease_end = self._lease_ends.get(request.holder)
         if lease_end is not None and lease_end.taking is not None and request.acquisition <= lease_end.taking:
             raise Refusal("lease-over", f"the lease of {request.holder} is over", "acquire it under a new name")
@@ -85,15 +89,31 @@ class MotionLeases:
                 raise Refusal(
                     "leased", f"axis {axis} is leased to {lease.actor} ({lease.holder})", "wait, or have it released"
                 )
-        now_ns = self._clock.now_ns()
-        until_ns = now_ns + request.ttl_ms * NS_PER_MS
-        for axis in request.axes:
-            lease = self._leases.get(axis)
-            since_ns = now_ns if lease is None else lease.since_ns
-            self._leases[axis] = _AxisLease(
-                request.holder, request.actor, until_ns, request.session, since_ns, request.pairs.get(axis)
-            )
+        kept_axes = self._grant_axes(request)
         self._expire_leases()
+        return kept_axes
+
+    def _grant_axes(self, request: LeaseRequest) -> list[str]:
+        kept_axes = [axis for axis in request.axes if self._keeps_room(axis, request.rooms.get(axis))]
+        for axis in request.axes:
+            self._grant_axis(axis, request, keeps_room=axis in kept_axes)
+        return kept_axes
+
+    def _keeps_room(self, axis: str, room: JogRoom | None) -> bool:
+        lease = self._leases.get(axis)
+        return lease is not None and lease.room != room and self.is_jogging(axis)
+
+    def _grant_axis(self, axis: str, request: LeaseRequest, *, keeps_room: bool) -> None:
+        now_ns, lease = self._clock.now_ns(), self._leases.get(axis)
+        self._leases[axis] = _AxisLease(
+            holder=request.holder,
+            actor=request.actor,
+            until_ns=now_ns + request.ttl_ms * NS_PER_MS,
+            session=request.session,
+            since_ns=now_ns if lease is None else lease.since_ns,
+            pair=request.pairs.get(axis),
+            room=lease.room if lease is not None and keeps_room else request.rooms.get(axis),
+        )
 
     def require_lease(self, holder: str, axes: Iterable[str]) -> None:
         """Raise `Refusal` unless `holder` has the lease of all `axes`."""
@@ -122,6 +142,11 @@ class MotionLeases:
         """How far one jog of an axis goes, in its unit; None: to its soft limits."""
         lease = self._leases.get(axis)
         return None if lease is None or lease.pair is None else lease.pair.reach
+
+    def find_room(self, axis: str) -> JogRoom | None:
+        """Where an axis is jogged; None: it moves no bodies of zones."""
+        lease = self._leases.get(axis)
+        return None if lease is None else lease.room
 
     def end_all(self, reason: str) -> None:
         """End all leases: there is a new leader, which numbers its leases from the beginning, or none."""

@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
     from orchestrator.plan.zones.rules import FleetZones
 
-CHECKED = "moves from rest to rest, in `tutti job check`, in dry runs, and before each step"
+CHECKED = (
+    "moves, paths, scans, probes and homing, in `tutti job check`, in dry runs, and before each step; "
+    "jogs of axes that have a reference"
+)
 NOT_CHECKED = (
-    "paths, curved virtual axes, scans that fly, probes, homing, jogs, and what other programs move; "
-    "actual positions are not watched"
+    "jogs of axes without a reference, homing of `homes_away`, and what other programs move, "
+    "which a running coordinator watches and stops"
 )
 
 
@@ -57,6 +60,7 @@ def check(file: Path, at: tuple[str, ...], *, as_json: bool) -> None:
             }
             for state in states
         },
+        "homing_order": _find_homing_order(fleet, fleet_zones),
         "checked": CHECKED,
         "not_checked": NOT_CHECKED,
     }
@@ -141,6 +145,13 @@ def _read_positions(fleet: "Fleet", at: tuple[str, ...]) -> dict[str, float]:
     return positions
 
 
+def _find_homing_order(fleet: "Fleet", zones: "FleetZones") -> list[str] | None:
+    """An order in which all axes of rules can be homed, none of which has a reference; None: there is none."""
+    from orchestrator.plan.zones.homing import ZoneHoming
+
+    return ZoneHoming(zones, fleet, {}).find_order(list(zones.ranges))
+
+
 def _describe(file: Path, fleet: "Fleet", zones: "FleetZones", positions: dict[str, float]) -> list[str]:
     lines = [f"{file}: {len(zones.bodies)} bodies, {len(zones.rules)} rules", "bodies:"]
     for name, body in zones.bodies.items():
@@ -151,6 +162,9 @@ def _describe(file: Path, fleet: "Fleet", zones: "FleetZones", positions: dict[s
     for state in zones.find_states(positions):
         trust = "; relies on the axes of a step (trust_step)" if state.trust_step else ""
         lines.append(f"  {state.rule}: {'holds' if state.holds else 'BROKEN'}: {state.text}{trust}")
+    order = _find_homing_order(fleet, zones)
+    order_text = "none; home some of them, move them away, and home the others" if order is None else ", ".join(order)
+    lines.append(f"order of homing, where no axis has a reference: {order_text}")
     margins = ", ".join(f"{name} {margin:.3g} {fleet.axis(name).unit}" for name, margin in zones.margins.items())
     lines += [
         f"uncertainty of positions (following_error, a count, play): {margins}",

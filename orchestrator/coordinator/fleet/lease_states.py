@@ -1,6 +1,8 @@
 """Leases as the fleet sees them: their records, and what is published of them."""
 
-from dataclasses import dataclass
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from typing import NamedTuple
 
@@ -9,6 +11,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.fleet import group_by_controller
+from orchestrator.model.messages import JogRoom
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import LeaseState
 
@@ -35,6 +38,7 @@ class LeaseHold:
     idle: the adapters do not have it: the axes are reserved for the holder, which may not move them.
     acquisition: increases with each acquisition.
     session: the session that it ends with, enforced by the adapters; empty: none.
+    rooms: of axes that move bodies of zones, where they are jogged; None: that is not known yet.
     """
 
     holder: str
@@ -46,6 +50,33 @@ class LeaseHold:
     idle: bool = False
     acquisition: int = 0
     session: str = ""
+    rooms: Mapping[str, JogRoom] | None = None
+    sending: asyncio.Lock = field(default_factory=asyncio.Lock, compare=False)
+    """Held while it is sent to the adapters, so that its rooms arrive in their order."""
+
+    @property
+    def lacks_rooms(self) -> bool:
+        """Whether it is of manual control, and is not sent to the adapters before its rooms are known."""
+        return self.until_ns is not None and self.rooms is None and not self.idle
+
+    def find_room(self, axis: str) -> JogRoom | None:
+        """Where an axis of it is jogged; None: wherever its soft limits allow."""
+        return None if self.rooms is None else self.rooms.get(axis)
+
+    def renew(self, before: "LeaseHold") -> "LeaseHold":
+        """This one as the renewal of one that there is."""
+        return replace(
+            self,
+            idle=self.idle or before.idle,
+            acquisition=before.acquisition,
+            rooms=before.rooms,
+            sending=before.sending,
+        )
+
+
+def find_room(holds: Iterable[LeaseHold], axis: str) -> JogRoom | None:
+    """Where an axis is jogged by the holder of its lease; None: wherever its soft limits allow."""
+    return next((room for hold in holds if (room := hold.find_room(axis)) is not None), None)
 
 
 class LeaseStates:

@@ -1,7 +1,7 @@
 """Leases: the right to move axes. One holder each, kept here, enforced in the adapters, published on the bus."""
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
@@ -10,9 +10,10 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.owner import wait_for_first
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
+from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
-from orchestrator.model.messages import LeaseReply, LeaseRequest, PairLease
+from orchestrator.model.messages import JogRoom, LeaseReply, LeaseRequest, PairLease
 from orchestrator.model.names import controller_of
 from orchestrator.model.units import convert_units
 
@@ -22,6 +23,15 @@ TTL_MS = 3000  # an adapter ends a lease that is not renewed for this long
 GIVE_BACK_NS = 10 * NS_PER_S  # for a brief lease to end: its holder waits for an answer of an adapter, twice at most
 RENEW_NS = NS_PER_S
 RENEW_POLL_NS = RENEW_NS // 4
+
+
+RoomFinder = Callable[[Sequence[str], Mapping[str, JogRoom], str], Awaitable[Mapping[str, JogRoom]]]
+"""Finds where axes are jogged under the lease of a holder, beside the rooms that some of them have already."""
+
+
+async def _find_no_rooms(axes: Sequence[str], rooms: Mapping[str, JogRoom], holder: str) -> Mapping[str, JogRoom]:
+    del axes, rooms, holder
+    return {}
 
 
 class AxesInUse(Refusal):
@@ -43,6 +53,8 @@ class LeaseRegistry:
         self._told_ns: dict[str, int] = {}  # by holder: when it was last sent to the adapters
         self._takings = 0
         self._listeners: list[Callable[[str], None]] = []
+        self.find_rooms: RoomFinder = _find_no_rooms
+        """Finds where axes are jogged under manual control; it is called once no other holder has them."""
 
     async def start(self) -> None:
         """Begin to renew leases, and to answer queries for them."""
@@ -90,6 +102,15 @@ class LeaseRegistry:
             None,
         )
 
+    def find_lease(self, holder: str) -> LeaseHold | None:
+        """The lease of a holder."""
+        return self._held.get(holder)
+
+    def set_rooms(self, hold: LeaseHold, rooms: Mapping[str, JogRoom]) -> LeaseHold:
+        """Note other rooms of a lease, for its next renewals; return the lease with them."""
+        self._held[hold.holder] = replace(hold, rooms=rooms)
+        return self._held[hold.holder]
+
     def describe_use(self, held: LeaseHold) -> str:
         """A description of a lease for others that need its axes: by which user, what for, until when."""
         end = self._states.find_end_utc(held)
@@ -109,7 +130,7 @@ class LeaseRegistry:
         self._held[holder] = replace(hold, idle=True)
         self._fleet.log.warning(f"{hold.actor} ({hold.what}) may no longer move axes: {reason}", holder=holder)
         try:
-            await self._send_lease(hold, 0, reason)
+            await self.send_lease(hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
 
@@ -123,9 +144,10 @@ class LeaseRegistry:
         idle: bool = False,
     ) -> tuple[str, ...]:
         """Acquire `axes` for `user`, or renew its lease; return all axes of that lease: whole controllers where
-        axes cannot be leased separately. Raises `InUse`, `Refusal`; then no new lease has been made."""
+        axes cannot be leased separately. ttl_ns: of manual control, under which axes are jogged. Raises `InUse`,
+        `Refusal`; then no new lease has been made."""
         holder = user.holder
-        all_axes = await self._complete_controllers(axes)
+        all_axes = await _complete_controllers(self._fleet.view, axes)
         other_hold = await self._wait_for_release(all_axes, holder)
         if other_hold is not None:
             theirs = next(axis for axis in all_axes if axis in other_hold.axes)
@@ -139,24 +161,16 @@ class LeaseRegistry:
         own_axes = tuple(dict.fromkeys((*(hold_before.axes if hold_before else ()), *all_axes)))
         until_ns = None if ttl_ns is None else self._fleet.clock.now_ns() + ttl_ns
         # The lease counts from here on: no other holder can acquire the axes while the adapters are queried.
-        idle = idle or (hold_before is not None and hold_before.idle)
         self._takings += hold_before is None
-        taking = self._takings if hold_before is None else hold_before.acquisition
-        hold = self._held[holder] = LeaseHold(
-            holder=holder,
-            actor=user.actor,
-            what=user.what,
-            axes=own_axes,
-            until_ns=until_ns,
-            brief=brief,
-            idle=idle,
-            acquisition=taking,
-            session=user.session,
-        )
-        if hold_before is None or set(own_axes) != set(hold_before.axes):
+        hold = LeaseHold(holder, user.actor, user.what, own_axes, until_ns, brief, idle, self._takings, user.session)
+        hold = self._held[holder] = hold if hold_before is None else hold.renew(hold_before)
+        is_new = hold_before is None or set(own_axes) != set(hold_before.axes) or hold.lacks_rooms
+        if is_new:
             try:
-                if not idle:
-                    await self._send_lease(hold, TTL_MS, tries=TRIES)
+                if ttl_ns is not None:
+                    hold = await self._add_rooms(hold)
+                if not hold.idle:
+                    await self.send_lease(hold, TTL_MS, tries=TRIES)
             except Refusal:
                 await self.release(holder)
                 raise
@@ -164,6 +178,13 @@ class LeaseRegistry:
                 raise Refusal("not-leased", "the lease ended while it was being acquired")
             self._states.publish(hold, holder)
         return all_axes
+
+    async def _add_rooms(self, hold: LeaseHold) -> LeaseHold:
+        """The lease with the rooms of its axes. Raises `Refusal` where it has ended meanwhile."""
+        rooms = await self.find_rooms(hold.axes, hold.rooms or {}, hold.holder)
+        if self._held.get(hold.holder) is not hold:
+            raise Refusal("not-leased", "the lease ended while it was being acquired")
+        return self.set_rooms(hold, rooms)
 
     async def _wait_for_release(self, axes: Iterable[str], holder: str) -> LeaseHold | None:
         """Wait for the end of another holder's brief lease on `axes`; return the lease that is still in the way."""
@@ -188,7 +209,7 @@ class LeaseRegistry:
             self._fleet.log.warning(f"the lease of {hold.actor} ({hold.what}) ends: {reason}", holder=holder)
         try:
             if not hold.idle:
-                await self._send_lease(hold, 0, reason)
+                await self.send_lease(hold, 0, reason)
         except Refusal as error:
             self._fleet.log.warning(f"lease not ended: {error.text}; it expires by itself", holder=holder)
         finally:
@@ -200,28 +221,9 @@ class LeaseRegistry:
             for listener in self._listeners:
                 listener(holder)
 
-    async def _complete_controllers(self, axes: Iterable[str]) -> tuple[str, ...]:
-        """Extend `axes` to all axes of the controllers whose axes can only be leased together. Raises `Refusal`."""
-        all_axes: list[str] = []
-        for controller, names in group_by_controller(axes).items():
-            try:
-                info = await self._fleet.view.query_info(controller)
-            except BusError as error:
-                raise self._fleet.view.make_absence(controller, str(error)) from None
-            digest = self._fleet.view.fleet.controllers[controller].digest
-            if info.digest != digest:
-                raise Refusal(
-                    "other-configuration",
-                    f"{controller}: the coordinator uses configuration {digest}, the adapter uses {info.digest}",
-                    "use one fleet file on all hosts and restart",
-                    controller,
-                )
-            all_names = self._fleet.view.fleet.controllers[controller].axes
-            all_axes += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
-        return tuple(all_axes)
-
-    async def _send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "", tries: int = 1) -> None:
-        """Send a lease to the adapters. Raises `Refusal` for the first that refuses.
+    async def send_lease(self, held: LeaseHold, ttl_ms: int, reason: str = "", tries: int = 1) -> list[str]:
+        """Send a lease to the adapters; return the axes that keep another room. Raises `Refusal` for the first that
+        refuses.
 
         tries: a request that is lost in a gap of the bus is sent again; it keeps its id, so it counts once.
         """
@@ -231,6 +233,7 @@ class LeaseRegistry:
                 **self._fleet.requests.request_fields(held.actor),
                 axes=names,
                 pairs=_find_pairs(self._fleet.view.fleet, controller, names),
+                rooms={name: room for name in names if (room := held.find_room(f"{controller}.{name}")) is not None},
                 holder=held.holder,
                 acquisition=held.acquisition,
                 session=held.session,
@@ -249,6 +252,7 @@ class LeaseRegistry:
                 raise reply.refused.as_step_error()
             if reply.state is not None:
                 self._fleet.view.note_answer(reply.state, asked_ns)
+        return [f"{controller}.{axis}" for controller, reply in replies.items() for axis in reply.kept]
 
     async def _renew_leases(self) -> None:
         """Renew each lease at its own time: a job that has just acquired one is about to load all its members, and
@@ -258,7 +262,7 @@ class LeaseRegistry:
             now_ns = self._fleet.clock.now_ns()
             # One adapter that does not answer must not delay the renewal of other leases.
             for hold in self._held.values():
-                if hold.brief:
+                if hold.brief or hold.lacks_rooms:
                     continue
                 if hold.until_ns is not None and hold.until_ns <= now_ns:
                     self._fleet.tasks.spawn(self.release(hold.holder, "it was not renewed"), vital=False)
@@ -267,7 +271,10 @@ class LeaseRegistry:
 
     async def _renew_one(self, held: LeaseHold) -> None:
         try:
-            await self._send_lease(held, TTL_MS)
+            async with held.sending:
+                hold = self._held.get(held.holder)  # its rooms may have changed while this waited
+                if hold is not None and not hold.brief:
+                    await self.send_lease(hold, TTL_MS)
         except Refusal as error:
             self._fleet.log.warning(f"lease not renewed: {error.text}", holder=held.holder)
 
@@ -285,3 +292,24 @@ def _find_pairs(fleet: Fleet, controller: str, names: Iterable[str]) -> dict[str
             reach = convert_units(pair.jog_reach, pair.unit, fleet.axis(f"{controller}.{name}").unit, name)
             pairs[name] = PairLease(by=pair.middle, reach=float(reach))
     return pairs
+
+
+async def _complete_controllers(view: FleetView, axes: Iterable[str]) -> tuple[str, ...]:
+    """Extend `axes` to all axes of the controllers whose axes can only be leased together. Raises `Refusal`."""
+    all_axes: list[str] = []
+    for controller, names in group_by_controller(axes).items():
+        try:
+            info = await view.query_info(controller)
+        except BusError as error:
+            raise view.make_absence(controller, str(error)) from None
+        digest = view.fleet.controllers[controller].digest
+        if info.digest != digest:
+            raise Refusal(
+                "other-configuration",
+                f"{controller}: the coordinator uses configuration {digest}, the adapter uses {info.digest}",
+                "use one fleet file on all hosts and restart",
+                controller,
+            )
+        all_names = view.fleet.controllers[controller].axes
+        all_axes += [f"{controller}.{name}" for name in (names if info.independent_axes else all_names)]
+    return tuple(all_axes)

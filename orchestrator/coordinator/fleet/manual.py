@@ -13,9 +13,11 @@ from typing import Any
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.jog_rooms import JogRooms
 from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseUser
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.permits import PermitWatch
+from orchestrator.coordinator.fleet.zones import ZoneGuard
 from orchestrator.coordinator.journal.facts import Reservation
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.journal.store import JournalStore
@@ -27,8 +29,12 @@ from orchestrator.model.queue import format_utc, parse_utc
 class ManualLeases:
     """Grants axes for manual control, and ends the right to move them when it may no longer be used."""
 
-    def __init__(self, fleet: FleetAccess, leases: LeaseRegistry, journal: JournalStore, execute: Executor) -> None:
+    def __init__(
+        self, fleet: FleetAccess, leases: LeaseRegistry, journal: JournalStore, execute: Executor, zones: ZoneGuard
+    ) -> None:
         self._fleet = fleet
+        self._rooms = JogRooms(zones, leases)
+        leases.find_rooms = self._rooms.find
         self._leases = leases
         self._journal = journal
         self._execute = execute
@@ -76,9 +82,10 @@ class ManualLeases:
             raise Refusal("permit", missing_permit, "satisfy the permit, then acquire the axes again")
         ttl_ns = round(request.ttl_s * NS_PER_S)
         idle = missing_permit is not None
-        hold = await self._leases.acquire(
-            LeaseUser(request.holder, request.actor, request.what), axes, ttl_ns, idle=idle
-        )
+        user = LeaseUser(request.holder, request.actor, request.what)
+        hold = await self._leases.acquire(user, axes, ttl_ns, idle=idle)
+        if request.holder in self._guards:
+            self._spawn(self._rooms.renew(hold, request.holder))
         if request.reserve:
             await self._record_reservation(request, hold)
         if request.holder not in self._guards:
@@ -106,6 +113,7 @@ class ManualLeases:
 
     def _on_release(self, holder: str) -> None:
         self._guards.pop(holder, None)
+        self._rooms.forget(holder)
         if holder in self._reserved:
             self._reserved.discard(holder)
             self._spawn(self._delete_reservation(holder))

@@ -2,6 +2,8 @@
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.coordinator.fleet.lease_states import find_room
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.view import FleetView, find_answering_states
 from orchestrator.model.messages import Request
 from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates, observe_group
@@ -11,7 +13,8 @@ from orchestrator.model.state import ControllerState
 class VirtualObserver:
     """Publishes each group of virtual axes when a controller of its real axes has published."""
 
-    def __init__(self, view: FleetView, bus: Bus, keys: FleetKeys) -> None:
+    def __init__(self, view: FleetView, bus: Bus, keys: FleetKeys, leases: LeaseRegistry) -> None:
+        self._leases = leases
         self._view = view
         self._bus = bus
         self._keys = keys
@@ -32,4 +35,8 @@ class VirtualObserver:
     def _observe(self, group: str) -> VirtualState:
         fleet = self._view.fleet
         states = find_answering_states(self._view, fleet.virtual_axes.maps[group].real)
-        return observe_group(group, fleet, states)
+        return observe_group(group, fleet, states, self._find_room)
+
+    def _find_room(self, axis: str) -> tuple[float, float] | None:
+        room = find_room(self._leases.all_leases, axis)
+        return None if room is None else (room.low, room.high)

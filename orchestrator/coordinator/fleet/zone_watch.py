@@ -9,7 +9,8 @@ from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.alarms import MAX_SUBJECT, AlarmCause
 from orchestrator.model.state import AxisState, ControllerState
-from orchestrator.plan.zones.rules import FleetZones, RuleCheck
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import RuleCheck
 from orchestrator.plan.zones.watch import AxisSight, Danger, find_closing_speed, look_at_rule
 
 STOP_S = 0.2

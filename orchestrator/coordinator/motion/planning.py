@@ -8,7 +8,6 @@ from fractions import Fraction
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.view import FleetView
-from orchestrator.coordinator.fleet.zones import query_rest_positions
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.compensation import Play
@@ -22,7 +21,6 @@ from orchestrator.model.state import AxisState, ControllerInfo, ControllerState,
 from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.path import FollowPath
-from orchestrator.model.zone_problems import list_zone_axes
 from orchestrator.plan.curved_move import CurvedMove, plan_curved_move
 from orchestrator.plan.flying.path import FlightPath, place_triggers, plan_flight_step
 from orchestrator.plan.pairs import bound_pairs, require_whole_pairs
@@ -33,7 +31,9 @@ from orchestrator.plan.speeds import plan_motion
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.triggers import ResolvedTrigger, resolve_triggers
 from orchestrator.plan.virtual_bound import CurvedLine
-from orchestrator.plan.zones.course import Timing
+from orchestrator.plan.zones.chain import Box
+from orchestrator.plan.zones.course import Sweep, Timing
+from orchestrator.plan.zones.paths import bound_alone, find_path_terms
 
 MAX_TICK_RESIDUAL = 0.02  # of a tick: T0 advances by as many ticks as the members' crystals stay this close together
 WAIT_TICK_RESIDUAL = 0.3  # the same for a step that waits armed, whose T0 advances by seconds; far from half a tick
@@ -96,7 +96,8 @@ class PlannedStep:
     ahead of their motors there. rehearsal: it starts where
     the steps before it will leave its axes; it is proposed, and never armed. path: of a path. begun_s: where on it the
     motion begins, in its time: after a feed hold, not at its start. rate: the feed override then. elapsed_ns: how long
-    it was moved along before. triggers: of the step. pairs: how far pairs may be racked after any single fault.
+    it was moved along before. triggers: of the step. pairs: how far pairs may be racked after any single fault. recent:
+    where axes of zones may have stopped shortly before its end.
     """
 
     request: StepRequest
@@ -112,6 +113,7 @@ class PlannedStep:
     elapsed_ns: int = 0
     triggers: Sequence[ResolvedTrigger] = ()
     pairs: Mapping[str, PairBound] = field(default_factory=dict[str, PairBound])
+    recent: Box = field(default_factory=dict[str, tuple[float, float]])
 
     @property
     def line(self) -> CurvedLine | None:
@@ -138,8 +140,7 @@ async def plan_request(
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     context = AxisContext(view.fleet, states, infos, services.targets)
     planned_step = await _plan_from(services, request, context, goal, instances)
-    await _require_zones(services, planned_step, infos, {})
-    return planned_step
+    return await _require_zones(services, planned_step, infos)
 
 
 def plan_take_up(planned: PlannedStep) -> PlannedStep:
@@ -173,9 +174,10 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
     assert planned_step.path is not None and planned_step.path.course is not None
     services.fleet.permits.require(planned_step.request.axes)
     counts: dict[str, int] = {}
+    infos: dict[str, ControllerInfo] = {}
     instances: dict[str, str] = {}
     for controller in dict.fromkeys(map(controller_of, rest.counts)):
-        state, _ = await _query_controller(view, controller, None)
+        state, infos[controller] = await _query_controller(view, controller, None)
         instances[controller] = state.instance
         counts |= {f"{controller}.{name}": axis.commanded_counts for name, axis in state.axes.items()}
     for axis, count in rest.counts.items():
@@ -185,9 +187,10 @@ async def plan_resumed(services: MotionServices, rest: PathRest) -> PlannedStep:
     course = planned_step.path.course.restart(rest.path_s, counts)
     path = replace(planned_step.path, course=course)
     elapsed_ns = planned_step.elapsed_ns + rest.moved_ns
-    return replace(
+    planned_step = replace(
         planned_step, instances=instances, path=path, begun_s=rest.path_s, rate=rest.rate, elapsed_ns=elapsed_ns
     )
+    return await _require_zones(services, planned_step, infos)
 
 
 async def plan_following(services: MotionServices, request: StepRequest, before: PlannedStep) -> PlannedStep:
@@ -213,7 +216,7 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
     if planned_step.resolved.take_ups:
         axes = ", ".join(move.axis for move in planned_step.resolved.take_ups)
         raise Refusal("take-up", f"{axes} takes up its play before it, at the speed of `backlash`")
-    await _require_zones(services, planned_step, infos, before.ends)
+    planned_step = await _require_zones(services, planned_step, infos, before)
     plays = {**before.plays, **planned_step.plays}
     return replace(planned_step, ends={**before.ends, **planned_step.ends}, plays=plays)
 
@@ -258,20 +261,29 @@ async def _require_zones(
     services: MotionServices,
     planned: PlannedStep,
     infos: Mapping[str, ControllerInfo],
-    ends: Mapping[str, tuple[Fraction, int]],
-) -> None:
-    """Raise `Refusal` (code `zone`) for a move that may bring bodies together. ends: of the steps before that are not
-    over yet."""
-    fleet = services.fleet.view.fleet
-    if fleet.zones is None or planned.path is not None:  # paths are not checked yet
-        return
-    profiles = planned.plan.profiles
-    resting_axes = [name for name in list_zone_axes(fleet.zones, fleet) if name not in profiles]
-    positions = await query_rest_positions(services.fleet.view, resting_axes, ends, planned.request.job_id)
-    request = planned.request
+    before: PlannedStep | None = None,
+) -> PlannedStep:
+    """The step with where its axes may have stopped shortly before its end. before: the one that ends as it begins.
+    Raises `Refusal` (code `zone`) where it may bring bodies together."""
+    if services.fleet.view.fleet.zones is None:
+        return planned
+    request, path = planned.request, planned.path
     skew_ns = max(request.max_start_skew_ns, request.max_end_skew_ns or 0, request.max_path_skew_ns or 0)
-    timing = Timing({name: info.alone_s for name, info in infos.items()}, skew_ns / NS_PER_S)
-    await services.plan(services.zones.require, fleet, profiles, positions, timing)
+    alone_times = {name: info.alone_s for name, info in infos.items()}
+    if path is not None and path.course is not None and not planned.triggers:
+        chunks = {name: info.chunk_s for name, info in infos.items() if info.chunk_s and max(info.orders) > 2}
+        alone_times = bound_alone(alone_times, chunks)
+    sweep = Sweep(
+        planned.plan.profiles,
+        {},
+        Timing(alone_times, skew_ns / NS_PER_S),
+        paths={} if path is None else find_path_terms(path),
+        recent={} if before is None else before.recent,
+        begin_s=planned.begun_s,
+    )
+    plan_elsewhere = services.plan_long if find_long_paths([request.move]) else services.plan
+    ends = None if before is None else before.ends
+    return replace(planned, recent=await services.zones.require(sweep, request.job_id, ends, plan_elsewhere))
 
 
 async def _query_controller(

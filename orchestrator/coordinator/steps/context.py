@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.requests import FencedFields
+from orchestrator.coordinator.fleet.zones import ZoneGuard
 from orchestrator.model.messages import LeasedRequest, OutputRequest, Reply, raise_first_refusal
 from orchestrator.plan.step import ExactTargets
 
@@ -25,11 +26,12 @@ def _ignore_progress(part: float, doing: str) -> None:
 @dataclass(frozen=True, slots=True)
 class StepContext:
     """What a step needs while it runs. holder: has the leases of its axes. targets: exact positions of axes. positions:
-    those with names."""
+    those with names. zones: the check against them."""
 
     fleet: FleetAccess
     targets: ExactTargets
     positions: PositionBook
+    zones: ZoneGuard
     holder: str
     actor: str
     progress: ProgressCallback = _ignore_progress

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.zones import ZoneGuard
 from orchestrator.coordinator.steps.context import ProgressCallback, ReportFields, StepContext
 from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
@@ -67,9 +68,10 @@ class _HomingRun:
 class HomingSequence:
     """Homes axes of the fleet."""
 
-    def __init__(self, fleet: FleetAccess, targets: ExactTargets) -> None:
+    def __init__(self, fleet: FleetAccess, targets: ExactTargets, zones: ZoneGuard) -> None:
         self._fleet = fleet
         self._targets = targets
+        self._zones = zones
 
     async def run(self, axes: list[str] | None, holder: str, actor: str, progress: ProgressCallback) -> None:
         """Home `axes`, or the fleet. Raises `Refusal`: the axes that failed and why, and those that were skipped
@@ -88,6 +90,7 @@ class HomingSequence:
             run.homed.append(axis)
         total, count_before = len(waits), len(run.homed)
         self._fleet.permits.require(waits)
+        await self._zones.require_homing(order, holder)
         guard, woken = self._fleet.permits.watch_losses(waits), asyncio.Event()
         unlisten = self._fleet.permits.add_loss_listener(woken.set)
         tasks: dict[asyncio.Task[HomeReply], str] = {}
@@ -130,6 +133,11 @@ class HomingSequence:
             )
 
     async def _request_homing(self, run: _HomingRun, controller: str, names: list[str]) -> HomeReply:
+        try:
+            # Those before them stand where they have found their references, and not where these were expected.
+            await self._zones.require_search([axis for axes in run.busy.values() for axis in axes], run.holder)
+        except Refusal as error:
+            return HomeReply(refused=RefusalDetails.of(error))
         for name in names:
             self._targets.forget_target(f"{controller}.{name}")
         timeout_s = max(self._fleet.view.fleet.controllers[controller].axes[name].homing.timeout_s for name in names)
@@ -168,6 +176,6 @@ class HomingSequence:
 
 async def run_home(context: StepContext, step: Home) -> ReportFields:
     """Home the axes of a step, or the fleet. Raises `Refusal`."""
-    sequence = HomingSequence(context.fleet, context.targets)
+    sequence = HomingSequence(context.fleet, context.targets, context.zones)
     await sequence.run(step.axes, context.holder, context.actor, context.progress)
     return {}

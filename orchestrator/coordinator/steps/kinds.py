@@ -23,6 +23,7 @@ from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.plan.pairs import require_whole_pairs
+from orchestrator.plan.zones.sweeps import require_swept
 
 RUNNERS: Mapping[type[Step], Callable[[StepContext, Any], Awaitable[ReportFields]]] = {
     Home: run_home,
@@ -43,4 +44,5 @@ RUNNERS: Mapping[type[Step], Callable[[StepContext, Any], Awaitable[ReportFields
 async def run_step(context: StepContext, step: Step) -> ReportFields:
     """Run a step to its end; return what its kind adds to the report. Raises `Refusal` if it cannot be done."""
     require_whole_pairs(context.fleet.view.fleet, step)
+    require_swept(context.fleet.view.fleet, step)
     return await RUNNERS[type(step)](context, step)

@@ -28,20 +28,30 @@ from orchestrator.plan.probes import (
 )
 from orchestrator.plan.racks import require_single_motor
 from orchestrator.plan.targets import choose_turn, explain_beyond_limits, parse_target
+from orchestrator.plan.zones.course import Sweep, Timing
 
 SPARE_S = 5.0  # to begin, to come to rest, and to read
 
 
 @dataclass(frozen=True, slots=True)
 class _PlannedAxis:
-    """An axis of a probe in counts; speed in its unit/s. stated_counts: how far it goes on at most."""
+    """An axis of a probe in counts; speed in its unit/s. begin_counts: where it stands. stated_counts: how far it goes
+    on at most."""
 
     name: str
     axis: Axis
     offset: Fraction
+    begin_counts: int
     end_counts: int
     speed: float
     stated_counts: float
+
+    def find_reach(self) -> tuple[str, tuple[float, float]]:
+        """Its name, and between which motor positions it may come, in its unit."""
+        sign = 1 if self.end_counts >= self.begin_counts else -1
+        farthest = self.end_counts + sign * self.stated_counts
+        low, high = sorted(self.axis.to_unit(counts) for counts in (self.begin_counts, farthest))
+        return self.name, (low, high)
 
     def make_terms(self) -> ProbeTerms:
         """What a request says of it."""
@@ -128,6 +138,7 @@ async def run_probe(context: StepContext, step: Probe) -> ReportFields:
     """Probe; the report states the contact as `probe`. Raises `Refusal`, also where nothing was touched and the step
     does not say `else: continue`."""
     planned_probe = await _plan_probe(context, step)
+    await _require_zones(context, planned_probe)
     for name in step.axes:
         context.targets.forget_target(name)
     reply, controller = await _send_probe(context, planned_probe), split_name(step.until)[0]
@@ -164,6 +175,7 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
             name,
             axis,
             states[name].offset,
+            states[name].commanded_counts,
             ends[name],
             speeds[name],
             find_overtravel(ways_to_stop[name], axis, speeds[name], ramps[name]),
@@ -172,6 +184,13 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
     ]
     longest_s = max(find_longest_s(axis, ways[name], speeds[name]) for name, axis in axes.items())
     return _PlannedProbe(step, planned_axes, longest_s + SPARE_S)
+
+
+async def _require_zones(context: StepContext, planned: _PlannedProbe) -> None:
+    """Raise `Refusal` for a probe whose axes may bring bodies together anywhere on their way, or by going on behind a
+    contact at its end."""
+    ends = dict(planned_axis.find_reach() for planned_axis in planned.axes)
+    await context.zones.require(Sweep({}, ends, Timing({}), list(ends)), context.holder)
 
 
 async def _require_start(context: StepContext, step: Probe) -> None:

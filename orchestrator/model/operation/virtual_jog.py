@@ -64,11 +64,13 @@ class VirtualJog(Model):
 
 
 class RealJog(NamedTuple):
-    """A real axis of a group, `controller.axis`, with its configuration and its state."""
+    """A real axis of a group, `controller.axis`, with its configuration and its state. room: between which motor
+    positions zones allow it to be jogged; None: everywhere."""
 
     name: str
     config: Axis
     state: AxisState
+    room: tuple[float, float] | None = None
 
 
 class _Reach(NamedTuple):
@@ -210,12 +212,24 @@ def _find_reach(axis: VirtualAxis, name: str, target: float) -> _Reach:
 
 
 def _narrow_by_reals(reach: _Reach, rates: Sequence[float], reals: Sequence[RealJog]) -> _Reach:
-    """Within the soft limits of the real axes, which are motor positions; of those that have a reference."""
+    """Within the soft limits and the rooms of the real axes, which are motor positions; of those that have a
+    reference."""
     for rate, real in zip(rates, reals, strict=True):
-        limits = real.config.soft_limits
-        if not rate or limits is None or not real.state.referenced:
+        if not rate or not real.state.referenced:
             continue
-        motor = real.state.commanded - float(real.state.offset)
-        ends = sorted((float(end) - motor) / rate for end in limits.in_unit(real.config.unit))
-        reach = reach.narrow(ends[0], ends[1], real.name)
+        motor, limits = real.state.commanded - float(real.state.offset), real.config.soft_limits
+        if limits is not None:
+            low, high = limits.in_unit(real.config.unit)
+            reach = _narrow_by_span(reach, (float(low) - motor, float(high) - motor), rate, real.name)
+        if real.room is not None:
+            low, high = real.room
+            reach = _narrow_by_span(reach, (low - motor, high - motor), rate, f"{real.name} among zones")
     return reach
+
+
+def _narrow_by_span(reach: _Reach, span: tuple[float, float], rate: float, name: str) -> _Reach:
+    """Within a span of ways of a real axis; nowhere if that is empty."""
+    if span[0] > span[1]:
+        return reach.narrow(0.0, 0.0, name)
+    ends = sorted(end / rate for end in span)
+    return reach.narrow(ends[0], ends[1], name)

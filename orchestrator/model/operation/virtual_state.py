@@ -1,6 +1,6 @@
 """States of virtual axes, computed from those of their real axes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal
 
 from pydantic import Field
@@ -63,7 +63,13 @@ class VirtualStates(Reply):
     groups: list[VirtualState] = Field(default=[])
 
 
-def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState]) -> VirtualState:
+FindRoom = Callable[[str], tuple[float, float] | None]
+"""Finds between which motor positions zones allow a real axis to be jogged; None: everywhere."""
+
+
+def observe_group(
+    group: str, fleet: Fleet, states: Mapping[str, ControllerState], find_room: FindRoom = lambda axis: None
+) -> VirtualState:
     """The state of a group of virtual axes. states: by controller."""
     virtual_map = fleet.virtual_axes.maps[group]
     units = [fleet.unit_of(name) for name in virtual_map.virtual]
@@ -81,7 +87,7 @@ def observe_group(group: str, fleet: Fleet, states: Mapping[str, ControllerState
     if not absent_controllers:
         observed_axes, reason = _observe_inside(virtual_map, units, list(axes.values()))
         obstacle = _find_obstacle(axes) or reason
-        jogs = _observe_jogs(group, fleet, axes)
+        jogs = _observe_jogs(group, fleet, axes, find_room)
         pair_state = _observe_pair(group, fleet, states)
     instants = [state.fleet_ns for state, _ in axes.values() if state.fleet_ns is not None]
     return VirtualState(
@@ -138,7 +144,7 @@ def _find_offset(virtual_map: VirtualMap, axes: Sequence[tuple[ControllerState, 
 
 
 def _observe_jogs(
-    group: str, fleet: Fleet, axes: Mapping[str, tuple[ControllerState, AxisState]]
+    group: str, fleet: Fleet, axes: Mapping[str, tuple[ControllerState, AxisState]], find_room: FindRoom
 ) -> dict[str, VirtualJog]:
     """How the virtual axes are jogged; none where the map has no answer."""
     polls_ns = [
@@ -146,7 +152,7 @@ def _observe_jogs(
         for state, _ in axes.values()
         if state.read_within is not None
     ]
-    reals = [RealJog(name, fleet.axis(name), axis) for name, (_, axis) in axes.items()]
+    reals = [RealJog(name, fleet.axis(name), axis, find_room(name)) for name, (_, axis) in axes.items()]
     apart_s = TAKE_S + max(polls_ns, default=0) / NS_PER_S
     pair = fleet.virtual_axes.pairs.get(group)
     try:

@@ -75,6 +75,9 @@ class Step(ScriptModel):
     """Whether this motion begins and ends at rest, so that no motion is loaded behind or before it."""
     enables: ClassVar[bool] = False
     """Whether it enables its axes."""
+    is_swept: ClassVar[bool] = False
+    """Whether it is known ahead where its axes may be while it moves them, so that it is checked against zones; steps
+    of another kind move no axes of zones."""
     searches: ClassVar[bool] = False
     """Whether it finds the references of its axes."""
     probes: ClassVar[bool] = False
@@ -330,6 +333,7 @@ class MotionOptions(Step):
     """How axes move together."""
 
     moves: ClassVar[bool] = True
+    is_swept: ClassVar[bool] = True
 
     def slow_down(self, rate: float, fleet: Fleet) -> Self:
         speed = self.speed

@@ -9,6 +9,7 @@ class Home(AxesStep):
     """Find the reference of axes; without `axes`, of the whole fleet in its `home_order`."""
 
     moves: ClassVar[bool] = True
+    is_swept: ClassVar[bool] = True
     searches: ClassVar[bool] = True
 
     do: Literal["home"] = "home"

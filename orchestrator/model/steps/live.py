@@ -30,6 +30,7 @@ class Live(AxesStep):
     """Steps that a program asks for while it runs, with the axes that they may move. It is the only step of its job."""
 
     moves: ClassVar[bool] = True
+    is_swept: ClassVar[bool] = True
     is_open: ClassVar[bool] = True
 
     do: Literal["live"] = "live"

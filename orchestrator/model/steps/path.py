@@ -39,6 +39,7 @@ class FollowPath(Step, PathSpec):
     model_config = ConfigDict(json_schema_extra=_describe_path_axes)
 
     moves: ClassVar[bool] = True
+    is_swept: ClassVar[bool] = True
     is_motion: ClassVar[bool] = True
     rests: ClassVar[bool] = True
     plans_long: ClassVar[bool] = True

@@ -28,6 +28,7 @@ class Probe(Step):
     without that. The report has their positions at which the input changed, as intervals."""
 
     moves: ClassVar[bool] = True
+    is_swept: ClassVar[bool] = True
     probes: ClassVar[bool] = True
     UNSAID: ClassVar[frozenset[str]] = frozenset({"measured"})
 

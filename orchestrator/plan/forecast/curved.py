@@ -9,6 +9,7 @@ from orchestrator.plan.forecast.path import make_path_start, take_path
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.virtual import find_positions
+from orchestrator.plan.forecast.zones import check_path
 from orchestrator.plan.shape import PlanError
 
 
@@ -35,4 +36,5 @@ def forecast_curved(state: ForecastState, at: ForecastContext, step: Move, group
         state.add_problem(at, field, error if isinstance(error, Refusal) else Refusal("plan", str(error)))
         state.lose_positions(at, curved_step.axes)
         return Span()
+    check_path(state, at, step, path, {})
     return take_path(state, at, curved_step, path)

@@ -5,6 +5,7 @@ from orchestrator.model.steps.home import Home
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.forecast.zones import check_homing
 from orchestrator.plan.homing_order import find_prerequisites, homing_order
 
 
@@ -20,6 +21,7 @@ def forecast_home(state: ForecastState, at: ForecastContext, step: Home) -> Span
     except Refusal as error:
         state.add_problem(at, (), Refusal(error.code, error.text, error.remedy))
         return Span()
+    check_homing(state, at, order)
     for axis, predecessors in waits.items():
         for predecessor in sorted(predecessors - waits.keys()):
             text = f"{axis} must be homed after {predecessor} (homing.after), which is not referenced"

@@ -35,7 +35,7 @@ from orchestrator.plan.forecast.scan import forecast_scan
 from orchestrator.plan.forecast.set_position import forecast_set_position
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
-from orchestrator.plan.forecast.zones import note_unchecked
+from orchestrator.plan.forecast.zones import begin_zones, check_swept
 from orchestrator.plan.pairs import require_whole_pairs
 
 
@@ -75,9 +75,9 @@ def forecast_step(state: ForecastState, at: ForecastContext, step: Step) -> Span
         state.add_problem(at, (), error)
         return Span()
     count = len(state.problems)
-    state.zones_checked = False
+    begin_zones(state)
     span = FORECASTERS[type(step)](state, at, step)
-    note_unchecked(state, step)
+    check_swept(state, at, step)
     line_text = "" if step.origin is None or step.follows_path else step.origin.describe(1)
     if line_text:  # a path names the line of the piece
         for number, problem in enumerate(state.problems[count:], count):

@@ -28,6 +28,7 @@ from orchestrator.plan.forecast.io import forecast_wait
 from orchestrator.plan.forecast.path import forecast_path
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.forecast.zones import ZoneArea, check_area
 
 USUAL_CHUNKS = ChunkAbility(7.5, switches=True, shows=True)  # of the makes that load paths in chunks
 SLOWER = 0.002  # of the speed, by which a plan may be slower in a window
@@ -47,9 +48,10 @@ def take_lines(state: ForecastState, at: ForecastContext, step: Scan) -> FlownLi
     return lines
 
 
-def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines, between: Span) -> Span:
+def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines, between: Span, area: ZoneArea) -> Span:
     """Run the first motion of a scan that flies forward, of all its lines or the first one, and say how they are flown;
-    the axes are left where all lines leave them. between: the moves between lines that are flown one by one."""
+    the axes are left where all lines leave them. between: the moves between lines that are flown one by one. area: in
+    which its axes are."""
     abilities = {name: state.chunks.get(name, USUAL_CHUNKS) for name in list_members(lines)}
     wait = None if lines.scan.fly is None else lines.scan.fly.wait
     if wait is not None:
@@ -61,6 +63,7 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
         state.add_problem(at, ("fly",), error)
         return between
     problems = len(state.problems)
+    _check_lines(state, part, lines, area)
     if part is not None and lines.scan.is_curved:
         is_known = all(name in state.chunks for name in abilities)
         condition = "" if is_known else ", where all its controllers load paths in chunks"
@@ -90,6 +93,12 @@ def forecast_lines(state: ForecastState, at: ForecastContext, lines: FlownLines,
     )
     most_s = None if singly.most is None else max(together_s, singly.most)
     return Span(min(together_s, singly.least), most_s)
+
+
+def _check_lines(state: ForecastState, part: FlownPart | None, lines: FlownLines, area: ZoneArea) -> None:
+    """Check all lines by their area, unless they are one motion, which is checked along its way."""
+    if part is None or part.end - part.first < lines.scan.point_count:
+        check_area(state, area, "lines")
 
 
 def _forecast_curve(state: ForecastState, at: ForecastContext, part: FlownPart, condition: str) -> Span:

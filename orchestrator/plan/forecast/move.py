@@ -12,7 +12,7 @@ from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
 from orchestrator.plan.forecast.virtual import take_virtual_targets
 from orchestrator.plan.forecast.ways import ForecastMotion, MoveWays
-from orchestrator.plan.forecast.zones import check_zones
+from orchestrator.plan.forecast.zones import check_move
 from orchestrator.plan.play import require_play
 from orchestrator.plan.virtual_moves import find_curved_group, find_virtual_names, go_straight
 
@@ -41,7 +41,7 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
         return Span()
     _take_real_targets(state, at, ways, step)
     span = plan_ways(state, at, go_straight(state.fleet, step), ways)
-    check_zones(state, at, step, ways)
+    check_move(state, at, step, ways)
     if ways.plan is not None and len(ways.exact) == len(step.find_axes(state.fleet)):
         state.motion = ForecastMotion(ways.nearest, ways.exact, ways.plan)
     check_triggers(state, at, step)
@@ -50,8 +50,9 @@ def forecast_move(state: ForecastState, at: ForecastContext, step: Move) -> Span
 
 def _forecast_rest(state: ForecastState, at: ForecastContext, step: Move) -> Span:
     """Run a move forward that is left without targets that are not known: it takes at least as long."""
-    least_s = forecast_move(state, at, step).least if step.to or step.by else 0.0
-    state.zones_checked = False  # the axes that were left out move, too
+    with state.without_zones():  # the axes that were left out move, too
+        least_s = forecast_move(state, at, step).least if step.to or step.by else 0.0
+    state.zones_checked = False
     return Span(least_s, None)
 
 

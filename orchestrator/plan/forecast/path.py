@@ -13,6 +13,7 @@ from orchestrator.plan.forecast.motion import check_record, check_triggers
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import ForecastMotion
+from orchestrator.plan.forecast.zones import check_path
 from orchestrator.plan.path.errors import PathRefusal
 from orchestrator.plan.path_step import PathStart, PlannedPath, find_start, plan_path_step
 from orchestrator.plan.probes import ContactRange
@@ -41,6 +42,7 @@ def forecast_path(state: ForecastState, at: ForecastContext, step: FollowPath) -
         state.lose_positions(at, axes)
         return Span()
     _note_bare_speed(state, step)
+    check_path(state, at, step, path, {name: state.ranges.get(name) for name in bases[0]})
     span = take_path(state, at, step, path)
     _keep_unknown(state, bases[0])
     return span

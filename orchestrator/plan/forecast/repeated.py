@@ -46,7 +46,9 @@ def forecast_in_parts(state: ForecastState, at: ForecastContext, step: Step) -> 
     yield
     span = forecast_step(state, at, step)
     if step.inner is not None:
+        outer_area, state.scanned = state.scanned, {**state.scanned, **state.scan_area}
         span = span.followed_by((yield from _run_passes(state, at, step.inner)))
+        state.scanned = outer_area
     return span
 
 

@@ -8,6 +8,7 @@ from orchestrator.model.fleet import Axis
 from orchestrator.model.names import controller_of, is_position_name
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.units import UnitError
+from orchestrator.plan.flying.lines import FlownLines
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.line import forecast_lines, take_lines
 from orchestrator.plan.forecast.motion import plan_ways
@@ -16,6 +17,7 @@ from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import take_target
 from orchestrator.plan.forecast.virtual_scan import forecast_virtual_scan
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.forecast.zones import ZoneArea, check_area, find_area, widen_area
 from orchestrator.plan.scan_ways import ScanCorner, ScanWays, find_corners, iterate_ways
 from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.virtual_moves import find_virtual_names
@@ -46,20 +48,33 @@ def _forecast_real_scan(state: ForecastState, at: ForecastContext, step: Scan) -
     except UnitError as error:
         state.add_problem(at, (), Refusal("bad-unit", str(error), "correct the unit"))
         return Span()
+    area = find_area(state, axes)
     first, sure = MoveWays(), {name: axis for name, axis in axes.items() if name not in unknown}
     for name, axis in sure.items():
         field = TargetField("axes", name, axis)
         state.require_ready(at, name, field.place)
         _take_corners(state, at, first, field, _describe_corners(corners[name], step.point_count))
+        widen_area(state, area, name, [corner.position for corner in corners[name]])
     span = plan_ways(state, at, step, first)
     if lines is not None:
         kinds.pop()  # the innermost axis moves
     between_span = Span()
     for kind in kinds:
         between_span = between_span.followed_by(_plan_kind(state, at, step, sure, kind), kind.often)
-    span = span.followed_by(between_span if lines is None else forecast_lines(state, at, lines, between_span))
+    span = span.followed_by(_forecast_between(state, at, lines, between_span, area))
     state.lose_positions(at, unknown)
     return Span(span.least, None) if unknown else span
+
+
+def _forecast_between(
+    state: ForecastState, at: ForecastContext, lines: FlownLines | None, between: Span, area: ZoneArea
+) -> Span:
+    """What follows the way to the first point: the moves between points, or the lines that are flown. area: in which
+    the axes are."""
+    if lines is not None:
+        return forecast_lines(state, at, lines, between, area)
+    check_area(state, area, "ways between points")
+    return between
 
 
 def _find_axes(state: ForecastState, at: ForecastContext, step: Scan) -> dict[str, Axis] | None:

@@ -1,6 +1,7 @@
 """What a forecast knows: where the axes of a job are, step by step, and what is wrong with it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Literal
 
@@ -59,11 +60,26 @@ class ForecastState:
         self.zones = None if fleet.zones is None else FleetZones(fleet)
         self.zones_checked = False
         """Whether the step that is run forward was checked against zones."""
+        self.spans_before: dict[str, tuple[float, float] | None] = {}
+        """Between which motor positions axes of zones were before it; None: nothing is known of that."""
+        self.scan_area: dict[str, tuple[float, float]] = {}
+        """Of a scan that is run forward, where its axes are in all of it."""
+        self.scanned: dict[str, tuple[float, float]] = {}
+        """The same of the axes of scans, while steps at their points are run forward."""
         self.outputs: dict[str, bool] = {}
         self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
         self.contacts: dict[str, ContactRange | None] = {}
         self.ranges: dict[str, ContactRange] = {}
+
+    @contextmanager
+    def without_zones(self) -> Generator[None]:
+        """Check nothing against zones in the context: it runs parts of a step forward that are checked as a whole."""
+        zones, self.zones = self.zones, None
+        try:
+            yield
+        finally:
+            self.zones = zones
 
     def order_of(self, name: str, axis: Axis) -> Order:
         return self.orders.get(controller_of(name), 2 if axis.limits.jerk is None else 3)

@@ -20,6 +20,7 @@ from orchestrator.plan.forecast.move import forecast_move
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.forecast.zones import check_area, find_area, join_known
 from orchestrator.plan.scan_ways import ScanCorner, ScanWays, Way, find_corners, iterate_ways
 from orchestrator.plan.targets import make_axis_move
 from orchestrator.plan.virtual_moves import find_virtual_names, group_virtual
@@ -48,13 +49,19 @@ def forecast_virtual_scan(state: ForecastState, at: ForecastContext, step: Scan)
     except UnitError as error:
         state.add_problem(at, (), Refusal("bad-unit", str(error), "correct the unit"))
         return Span()
-    problems, first_span = len(state.problems), Span()
+    problems, first_span, area = len(state.problems), Span(), find_area(state, step.find_axes(state.fleet))
     for number, (point, words) in enumerate(points):
-        span = forecast_move(state, at.at_time(words + at.when), step.make_move(point))
+        with state.without_zones():
+            span = forecast_move(state, at.at_time(words + at.when), step.make_move(point))
+        area |= {name: join_known(area[name], reach) for name, reach in find_area(state, area).items()}
         first_span = span if number == 0 else first_span
         if len(state.problems) > problems:
             return Span()
     state.motion = None
+    has_curve = any(
+        not isinstance(state.fleet.virtual_axes.maps[group], LinearMap) for group in group_virtual(state.fleet, step)
+    )
+    check_area(state, dict.fromkeys(area) if has_curve else area, "ways between points")
     between_span = Span()
     for kind in kinds:
         between_span = between_span.followed_by(_plan_kind(state, at, step, kind), kind.often)

@@ -1,7 +1,7 @@
 """Whether two bodies stay apart for all positions of their axes in a box: proven by bounds, or refuted by a place."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -43,6 +43,10 @@ class Constraint(Protocol):
 
     def look(self, box: Box) -> Look:
         """Try to decide it for a whole box."""
+        ...
+
+    def relax(self, box: Box) -> "Constraint | None":
+        """What must hold if it shall nowhere be broken by more than in a box; None: that cannot be stated."""
         ...
 
     def describe(self, positions: Mapping[str, float]) -> str:
@@ -133,6 +137,13 @@ class PairClearance:
             return Look(holds=False, nearest=most)
         return Look(holds=None, nearest=most, widest=max(shares, key=shares.__getitem__) if share > FINEST else None)
 
+    def relax(self, box: Box) -> "PairClearance | None":
+        """The distance of now, of bodies that are apart, and whose axes are at known positions."""
+        if any(box[axis][1] - box[axis][0] > FINEST for axis in self.axes):
+            return None
+        least, _ = self.find_distance(find_middle({axis: box[axis] for axis in self.axes}))
+        return PairClearance(*self.bodies, min(least, self.distance)) if least > ROUNDING else None
+
     def describe(self, positions: Mapping[str, float]) -> str:
         """How near both are at positions."""
         nearest = self.find_distance(positions)[1]
@@ -161,12 +172,39 @@ class RelationConstraint:
         widest = max(shares, key=shares.__getitem__)
         return Look(holds=None, widest=widest if shares[widest] > FINEST else None)
 
+    def relax(self, box: Box) -> "NoDeeper":
+        """Neither position goes farther behind its end than it may be in the box."""
+        return NoDeeper(self, [(end, end.way.find_range(box)) for end in (self._when, self._forbid)])
+
     def describe(self, positions: Mapping[str, float]) -> str:
         """The positions that exclude each other."""
         ends = ", ".join(
             f"{end.name} at {end.way.find_at(positions):.6g} {end.unit}" for end in (self._when, self._forbid)
         )
         return f"{self._words}: {ends}"
+
+
+class NoDeeper:
+    """Positions that do not go farther behind their ends than they may be. spans: where each may be now."""
+
+    def __init__(self, relation: RelationConstraint, spans: Sequence[tuple["End", tuple[float, float]]]) -> None:
+        self._relation, self._spans, self.axes = relation, spans, relation.axes
+
+    def look(self, box: Box) -> Look:
+        """Each of both has its range in the box."""
+        for end, (low, high) in self._spans:
+            least, most = end.way.find_range(box)
+            if (least < low - FINEST) if end.is_below else (most > high + FINEST):
+                return Look(holds=False)
+        return Look(holds=True)
+
+    def relax(self, box: Box) -> None:
+        """It is what must hold already."""
+        del box
+
+    def describe(self, positions: Mapping[str, float]) -> str:
+        """The positions that exclude each other."""
+        return self._relation.describe(positions)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,8 @@ from orchestrator.model.zone_fields import Vector, ZoneShape
 from orchestrator.plan.zones.chain import Body
 from orchestrator.plan.zones.clearance import PairClearance
 from orchestrator.plan.zones.outlines import make_wire
-from orchestrator.plan.zones.rules import FleetZones, RuleCheck
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import RuleCheck
 from orchestrator.plan.zones.vectors import scale
 
 

@@ -1,16 +1,15 @@
 """The refusal of a step that may break a rule, with what would fit."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import permutations
 from math import isfinite
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet
-from orchestrator.model.profile import Profile
-from orchestrator.plan.zones.chain import Box
-from orchestrator.plan.zones.clearance import MAX_LOOKS
-from orchestrator.plan.zones.course import Course, Timing
-from orchestrator.plan.zones.rules import FleetZones, Violation, find_rule_violation
+from orchestrator.plan.zones.clearance import MAX_LOOKS, find_middle
+from orchestrator.plan.zones.course import Course
+from orchestrator.plan.zones.exits import find_exit
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import Violation, find_rule_violation
 
 SLOWER = (2, 4, 8)
 """By how much slower a step is tried, to say what would fit."""
@@ -18,27 +17,10 @@ MOST_ORDERED = 3
 """Axes whose orders are tried."""
 
 
-class ZoneMemory:
-    """The rules of the fleet of which a step was checked last: to make 190 of them takes 10 ms."""
-
-    def __init__(self) -> None:
-        self._fleet: Fleet | None = None
-        self._zones: FleetZones | None = None
-
-    def require(self, fleet: Fleet, profiles: Mapping[str, Profile], positions: Box, timing: Timing) -> None:
-        """Raise `Refusal` (code `zone`) for a step that may break a rule. fleet: one with zones; the other arguments
-        are those of `FleetZones.make_course`."""
-        if self._zones is None or self._fleet is not fleet:
-            self._fleet, self._zones = fleet, FleetZones(fleet)
-        course = self._zones.make_course(profiles, positions, timing)
-        for violation in self._zones.find_violations(course):
-            raise make_refusal(self._zones, course, violation)
-
-
 def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Refusal:
     """The refusal of a step that may break a rule: code `zone`."""
     rule = violation.rule
-    text = f"zone {rule.name}: {_describe(zones, violation)}"
+    text = f"zone {rule.name}: {_describe(zones, course, violation)}"
     unknown_axes = [axis for axis in rule.constraint.axes if axis in course.unknown]
     if unknown_axes:
         axes = ", ".join(unknown_axes)
@@ -47,25 +29,29 @@ def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Ref
         return Refusal("zone", text, f"home {axes}, or wait until what uses it has ended")
     if violation.positions is None:
         return Refusal("zone", text, "move in shorter steps, or give the bodies fewer parts that turn")
+    if not course.moving:
+        return Refusal("zone", text, "move the other axes of this zone away first")
     begin_box = course.find_box(rule.constraint.axes, 0.0, 0.0, trust_step=True)
     if rule.constraint.look(begin_box).holds is False:
-        return Refusal("zone", text, "they stand so where the step begins: jog them apart first")
+        middle = find_middle({axis: begin_box[axis] for axis in rule.constraint.axes})
+        way_out = find_exit(zones, rule, middle)
+        words = "jog them apart first" if way_out is None else way_out.describe()
+        return Refusal("zone", text, f"they stand so where the step begins: {words}")
     is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
     if not is_trusted:
         text += "; it does while all axes keep step, and not where one of them stops and the others go on"
     return Refusal("zone", text, _find_remedy(zones, course, trusted=is_trusted))
 
 
-def _describe(zones: FleetZones, violation: Violation) -> str:
+def _describe(zones: FleetZones, course: Course, violation: Violation) -> str:
     """When and where a step may break a rule."""
     if violation.positions is None:
         nearest = f"; nearest known distance {violation.nearest:.4g} mm" if isfinite(violation.nearest) else ""
         return f"cannot be decided within {MAX_LOOKS} looks{nearest}"
     constraint = violation.rule.constraint
     places = [f"{axis} {violation.positions[axis]:.6g} {zones.units[axis]}" for axis in constraint.axes]
-    return (
-        f"{violation.instant_s:.3g} s after its start {constraint.describe(violation.positions)} ({', '.join(places)})"
-    )
+    instant_text = f"{violation.instant_s:.3g} s after its start" if course.moving else "somewhere on its way"
+    return f"{instant_text} {constraint.describe(violation.positions)} ({', '.join(places)})"
 
 
 def _find_remedy(zones: FleetZones, course: Course, *, trusted: bool) -> str:
@@ -84,7 +70,7 @@ def _list_fitting(zones: FleetZones, course: Course) -> Iterator[str]:
             if zones.is_clear(course.stretch(factor)):
                 yield f"move at 1/{factor} of the speed (`speed`)"
                 break
-        order = _find_order(zones, course)
+        order = None if course.is_path else _find_order(zones, course)
         if order is not None:
             yield f"move {', then '.join(order)}, each in a step of its own"
 

@@ -1,37 +1,18 @@
 """The rules of a fleet file, and whether a step keeps them."""
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.profile import Profile
 from orchestrator.model.units import Unit, parse_quantity
 from orchestrator.model.zone_fields import LEAST_DISTANCE, Vector, ZoneRule, find_relation_axis, read_relation
 from orchestrator.model.zone_problems import find_range, list_zone_axes
-from orchestrator.plan.zones.chain import Body, Box, make_body, resolve_axis
-from orchestrator.plan.zones.clearance import (
-    Constraint,
-    End,
-    OutOfWork,
-    PairClearance,
-    RelationConstraint,
-    Search,
-    find_violation,
-    halve,
-)
-from orchestrator.plan.zones.course import Course, Timing, find_margin, make_moving_axis
+from orchestrator.plan.zones.chain import Body, make_body, resolve_axis
+from orchestrator.plan.zones.clearance import Constraint, End, PairClearance, RelationConstraint
+from orchestrator.plan.zones.course import Course, Sweep, find_margin, make_moving_axis
+from orchestrator.plan.zones.search import RuleCheck, Violation, find_rule_violation, leads_out
 from orchestrator.plan.zones.shapes import make_shape
 from orchestrator.plan.zones.vectors import length, subtract
-
-
-@dataclass(frozen=True, slots=True)
-class RuleCheck:
-    """A rule of a fleet file, by its name, and what must hold."""
-
-    name: str
-    constraint: Constraint
-    trust_step: bool
 
 
 class RuleState(NamedTuple):
@@ -42,17 +23,6 @@ class RuleState(NamedTuple):
     distance: float | None
     trust_step: bool
     text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Violation:
-    """Where a step may break a rule. positions: by axis; None: within the work that is allowed it was not decided, and
-    `nearest` is the smallest distance seen, mm."""
-
-    rule: RuleCheck
-    instant_s: float
-    positions: Mapping[str, float] | None
-    nearest: float
 
 
 class FleetZones:
@@ -89,33 +59,34 @@ class FleetZones:
         words = f"{rule.when} forbids {rule.forbid}"
         return RelationConstraint(_make_end(fleet, rule.when, width), _make_end(fleet, rule.forbid), words)
 
-    def make_course(
-        self,
-        profiles: Mapping[str, Profile],
-        positions: Box,
-        timing: Timing,
-        adrift: Collection[str] = (),
-    ) -> Course:
-        """The course of a step. profiles: of the axes that it moves from a known position. positions: between what
-        motor positions axes that it does not move are; without one they may be anywhere in their range. adrift: axes
-        that it moves from where is not known."""
-        moving_axes = {name: make_moving_axis(self._fleet, name, profiles[name], timing) for name in profiles}
+    def make_course(self, sweep: Sweep) -> Course:
+        """The course of a step."""
+        profiles, positions, timing, paths = sweep.profiles, sweep.positions, sweep.timing, sweep.paths
+        moving_axes = {
+            name: make_moving_axis(self._fleet, name, profiles[name], timing, paths.get(name))
+            for name in profiles
+            if name in self.ranges
+        }
         standing: dict[str, tuple[float, float]] = {}
         for name, ends in self.ranges.items():
             low, high = positions.get(name, ends)
             standing[name] = low - self.margins[name], high + self.margins[name]
         duration_s = max((profile.duration_s for profile in profiles.values()), default=0.0)
         unknown = [name for name in self.ranges if name not in positions and name not in profiles]
-        return Course(moving_axes, standing, duration_s, max(self.skew_s, timing.skew_s), unknown, adrift)
+        skew_s = max(self.skew_s, timing.skew_s) * max((terms.rate for terms in paths.values()), default=1.0)
+        return Course(
+            moving_axes, standing, duration_s, skew_s, unknown, sweep.adrift, sweep.recent, sweep.begin_s, self.margins
+        )
 
     def find_violations(self, course: Course) -> Iterator[Violation]:
-        """Where a step may break each rule that depends on an axis that it moves."""
+        """Where a step may break each rule that depends on an axis that it moves. Where it may be broken already as the
+        step begins, the step may do what leads out."""
         moved_axes = course.moved
         balls = _Balls(course)
         for rule in self.rules:
             if not moved_axes.isdisjoint(rule.constraint.axes) and not balls.show_far(rule):
                 violation = find_rule_violation(rule, course)
-                if violation is not None:
+                if violation is not None and not leads_out(rule, course):
                     yield violation
 
     def find_states(self, positions: Mapping[str, float]) -> list[RuleState]:
@@ -169,43 +140,3 @@ def _make_end(fleet: Fleet, text: str, hysteresis: float = 0.0) -> End:
     relation = read_relation(text, unit)
     end = float(relation.end) + (hysteresis if relation.is_below else -hysteresis)
     return End(name, unit, resolve_axis(fleet, name), relation.is_below, end)
-
-
-def find_rule_violation(rule: RuleCheck, course: Course, *, trust_step: bool | None = None) -> Violation | None:
-    """Where a step may break a rule; None: it keeps it, for all instants, margins and single stops. trust_step: as of
-    the rule by default."""
-    constraint, trust = rule.constraint, rule.trust_step if trust_step is None else trust_step
-    finest_s = course.find_resolution(constraint.axes, trust_step=trust)
-    search, spans = Search(), [Span(0.0, course.duration_s, {})]
-    span = spans[0]
-    try:
-        while spans:
-            span = spans.pop()
-            box = course.find_box(constraint.axes, span.begin_s, span.end_s, trust_step=trust)
-            box = {**box, **span.standing}
-            look = search.look(constraint, box)
-            if look.holds:
-                continue
-            if look.widest is not None and look.widest not in course.moving:
-                spans += [
-                    replace(span, standing={**span.standing, look.widest: half}) for half in halve(box, look.widest)
-                ]
-            elif span.end_s - span.begin_s > finest_s:
-                middle_s = (span.begin_s + span.end_s) / 2
-                spans += [replace(span, begin_s=middle_s), replace(span, end_s=middle_s)]
-            else:
-                positions = find_violation(search, constraint, box)
-                if positions is not None:
-                    return Violation(rule, span.begin_s, positions, search.nearest)
-    except OutOfWork:
-        return Violation(rule, span.begin_s, None, search.nearest)
-    return None
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A part of a step: a span of time, s, and parts of the ranges of axes that it does not move."""
-
-    begin_s: float
-    end_s: float
-    standing: Box

@@ -14,8 +14,9 @@ from orchestrator.model.jobs.service import (
 )
 from orchestrator.model.messages import Reply
 from orchestrator.model.report import JobProgress, StepReport
+from orchestrator.plan.path_clock import MOST_RATE
 
-OVERRIDE_PERCENT = 10, 120
+OVERRIDE_PERCENT = 10, round(100 * MOST_RATE)
 
 
 class RunRequests:

@@ -52,7 +52,13 @@ class JobRun:
         self._preparation = JobPreparation(services, row, job, self._steps, axes)
         self._chain = MotionChain(services.motion, row.id, job, self._steps)
         self._context = StepContext(
-            services.fleet, services.motion.targets, services.positions, row.id, row.actor, self._state.note_part
+            services.fleet,
+            services.motion.targets,
+            services.positions,
+            services.motion.zones,
+            row.id,
+            row.actor,
+            self._state.note_part,
         )
         self._step_run = StepRun(services, self._context, self._state, self._chain, axes)
         self.control = RunControl(row, self._steps, self._state, self._chain, self._step_run)

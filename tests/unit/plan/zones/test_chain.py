@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.plan.zones.clearance import PairClearance
-from orchestrator.plan.zones.course import Timing
+from orchestrator.plan.zones.course import Sweep, Timing
 from orchestrator.plan.zones.rules import FleetZones
 
 EXAMPLES = Path(__file__).parents[4] / "deploy" / "examples"
@@ -73,7 +73,7 @@ def test_bodies_that_stand_still_are_compared_and_no_step_is_asked_for_them() ->
     zones = make_zones("zones.fleet.yaml", at=(99.5, 0, 0))
     assert zones.rules[0].constraint.axes == []
     assert [state.holds for state in zones.find_states({})] == [False]
-    assert zones.is_clear(zones.make_course({}, {}, Timing({})))
+    assert zones.is_clear(zones.make_course(Sweep({}, {}, Timing({}))))
 
 
 def test_rules_are_sent_to_other_processes() -> None:

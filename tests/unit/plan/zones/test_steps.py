@@ -14,12 +14,13 @@ from orchestrator.model.jobs.files import load_fleet
 from orchestrator.model.profile import Profile
 from orchestrator.plan.step import StepPlan, plan_step
 from orchestrator.plan.targets import make_axis_move
-from orchestrator.plan.zones import clearance
+from orchestrator.plan.zones import search
 from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.clearance import PairClearance
-from orchestrator.plan.zones.course import Course, Timing
+from orchestrator.plan.zones.course import Course, Sweep, Timing
 from orchestrator.plan.zones.refusals import make_refusal
-from orchestrator.plan.zones.rules import FleetZones, RuleCheck, find_rule_violation
+from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import RuleCheck, find_rule_violation
 
 EXAMPLE = Path(__file__).parents[4] / "deploy" / "examples" / "zones.fleet.yaml"
 ALONE = {"gantry": 1.2, "stage": None}
@@ -47,7 +48,7 @@ def make_course(
 ) -> Course:
     others = {**REST, **{name.replace("_", "."): position for name, position in standing.items()}}
     positions = {name: (position, position) for name, position in others.items() if name not in ways}
-    return zones.make_course(plan(ways).profiles, positions, Timing(alone))
+    return zones.make_course(Sweep(plan(ways).profiles, positions, Timing(alone)))
 
 
 def changed_zones(**rule: Any) -> FleetZones:
@@ -131,7 +132,7 @@ def test_what_is_clear_is_clear_after_every_single_stop() -> None:
         ways, standing = draw_step(draw)
         step = plan(ways)
         positions = {name: (standing[name], standing[name]) for name in standing if name not in ways}
-        course = ZONES.make_course(step.profiles, positions, Timing({"gantry": ALONE_S, "stage": ALONE_S}))
+        course = ZONES.make_course(Sweep(step.profiles, positions, Timing({"gantry": ALONE_S, "stage": ALONE_S})))
         if find_rule_violation(DETECTOR_SAMPLE, course) is None:
             clear += 1
             for stop in draw_stops(draw, step, 5):
@@ -172,7 +173,10 @@ def test_a_step_that_does_not_move_the_bodies_of_a_rule_is_not_refused_for_it() 
     assert find_rule_violation(DETECTOR_SAMPLE, together) is not None
     low_detector = next(rule for rule in ZONES.rules if rule.name == "low-detector")
     assert low_detector not in [violation.rule for violation in ZONES.find_violations(together)]
-    assert "jog them apart" in make_refusal(ZONES, together, next(ZONES.find_violations(together))).remedy
+    assert (
+        "jog gantry.z by about 17 mm in the positive"
+        in make_refusal(ZONES, together, next(ZONES.find_violations(together))).remedy
+    )
 
 
 @pytest.mark.parametrize(("end", "clear"), [(154.4, True), (154.6, False)])
@@ -191,7 +195,7 @@ def test_a_relation_holds_with_its_hysteresis(z: float, phi: float, clear: bool)
 def test_what_cannot_be_decided_is_refused_with_the_nearest_distance(monkeypatch: pytest.MonkeyPatch) -> None:
     course = make_course({"gantry.x": (0.0, 150.0), "stage.phi": (0.0, 30.0)})
     assert find_rule_violation(DETECTOR_SAMPLE, course) is None
-    monkeypatch.setattr(clearance.Search.__init__, "__defaults__", (1, 0, float("inf")))
+    monkeypatch.setattr(search, "MAX_LOOKS", 1)
     violation = find_rule_violation(DETECTOR_SAMPLE, course)
     assert violation is not None and violation.positions is None
     assert "cannot be decided within" in make_refusal(ZONES, course, violation).text
@@ -203,8 +207,8 @@ def test_what_a_step_allows_between_members_counts_with_a_rule_that_trusts_it() 
     trusting = changed_zones(trust_step=True)
     positions: Box = dict.fromkeys(["stage.u", "stage.phi"], (0.0, 0.0))
     profiles = plan(ways).profiles
-    assert trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.01)))
-    assert not trusting.is_clear(trusting.make_course(profiles, positions, Timing(ALONE, 0.5)))
+    assert trusting.is_clear(trusting.make_course(Sweep(profiles, positions, Timing(ALONE, 0.01))))
+    assert not trusting.is_clear(trusting.make_course(Sweep(profiles, positions, Timing(ALONE, 0.5))))
 
 
 def test_few_steps_are_refused_that_dense_samples_of_the_same_places_would_allow() -> None:
@@ -214,7 +218,7 @@ def test_few_steps_are_refused_that_dense_samples_of_the_same_places_would_allow
     for _ in range(120):
         ways, standing = draw_step(draw)
         positions = {name: (standing[name], standing[name]) for name in standing if name not in ways}
-        course = ZONES.make_course(plan(ways).profiles, positions, Timing({"gantry": ALONE_S, "stage": ALONE_S}))
+        course = ZONES.make_course(Sweep(plan(ways).profiles, positions, Timing({"gantry": ALONE_S, "stage": ALONE_S})))
         if find_rule_violation(DETECTOR_SAMPLE, course) is not None:
             refused += 1
             unconfirmed += not any(
