@@ -19,8 +19,10 @@ CHECKED = (
     "moves, paths, scans, probes and homing, in `tutti job check`, in dry runs, and before each step; "
     "jogs of axes that have a reference"
 )
-NOT_CHECKED = "jogs of axes without a reference, homing of `homes_away`, and what other programs move; "
-NOT_CHECKED += "actual positions are not watched"
+NOT_CHECKED = (
+    "jogs of axes without a reference, homing of `homes_away`, and what other programs move; "
+    "actual positions are not watched"
+)
 
 
 @click.group(epilog="Example: tutti zones check lab.fleet.yaml")
