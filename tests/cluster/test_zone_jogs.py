@@ -1,14 +1,18 @@
 """Jogs beside keep-out zones in virtual time: they end before the border, may leave it, and count with what stands around
 them."""
 
+from dataclasses import replace
+
 import pytest
 from cluster.test_zones import ENABLE, zones_fleet
 from cluster.worlds import job, outcome, run_fleet
 
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
+from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
+from orchestrator.model.messages import JogRoom
 from orchestrator.model.names import controller_of
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
@@ -106,3 +110,38 @@ def test_a_virtual_axis_ends_before_the_border_with_all_its_real_ones() -> None:
             assert 140 < find_position(fleet, "gantry.x") < 154.5
 
     run_fleet(main, Fleet.model_validate(plain))
+
+
+def test_a_room_is_what_both_rooms_have() -> None:
+    wide = JogRoom(low=-5.0, high=100.0, high_by="a")
+    narrow = wide.narrow(JogRoom(low=10.0, high=200.0, low_by="b", high_by="c"))
+    assert narrow == JogRoom(low=10.0, high=100.0, low_by="b", high_by="a")
+
+
+def test_while_an_axis_is_jogged_its_room_stays_and_its_lease_is_renewed() -> None:
+    """Another room is asked for in the middle of a jog: the axis keeps the end that its controller has."""
+
+    async def main(fleet: VirtualFleet) -> tuple[list[str], list[str]]:
+        await outcome(fleet, ENABLE, HOME)
+        async with fleet.make_client().manual_control(["gantry.x"]) as manual:
+            leases = find_leases(fleet)
+            hold = leases.find_lease(manual.holder)
+            assert hold is not None
+            other = replace(hold, rooms={"gantry.x": JogRoom(low=0.0, high=60.0)})
+            await manual.jog({"gantry.x": 20.0})
+            kept_axes = await leases.send_lease(other, 3000)
+            for _ in range(70):
+                await sleep_ns(fleet.clock, 60 * NS_PER_MS)
+                await manual.renew_jog()
+            assert find_position(fleet, "gantry.x") > 70
+            await manual.stop()
+            await sleep_ns(fleet.clock, 1000 * NS_PER_MS)
+            return kept_axes, await leases.send_lease(other, 3000)
+
+    assert run_fleet(main, zones_fleet()) == (["gantry.x"], [])
+
+
+def find_leases(fleet: VirtualFleet) -> LeaseRegistry:
+    """The leases of the coordinator."""
+    ((_, coordinator),) = fleet.coordinators.values()
+    return coordinator._leases  # pyright: ignore[reportPrivateUsage]
