@@ -8,6 +8,8 @@ from fractions import Fraction
 from orchestrator.bus.base import BusError
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.zone_reservations import WHOLE_STEP, ZONE_BUSY, ZoneReservations
+from orchestrator.model.errors import Refusal
 from orchestrator.model.names import split_name
 from orchestrator.model.state import ControllerState
 from orchestrator.model.zone_problems import list_zone_axes
@@ -19,38 +21,79 @@ from orchestrator.plan.zones.rooms import Room
 
 
 @dataclass(frozen=True, slots=True)
+class ZoneMover:
+    """What moves axes. holder: of their leases; index: of the step."""
+
+    holder: str
+    index: int = WHOLE_STEP
+
+
+@dataclass(frozen=True, slots=True)
 class ZoneGuard:
-    """Checks motions of one fleet. execute: calls the check, which may take longer than a message may wait."""
+    """Checks motions of one fleet, and reserves what they sweep. execute: calls the check, which may take longer than a
+    message may wait."""
 
     view: FleetView
     memory: ZoneMemory
+    reservations: ZoneReservations
     execute: Executor
 
     async def require(
         self,
         sweep: Sweep,
-        holder: str,
+        mover: ZoneMover,
         ends: Mapping[str, tuple[Fraction, int]] | None = None,
         execute: Executor | None = None,
     ) -> Box:
-        """Raise `Refusal` (code `zone`) for what may bring bodies together; return where its axes may have stopped
-        shortly before its end.
+        """Raise `Refusal` for what may bring bodies together: code `zone`, or `zone-busy` where a running job has axes
+        of the same rules. Reserve what it sweeps, and return where its axes may have stopped shortly before its end.
 
-        sweep: with the positions of those axes that are anywhere between them. holder, ends: as of
-        `query_rest_positions`. execute: calls this check.
+        sweep: with the positions of those axes that are anywhere between them. ends: as of `query_rest_positions`.
+        execute: calls this check.
         """
         moved_axes = {*sweep.profiles, *sweep.adrift}
         if moved_axes.isdisjoint(self.list_axes()):
             return sweep.recent
-        positions = await self._query_positions(moved_axes, holder, ends)
-        sweep = replace(sweep, positions={**positions, **sweep.positions})
-        return await (execute or self.execute)(self.memory.require, self.view.fleet, sweep)
+        fleet, holder = self.view.fleet, mover.holder
+        async with self.reservations.lock:
+            positions = await self._query_positions(moved_axes, holder, ends)
+            sweep = replace(sweep, positions={**positions, **sweep.positions})
+            try:
+                checked = await (execute or self.execute)(self.memory.require, fleet, sweep)
+            except Refusal as refusal:
+                raise self._explain(refusal, moved_axes, holder) from None
+            self.reservations.reserve(holder, mover.index, checked.reach, behind=ends is not None)
+        return checked.recent
 
     async def require_homing(self, order: HomingOrder, holder: str) -> None:
-        """Raise `Refusal` (code `zone`) for a homing in an order that may bring bodies together."""
-        if not order.axes.isdisjoint(self.list_axes()):
+        """Raise `Refusal` (as `require`) for a homing in an order that may bring bodies together; else reserve the
+        ranges of its axes."""
+        if order.axes.isdisjoint(self.list_axes()):
+            return
+        async with self.reservations.lock:
             positions = await self._query_positions((), holder)
-            await self.execute(self.memory.require_homing, self.view.fleet, positions, order)
+            try:
+                await self.execute(self.memory.require_homing, self.view.fleet, positions, order)
+            except Refusal as refusal:
+                raise self._explain(refusal, order.axes, holder) from None
+            ranges = self.memory.read(self.view.fleet).ranges
+            box = {axis: ranges[axis] for axis in order.axes if axis in ranges}
+            self.reservations.reserve(holder, WHOLE_STEP, box)
+
+    def _explain(self, refusal: Refusal, moved: Collection[str], holder: str) -> Refusal:
+        """The refusal of a step; of one that may go on when other jobs have moved or ended, with code `zone-busy`."""
+        blockers: dict[str, list[str]] = {}
+        for axis in sorted(self.memory.list_related(self.view.fleet, moved)):
+            controller, local = split_name(axis)
+            state = self.view.last_state(controller)
+            owner = holder if state is None else state.leases.get(local, holder)
+            if owner != holder and self.reservations.is_job(owner):
+                blockers.setdefault(owner, []).append(axis)
+        if refusal.code != "zone" or not blockers:
+            return refusal
+        self.reservations.note_blockers(holder, blockers)
+        jobs = ", ".join(f"job {owner} has {', '.join(axes)}" for owner, axes in blockers.items())
+        return Refusal(ZONE_BUSY, f"{refusal.text}; {jobs}", refusal.remedy, refusal.controller)
 
     async def require_search(self, axes: Collection[str], holder: str) -> None:
         """Raise `Refusal` (code `zone`) for axes that would search for their references at the same time."""
@@ -75,25 +118,33 @@ class ZoneGuard:
     ) -> Box:
         """As `query_rest_positions`, of all axes on which rules depend. moved: without these."""
         resting_axes = [name for name in self.list_axes() if name not in moved]
-        return await query_rest_positions(self.view, resting_axes, ends or {}, holder)
+        return await query_rest_positions(self.view, resting_axes, ends or {}, holder, self.reservations)
 
 
 async def query_rest_positions(
-    view: FleetView, axes: Collection[str], ends: Mapping[str, tuple[Fraction, int]], holder: str
+    view: FleetView,
+    axes: Collection[str],
+    ends: Mapping[str, tuple[Fraction, int]],
+    holder: str,
+    reservations: ZoneReservations,
 ) -> Box:
     """The motor positions of axes at rest, in their units. ends: where axes that move now will stand once what is
     planned begins, exact and in counts. holder: of the leases of what is planned.
 
-    Without those of which nothing is known: axes that are offline, not referenced, move, or are leased by another
-    holder, which may move them at any time. The last published state may be older than the end of a homing, so that
-    controllers are asked.
+    Axes that a step of another job may move are anywhere in what it has reserved; between its steps they stand, because
+    its next one is checked against what is planned here. Without those of which nothing is known: axes that are
+    offline, not referenced, move otherwise, or are leased for manual control, which may move them at any time. The last
+    published state may be older than the end of a homing, so that controllers are asked.
     """
     controllers = list(dict.fromkeys(split_name(name)[0] for name in axes if name not in ends))
     answers = await asyncio.gather(*(_query_state(view, controller) for controller in controllers))
     states = dict(zip(controllers, answers, strict=True))
     positions: dict[str, tuple[float, float]] = {}
     for name in axes:
-        axis = view.fleet.axis(name)
+        axis, reserved_ends = view.fleet.axis(name), reservations.find_box(name, holder)
+        if reserved_ends is not None:
+            positions[name] = reserved_ends
+            continue
         if name in ends:
             position = axis.to_unit(ends[name][1])
         else:
@@ -102,7 +153,8 @@ async def query_rest_positions(
             state = None if answer is None else answer.axes.get(local)
             if answer is None or state is None or not state.referenced or state.moving or state.homing:
                 continue
-            if answer.leases.get(local, holder) != holder:
+            owner = answer.leases.get(local, holder)
+            if owner != holder and not reservations.is_job(owner):
                 continue
             position = float(axis.to_position(state.axis_counts))
         positions[name] = position, position

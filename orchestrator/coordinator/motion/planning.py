@@ -8,6 +8,7 @@ from fractions import Fraction
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.zones import ZoneMover
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.motion.targets import AxisContext, ResolvedMove, make_path_starts, resolve_targets
 from orchestrator.model.compensation import Play
@@ -282,8 +283,8 @@ async def _require_zones(
         begin_s=planned.begun_s,
     )
     plan_elsewhere = services.plan_long if find_long_paths([request.move]) else services.plan
-    ends = None if before is None else before.ends
-    return replace(planned, recent=await services.zones.require(sweep, request.job_id, ends, plan_elsewhere))
+    ends, mover = None if before is None else before.ends, ZoneMover(request.job_id, request.index)
+    return replace(planned, recent=await services.zones.require(sweep, mover, ends, plan_elsewhere))
 
 
 async def _query_controller(

@@ -7,6 +7,7 @@ from fractions import Fraction
 
 from orchestrator.clock.owner import running
 from orchestrator.coordinator.fleet.axis_states import require_axis
+from orchestrator.coordinator.fleet.zones import ZoneMover
 from orchestrator.coordinator.steps.context import ReportFields, StepContext
 from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
@@ -190,7 +191,7 @@ async def _require_zones(context: StepContext, planned: _PlannedProbe) -> None:
     """Raise `Refusal` for a probe whose axes may bring bodies together anywhere on their way, or by going on behind a
     contact at its end."""
     ends = dict(planned_axis.find_reach() for planned_axis in planned.axes)
-    await context.zones.require(Sweep({}, ends, Timing({}), list(ends)), context.holder)
+    await context.zones.require(Sweep({}, ends, Timing({}), list(ends)), ZoneMover(context.holder))
 
 
 async def _require_start(context: StepContext, step: Probe) -> None:

@@ -1,6 +1,8 @@
 """Checks of motions, with the rules of the fleet of which one was checked last: to make 190 of them takes 10 ms."""
 
 from collections.abc import Collection
+from itertools import chain
+from typing import NamedTuple
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.plan.homing_order import HomingOrder
@@ -12,6 +14,14 @@ from orchestrator.plan.zones.rooms import Room, find_rooms
 from orchestrator.plan.zones.rules import FleetZones
 
 
+class CheckedSweep(NamedTuple):
+    """A step that keeps all rules. recent: where its axes may have stopped shortly before its end (`Sweep.recent` of
+    what begins then). reach: where they may be in all of it."""
+
+    recent: Box
+    reach: Box
+
+
 class ZoneMemory:
     """The rules of one fleet. All methods are for fleets with zones."""
 
@@ -19,14 +29,19 @@ class ZoneMemory:
         self._fleet: Fleet | None = None
         self._zones: FleetZones | None = None
 
-    def require(self, fleet: Fleet, sweep: Sweep) -> Box:
-        """Raise `Refusal` (code `zone`) for a step that may break a rule; return where its axes may have stopped
-        shortly before its end (`Sweep.recent` of what begins then)."""
+    def require(self, fleet: Fleet, sweep: Sweep) -> "CheckedSweep":
+        """Raise `Refusal` (code `zone`) for a step that may break a rule; return what is known of one that does not."""
         zones = self.read(fleet)
         course = zones.make_course(sweep)
         for violation in zones.find_violations(course):
             raise make_refusal(zones, course, violation)
-        return course.find_recent()
+        return CheckedSweep(course.find_recent(), {axis: course.whole_box[axis] for axis in course.moved})
+
+    def list_related(self, fleet: Fleet, axes: Collection[str]) -> set[str]:
+        """The axes that rules bind to some of `axes`, without these."""
+        rules = self.read(fleet).rules
+        bound_axes = [rule.constraint.axes for rule in rules if not set(axes).isdisjoint(rule.constraint.axes)]
+        return set(chain.from_iterable(bound_axes)) - set(axes)
 
     def require_homing(self, fleet: Fleet, positions: Box, order: HomingOrder) -> None:
         """Raise `Refusal` (code `zone`) for a homing in an order that zones do not allow. positions: as of

@@ -134,6 +134,8 @@ class JobRun:
 
     async def run(self) -> JobOutcome:
         """Run all steps; raises nothing."""
+        reservations = self._services.motion.zone_reservations
+        reservations.enter(self.row.id)
         try:
             async with running(self._state.keep_publishing()):
                 outcome = await self._run_job()
@@ -148,6 +150,7 @@ class JobRun:
         if self._holds_axes():
             await self._motors.disable_by_policy(self._context)
         await self._services.leases.release(self.row.id)
+        reservations.leave(self.row.id)
         return outcome
 
     def make_broken_outcome(self, error: BaseException | None) -> JobOutcome:

@@ -110,6 +110,11 @@ class RunState:
             self._part = self._step_fraction()
         self._step_t0_ns = 0
 
+    @property
+    def is_urgent(self) -> bool:
+        """Whether the job was submitted to be refused instead of letting it wait."""
+        return self._row.now
+
     async def change_state(self, state: JobState, reason: str, actor: str | None = None) -> None:
         """Record and publish a change. Raises `JournalError`."""
         if state == self.state and state != "planning":

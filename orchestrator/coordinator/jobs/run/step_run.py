@@ -4,12 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.fleet.zone_reservations import ZONE_BUSY
 from orchestrator.coordinator.jobs.check import predict_s
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.measured_contacts import MeasuredContacts
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
 from orchestrator.coordinator.jobs.run.retargets import RETARGETED, StepRetargets
 from orchestrator.coordinator.jobs.run.run_state import JobPause, RunState
+from orchestrator.coordinator.jobs.run.zone_wait import ZoneWait
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.motion.start import FEED_HOLD, StateCallback
 from orchestrator.coordinator.motion.step import MotionStep
@@ -47,6 +49,9 @@ class StepRun:
         self._axes = axes
         self._rest = axes.rest
         self._contacts = MeasuredContacts(services.view)
+        self._zone_wait = ZoneWait(
+            services.motion.zone_reservations, state, services.clock, context.holder, now=state.is_urgent
+        )
 
     async def retarget(self, request: RetargetJob) -> JobRetargeted:
         """Send the axes of the present move to other targets. Raises `Refusal`: nothing has changed."""
@@ -92,6 +97,12 @@ class StepRun:
             while True:
                 report = await self._run_once(index, step)
                 refused_code = None if report.refused is None else report.refused.code
+                if refused_code == ZONE_BUSY and report.state == "failed":
+                    obstacle = await self._zone_wait.wait(report.reason)
+                    if obstacle:
+                        return report.model_copy(update={"reason": f"{report.reason}; {obstacle}"})
+                    await self.wait_while_paused()
+                    continue
                 if refused_code in waited_codes and report.state == "failed":
                     waited_codes.add(NOT_REFERENCED)  # by the change, if not by what ends it
                     await self._wait_for_cause(report.reason)
@@ -111,6 +122,7 @@ class StepRun:
                 await self._rest.wait_for_rest()
         finally:
             self._state.motion_step = None
+            self._zone_wait.end(index)
 
     async def _wait_for_cause(self, cause: str) -> None:
         """Wait at a step that was refused because another client has changed a setting: nothing of it has moved, and a
