@@ -2,7 +2,7 @@
 rule allows."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from random import Random
 
@@ -16,10 +16,11 @@ from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import EstopMessage
 from orchestrator.plan.zones.clearance import PairClearance
+from orchestrator.plan.zones.course import Course
 from orchestrator.plan.zones.rules import FleetZones
+from orchestrator.plan.zones.search import Violation
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
-Patch = pytest.MonkeyPatch
 JOBS = 4
 SAMPLE_NS = 8 * NS_PER_MS
 TRUTH = 0.02  # mm: rounding to counts
@@ -149,3 +150,14 @@ def test_no_accepted_job_brings_bodies_nearer_than_they_may_be(seed: int) -> Non
     run = run_seed(seed)
     assert run.done and run.nearest
     assert min(run.nearest.values()) >= -TRUTH, run
+
+
+def test_the_seeds_find_bodies_that_meet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the check ahead; the watch stops what has come too near already."""
+
+    def find_none(zones: FleetZones, course: Course) -> Iterator[Violation]:
+        del zones, course
+        return iter(())
+
+    monkeypatch.setattr(FleetZones, "find_violations", find_none)
+    assert min(run_seed(3).nearest.values()) < -TRUTH
