@@ -377,6 +377,12 @@ class ControllerInfo(Model):
         exclude_if=lambda is_able: not is_able,
         description="Whether an axis that is jogged gets another speed without coming to rest; left out: it rests.",
     )
+    shows_inputs: bool = Field(
+        default=False,
+        exclude_if=lambda is_able: not is_able,
+        description="Whether its states show the inputs as they are also while a step moves its axes; left out: at "
+        "rest only.",
+    )
     digest: str
     options_schema: dict[str, Any]
     tutti: Label = Field(default="", description="Version of Tutti of its adapter host.")

@@ -75,9 +75,14 @@ def find_watch_s(fleet: Fleet, step: Probe) -> float:
 
 def find_held_times(fleet: Fleet, step: Probe, abilities: Mapping[str, ProbeAbilities]) -> HeldTimes:
     """The times of a held probe. abilities: of the controllers of its axes. Raises `Refusal` for one whose stop has no
-    bound."""
+    bound, or that does not show the input while it moves."""
+    controller, members = controller_of(step.until), list(dict.fromkeys(map(controller_of, step.axes)))
+    if controller in members and not abilities[controller].shows_inputs:
+        text = f"{step.until}: the make {abilities[controller].make} does not show its inputs while it moves"
+        remedy = "connect the signal to a controller that rests, or of another make"
+        raise Refusal("no-probe", text, remedy, controller)
     leads_s: dict[str, float] = {}
-    for member in dict.fromkeys(map(controller_of, step.axes)):
+    for member in members:
         ability = abilities[member]
         leads_s[member] = ability.costs.find_stop_lead_s(fleet.controllers[member].full_ramps_s)
         if not leads_s[member]:

@@ -28,7 +28,7 @@ class ContactRange(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class ProbeAbilities:
     """How a controller stops axes by its inputs, itself and by its host, several on a line, and by limit switches;
-    None: it does not. make: its name. costs: what a stop takes."""
+    None: it does not. make: its name. costs: what a stop takes. shows_inputs: also while a step moves its axes."""
 
     make: str
     costs: StepCosts
@@ -36,11 +36,13 @@ class ProbeAbilities:
     host: ProbeAbility | None
     limit: ProbeAbility | None
     line: ProbeAbility | None
+    shows_inputs: bool
 
     @classmethod
     def of(cls, info: ControllerInfo) -> "ProbeAbilities":
         """Those that a controller states."""
-        return cls(info.make, info.costs, info.probe, info.host_probe, info.limit_probe, info.line_probe)
+        abilities = (info.probe, info.host_probe, info.limit_probe, info.line_probe)
+        return cls(info.make, info.costs, *abilities, info.shows_inputs)
 
     def require_ability(self, fleet: Fleet, step: Probe, name: str) -> ProbeAbility:
         """What stops an axis of a step. Raises `Refusal` that says what would."""

@@ -15,11 +15,14 @@ from orchestrator.model.steps.probe import Probe
 class InputWatch:
     """Looks at the input of a probe with each state of its controller that arrives, until it is closed.
 
-    watch_s: for how long it may be unread while axes move. contact: when it changed, fleet time; None: it has not.
+    watch_s: for how long it may be unread while axes move. shows_moving: its controller shows it also while it moves
+    itself. contact: when it changed, fleet time; None: it has not.
     released: it has changed back since. woken: set with each state that matters.
     """
 
-    def __init__(self, fleet: FleetAccess, leadership: Leadership, step: Probe, watch_s: float) -> None:
+    def __init__(
+        self, fleet: FleetAccess, leadership: Leadership, step: Probe, watch_s: float, *, shows_moving: bool
+    ) -> None:
         self.watch_s = watch_s
         self.contact: TimeInterval | None = None
         self.released = False
@@ -28,6 +31,7 @@ class InputWatch:
         self._leadership = leadership
         self._step = step
         self._controller, self._input = split_name(step.until)
+        self._shows_moving = shows_moving
         self._read_ns = 0
         self._loss = ""
         self.close = self._view.add_state_listener(self._take_state)
@@ -43,6 +47,8 @@ class InputWatch:
         if state.read_within is None:
             text = f"{self._step.until} was read at no known instant"
             raise Refusal("no-scale", text, "wait until its adapter has fleet time", self._controller)
+        if self._loss:
+            raise Refusal("probe-broken", self._loss, "wait until it rests", self._controller)
         if self.contact is not None:
             opposite = "passive" if self._step.level == "active" else "active"
             text = f"{self._step.until} is {self._step.level} already"
@@ -78,6 +84,8 @@ class InputWatch:
         level = state.inputs.get(self._input)
         if state.mode == "offline" or level is None:
             self._loss = self._loss or f"{self._controller} is offline, and {self._step.until} is not read"
+        elif not self._shows_moving and (state.mode != "idle" or any(axis.moving for axis in state.axes.values())):
+            self._loss = self._loss or f"{self._controller} moves, and does not show {self._step.until} meanwhile"
         elif level != (self._step.level == "active"):
             self._take_passive(state)
         elif self.contact is None:

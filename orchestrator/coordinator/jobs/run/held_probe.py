@@ -18,7 +18,7 @@ from orchestrator.coordinator.steps.input_watch import InputWatch
 from orchestrator.coordinator.steps.probe import PlannedProbe, plan_probe
 from orchestrator.model.errors import Refusal
 from orchestrator.model.messages import ProbedAxis, ProbeReply
-from orchestrator.model.names import split_name
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.report import JobState, StepReport
 from orchestrator.model.state import TimeInterval
 from orchestrator.model.steps.move import Move
@@ -51,21 +51,26 @@ class HeldMotion:
         `Refusal`."""
         watch = self._watch
         async with running(self._motion.run(self, None)) as answer:
-            while not answer.done():
+            while not answer.done() and not self._is_due:
                 watch.woken.clear()
-                await self._hold_when_due()
                 pause_s = min(LOOK_S, watch.find_unread_s(self.t0_ns)) if self.t0_ns else LOOK_S
                 async with running(watch.woken.wait()) as woken:
                     await asyncio.wait([answer, woken], timeout=pause_s, return_when=asyncio.FIRST_COMPLETED)
-            return answer.result()
+            await self._hold_when_due()
+            return await answer
 
     @property
     def loss(self) -> str:
         """Why nothing is known of the input; empty: it is read, or nothing moves yet."""
         return self._watch.find_loss(self.t0_ns) if self.t0_ns else ""
 
+    @property
+    def _is_due(self) -> bool:
+        """Whether the axes are to stop."""
+        return self._watch.contact is not None or bool(self.loss)
+
     async def _hold_when_due(self) -> None:
-        if self._watch.contact is not None or self.loss:
+        if self._is_due:
             await self._motion.feed_hold(ACTOR)
 
     async def on_state(self, state: JobState, reason: str) -> None:
@@ -93,8 +98,11 @@ class HeldProbes:
         """Run step number `index`. Raises `Refusal`, also where nothing was touched and the step does not say `else:
         continue`. change_state: of the job."""
         services, planned_probe = self._services, await plan_probe(self._context, step)
-        watch_s = find_watch_s(services.view.fleet, step)
-        watch = InputWatch(services.fleet, services.leadership, step, watch_s)
+        watch_s, info = (
+            find_watch_s(services.view.fleet, step),
+            await services.view.require_info(controller_of(step.until)),
+        )
+        watch = InputWatch(services.fleet, services.leadership, step, watch_s, shows_moving=info.shows_inputs)
         try:
             await watch.require_passive()
             motion_step = self._chain.begin_step(index, _make_move(planned_probe))
