@@ -32,7 +32,7 @@ class InputWatch:
         self._step = step
         self._controller, self._input = split_name(step.until)
         self._shows_moving = shows_moving
-        self._read_ns = 0
+        self._read_ns = self._passive_ns = 0
         self._loss = ""
         self.close = self._view.add_state_listener(self._take_state)
 
@@ -68,9 +68,9 @@ class InputWatch:
 
     async def wait_for_reading(self) -> None:
         """Wait for a reading that begins from now on, as long as one may take: a contact at the end of the way is in
-        that."""
+        that, and whether one was lost again."""
         since_ns = self._leadership.fleet_now_ns()
-        while self.contact is None and self._read_ns < since_ns and not self.find_loss(since_ns):
+        while self._read_ns < since_ns and not self.find_loss(since_ns):
             self.woken.clear()
             try:
                 async with asyncio.timeout(self.find_unread_s(since_ns)):
@@ -86,16 +86,17 @@ class InputWatch:
             self._loss = self._loss or f"{self._controller} is offline, and {self._step.until} is not read"
         elif not self._shows_moving and (state.mode != "idle" or any(axis.moving for axis in state.axes.values())):
             self._loss = self._loss or f"{self._controller} moves, and does not show {self._step.until} meanwhile"
-        elif level != (self._step.level == "active"):
-            self._take_passive(state)
-        elif self.contact is None:
-            # An input may be read behind the positions of its reading, at the latest when that arrives.
-            earliest_ns = self._read_ns - round(INPUT_S * NS_PER_S)
-            self.contact = TimeInterval(earliest_ns=earliest_ns, latest_ns=self._leadership.fleet_now_ns())
-        self.woken.set()
-
-    def _take_passive(self, state: ControllerState) -> None:
-        if self.contact is not None:
-            self.released = True
         elif state.read_within is not None:
             self._read_ns = max(self._read_ns, state.read_within.earliest_ns)
+            self._take_level(is_contact=level == (self._step.level == "active"))
+        self.woken.set()
+
+    def _take_level(self, *, is_contact: bool) -> None:
+        if self.contact is not None:
+            self.released = self.released or not is_contact
+        elif is_contact:
+            # An input may be read behind the positions of its reading, at the latest when that arrives.
+            earliest_ns = self._passive_ns - round(INPUT_S * NS_PER_S)
+            self.contact = TimeInterval(earliest_ns=earliest_ns, latest_ns=self._leadership.fleet_now_ns())
+        else:
+            self._passive_ns = self._read_ns

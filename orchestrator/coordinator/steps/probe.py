@@ -45,6 +45,15 @@ class PlannedProbeAxis:
     speed: float
     stated_counts: float
 
+    def require_inside(self) -> None:
+        """Raise `Refusal` where a contact at the end would bring it beyond its soft limits."""
+        side = 1 if self.end_counts >= self.start_counts else -1
+        farthest_counts = self.end_counts + side * Fraction(self.stated_counts) * bool(self.speed)
+        beyond_limits = explain_beyond_limits(self.name, self.axis, self.axis.to_position(farthest_counts), self.offset)
+        if beyond_limits is not None:
+            text = f"a contact at the end of the probe: {beyond_limits}"
+            raise Refusal("soft-limit", text, "probe more slowly, or less far", split_name(self.name)[0])
+
     def make_terms(self) -> ProbeTerms:
         """What a request says of it."""
         return ProbeTerms(end_counts=self.end_counts, speed=self.speed, overtravel_counts=self.stated_counts)
@@ -171,6 +180,9 @@ async def plan_probe(context: StepContext, step: Probe) -> PlannedProbe:
         )
         for name, axis in sorted(axes.items(), key=lambda item: not ways[item[0]])
     ]
+    if step.is_held:  # an adapter does that where it stops the axes
+        for planned_axis in planned_axes:
+            planned_axis.require_inside()
     longest_s = max(find_longest_s(axis, ways[name], speeds[name]) for name, axis in axes.items())
     return PlannedProbe(step, planned_axes, longest_s + SPARE_S)
 

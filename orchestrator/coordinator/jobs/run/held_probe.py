@@ -1,5 +1,5 @@
-"""Probes of axes that their controllers cannot stop together: a move on a straight line, which the coordinator brakes as
-by a feed hold when a state shows that the input has changed, and which is not continued."""
+"""Probes of axes that their controllers cannot stop together: a move on a straight line, which the coordinator brakes
+as by a feed hold when a state shows that the input has changed, and which is not continued."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -110,8 +110,7 @@ class HeldProbes:
             report = await self._run_motion(motion, watch, step)
             if report.state != "done" and (report.refused is None or report.refused.code != FEED_HOLD):
                 return report.model_copy(update={"do": step.kind, "name": step.name or ""})
-            if watch.contact is None:
-                await watch.wait_for_reading()
+            await watch.wait_for_reading()
             self._require_read(motion, watch, step)
             probe_report = planned_probe.make_report(*await self._find_contact(planned_probe, motion, watch, report))
         finally:
