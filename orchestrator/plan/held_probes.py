@@ -30,6 +30,9 @@ LAG_S = 0.005
 """An axis is behind its command by the way of this time at most."""
 LINE_COUNTS = 2.0
 """By which an axis is off its line beside times: rounding of its plan and of its ramp."""
+PATH_S = 0.05
+"""What a controller executes may be off the plan by the way of this time, and `LINE_COUNTS`; a probe does not begin
+where it is more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,17 +52,17 @@ class HeldTimes:
         """What that is for each axis. ramp_s: the longest ramp of the probe, in full."""
         skew_s = START_SKEW_NS / 1e9
         # Ramps that are not alike, each at least a share of the planned one, end half their difference apart.
-        apart_s = skew_s + self.spread_s + ramp_s * (1 / HOST_RAMP_SHARE - 1) / 2
+        apart_s = skew_s + PATH_S + self.spread_s + ramp_s * (1 / HOST_RAMP_SHARE - 1) / 2
         return ProbeAbility(
             inputs={},
             levels=["active", "passive"],
             reaction_s=self.watch_s + self.spread_s,
             ramp_share=HOST_RAMP_SHARE,
-            margin_counts=LINE_COUNTS + 1,
-            contact_s=INPUT_S + LAG_S + skew_s,
+            margin_counts=2 * LINE_COUNTS + 1,
+            contact_s=INPUT_S + LAG_S + PATH_S + skew_s,
             contact_counts=LINE_COUNTS,
             line_s=apart_s if is_line else 0.0,
-            line_counts=LINE_COUNTS if is_line else 0.0,
+            line_counts=2 * LINE_COUNTS if is_line else 0.0,
         )
 
 

@@ -23,7 +23,7 @@ from orchestrator.model.report import JobState, StepReport
 from orchestrator.model.state import TimeInterval
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.probe import Probe
-from orchestrator.plan.held_probes import LAG_S, LINE_COUNTS, START_SKEW_NS, find_watch_s
+from orchestrator.plan.held_probes import LAG_S, LINE_COUNTS, PATH_S, START_SKEW_NS, find_watch_s
 
 REST_COUNTS = 1.0
 LOOK_S = 0.05
@@ -35,7 +35,8 @@ StateChange = Callable[[JobState, str], Awaitable[None]]
 class HeldMotion:
     """The motion of one such probe, and what ends it. It is the observer of its motion step.
 
-    agreement: of the members, once the motion is released. t0_ns: T0, fleet time; 0 before.
+    agreement: of the members, once the motion is released. t0_ns: T0, fleet time; 0 before. obstacle: why it does not
+    begin.
     """
 
     def __init__(self, motion: MotionStep, watch: InputWatch, state: RunState, change_state: StateChange) -> None:
@@ -43,6 +44,7 @@ class HeldMotion:
         self.t0_ns = 0
         self._motion = motion
         self._watch = watch
+        self.obstacle: Refusal | None = None
         self._state = state
         self._change_state = change_state
 
@@ -67,7 +69,7 @@ class HeldMotion:
     @property
     def _is_due(self) -> bool:
         """Whether the axes are to stop."""
-        return self._watch.contact is not None or bool(self.loss)
+        return self._watch.contact is not None or self.obstacle is not None or bool(self.loss)
 
     async def _hold_when_due(self) -> None:
         if self._is_due:
@@ -76,6 +78,8 @@ class HeldMotion:
     async def on_state(self, state: JobState, reason: str) -> None:
         await self._change_state(state, reason)
         if state != "planning":  # there is a motion that can be prevented
+            if self._motion.motion is not None and self.obstacle is None:
+                self.obstacle = _find_obstacle(self._motion.motion.agreement)
             await self._hold_when_due()
 
     def on_started(self, t0_fleet_ns: int, duration_s: float) -> None:
@@ -124,6 +128,8 @@ class HeldProbes:
         try:
             return await motion.run()
         except Refusal as refusal:
+            if refusal.code == FEED_HOLD and motion.obstacle is not None:
+                raise motion.obstacle from None
             if refusal.code != FEED_HOLD or watch.contact is None:
                 raise
             text = f"{step.until} has become {step.level} before anything moved"
@@ -178,6 +184,18 @@ class HeldProbes:
         sign = 1 if profile.end_counts >= profile.start_counts else -1
         ends = first - sign * (error + lag), last + sign * error
         return min(ends), max(ends)
+
+
+def _find_obstacle(agreement: StartAgreement) -> Refusal | None:
+    """An axis that follows its plan less closely than what was stated rests on."""
+    for name, profile in agreement.plan.profiles.items():
+        controller, axis_name = split_name(name)
+        error = agreement.proposals[controller].path_error_counts.get(axis_name, 0.0)
+        if error > profile.peak_velocity * PATH_S + LINE_COUNTS:
+            speed = f"{profile.peak_velocity:.3g} counts/s"
+            text = f"{name} at {speed} would be off its line by {error:.3g} counts, as its controller executes that"
+            return Refusal("path-error", text, "probe faster, or with that axis at rest", controller)
+    return None
 
 
 def _make_move(planned_probe: PlannedProbe) -> Move:
