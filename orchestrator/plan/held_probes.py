@@ -68,10 +68,9 @@ class HeldTimes:
 
 def find_watch_s(fleet: Fleet, step: Probe) -> float:
     """The longest time from the beginning of a reading of the input to the request to stop, s. Its controller is read
-    as often as the fleet file says, while its own axes move or not."""
-    controller = controller_of(step.until)
-    config, members = fleet.controllers[controller], {controller_of(axis) for axis in step.axes}
-    period_s = 1 / config.state.moving_hz if controller in members else IDLE_SPREAD / config.state.idle_hz
+    as often as the fleet file says; also of a member, all axes may stand, or come to rest before those of others."""
+    config = fleet.controllers[controller_of(step.until)]
+    period_s = max(1 / config.state.moving_hz, IDLE_SPREAD / config.state.idle_hz)
     neighbours = sum(other_config.line == config.line for other_config in fleet.controllers.values()) - 1
     return period_s + READ_S + NEIGHBOUR_S * neighbours
 

@@ -213,9 +213,9 @@ def test_what_a_held_line_cannot_do_is_refused_and_nothing_moves() -> None:
 def test_a_line_without_a_contact_ends_at_its_end_and_one_that_is_lost_again_is_one() -> None:
     async def main(line: Line) -> None:
         begins = line.find_places()
-        report = await line.run(LINE.replace("18", "10.5").replace("speed: 5", "speed: 1"))
+        report = await line.run(LINE.replace("16", "20").replace("18", "11").replace("speed: 5", "speed: 1"))
         refused = report.steps[-1].refused
-        assert refused is not None and refused.code == "path-error" and "lift.z at 83" in refused.text, refused
+        assert refused is not None and refused.code == "path-error" and "lift.z at 99.5" in refused.text, refused
         assert line.find_places() == begins
         report = await line.run(LINE.replace("speed: 5", "speed: 20"))
         refused = report.steps[-1].refused
