@@ -146,6 +146,7 @@ class DriverCapabilities:
     retarget_s: the most time from a request for another target on the way until the set-points change; 0: its axes
     brake, and start again. retarget_way: how they continue.
     jog_ramps: an axis that is jogged gets another speed without coming to rest.
+    shows_inputs: each reading shows the inputs as they are, also while a step moves axes.
     alone_s: how long its axes go on in a step at most without a message of the adapter, until the controller's own
     watchdog begins to stop them; None: to the end of the step.
     costs: upper bounds in ns for the operations of a step; `costs.stop_ns` is the time from a stop request until the
@@ -164,6 +165,7 @@ class DriverCapabilities:
     retarget_s: float = 0.0
     retarget_way: RetargetWay = "stream"
     jog_ramps: bool = False
+    shows_inputs: bool = False
     alone_s: float | None = None
 
     @property

@@ -73,6 +73,7 @@ def make_capabilities(costs: StepCosts, period_ms: int | None, watchdog_ms: int 
             independent_axes=False,
             costs=costs,
             jog_ramps=True,
+            shows_inputs=True,
             alone_s=alone_s,
         )
     return DriverCapabilities(
@@ -85,5 +86,6 @@ def make_capabilities(costs: StepCosts, period_ms: int | None, watchdog_ms: int 
         chunk_triggers=ChunkTriggers(most=CHUNK_TRIGGERS, shows=True),
         retarget_s=RETARGET_PERIODS * period_ms / 1000,
         jog_ramps=True,
+        shows_inputs=True,
         alone_s=alone_s,
     )

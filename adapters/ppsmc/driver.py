@@ -122,6 +122,7 @@ class PpSmcDriver(ConnectedDriver[PpSmcConnection], SettingsDriver, LearningDriv
             independent_axes=False,
             costs=step_costs(self._options, self._char_ns, self._installed, self._stop_s),
             compares_when_loading=self._options.check_profile,
+            shows_inputs=True,
         )
 
     async def poll(self) -> ControllerReading:

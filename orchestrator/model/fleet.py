@@ -489,6 +489,11 @@ class Controller(Model):
         is_local = isinstance(self.link, SerialLink | CanBusLink) and self.host != "local"
         return f"{self.link.endpoint} of {self.host}" if is_local else self.link.endpoint
 
+    @property
+    def full_ramps_s(self) -> list[float]:
+        """How long the ramp of each axis takes from its highest speed, s."""
+        return [axis.limits.velocity / axis.limits.acceleration for axis in self.axes.values()]
+
     @cached_property
     def digest(self) -> str:
         """A digest of this configuration: equal digests mean equal configuration on both sides of the bus."""

@@ -1,5 +1,6 @@
 """What an adapter publishes of its controller: state, events, information, clock."""
 
+from collections.abc import Iterable
 from fractions import Fraction
 from typing import Any, Literal, Self
 
@@ -235,6 +236,11 @@ class StepCosts(Model):
     disarm_ns: Int53
     stop_ns: Int53
 
+    def find_stop_lead_s(self, ramps_s: Iterable[float]) -> float:
+        """How long it takes at most from a request to stop until the ramps begin, s. ramps_s: of its axes, from full
+        speed; what the time of a stop has beyond the longest one is the way to the controller."""
+        return max(0.0, self.stop_ns / 1e9 - max(ramps_s))
+
 
 class CertificateEnd(Model):
     """The certificate of a session: the common name, e.g. `host-lab3.2`, and when it ends."""
@@ -267,6 +273,10 @@ class ChunkTriggers(Model):
     shows: bool = False
 
 
+INPUT_S = 0.02
+"""How much later than its terminal an input of any make is read at most: optocouplers and filters."""
+HOST_RAMP_SHARE = 0.75
+"""Of the acceleration that a move or a jog has, what its ramp has at least when a computer stops it."""
 PROBE_BY_HOST = "let its computer stop it (`by: host`), which has a longer overtravel"
 """What to do where a controller does not stop an axis by an input."""
 
@@ -366,6 +376,12 @@ class ControllerInfo(Model):
         default=False,
         exclude_if=lambda is_able: not is_able,
         description="Whether an axis that is jogged gets another speed without coming to rest; left out: it rests.",
+    )
+    shows_inputs: bool = Field(
+        default=False,
+        exclude_if=lambda is_able: not is_able,
+        description="Whether its states show the inputs as they are also while a step moves its axes; left out: at "
+        "rest only.",
     )
     digest: str
     options_schema: dict[str, Any]

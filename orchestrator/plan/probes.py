@@ -9,11 +9,13 @@ from typing import NamedTuple
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import split_name
-from orchestrator.model.state import PROBE_BY_HOST, ControllerInfo, ProbeAbility
+from orchestrator.model.state import PROBE_BY_HOST, ControllerInfo, ProbeAbility, StepCosts
 from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.speed import MANUAL
 from orchestrator.model.units import Unit, UnitError, parse_rate
 from orchestrator.plan.speeds import TOLERANCE
+
+LINE_BY_HOST = "let the coordinator stop them (`by: host`), which has a longer overtravel"
 
 
 class ContactRange(NamedTuple):
@@ -26,18 +28,21 @@ class ContactRange(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class ProbeAbilities:
     """How a controller stops axes by its inputs, itself and by its host, several on a line, and by limit switches;
-    None: it does not. make: its name."""
+    None: it does not. make: its name. costs: what a stop takes. shows_inputs: also while a step moves its axes."""
 
     make: str
+    costs: StepCosts
     controller: ProbeAbility | None
     host: ProbeAbility | None
     limit: ProbeAbility | None
     line: ProbeAbility | None
+    shows_inputs: bool
 
     @classmethod
     def of(cls, info: ControllerInfo) -> "ProbeAbilities":
         """Those that a controller states."""
-        return cls(info.make, info.probe, info.host_probe, info.limit_probe, info.line_probe)
+        abilities = (info.probe, info.host_probe, info.limit_probe, info.line_probe)
+        return cls(info.make, info.costs, *abilities, info.shows_inputs)
 
     def require_ability(self, fleet: Fleet, step: Probe, name: str) -> ProbeAbility:
         """What stops an axis of a step. Raises `Refusal` that says what would."""
@@ -57,7 +62,7 @@ class ProbeAbilities:
             ability_text = f"{' and '.join(step.axes)}: the make {self.make} cannot stop"
             if step.is_line:
                 text = f"{ability_text} several axes on a line by an input"
-                raise Refusal("no-probe", text, "write one probe for each", member)
+                raise Refusal("no-probe", text, LINE_BY_HOST, member)
             raise Refusal("no-probe", f"{ability_text} an axis by an input", PROBE_BY_HOST, member)
         number = fleet.controllers[member].inputs[split_name(step.until)[1]].number
         way = ability.find_way(split_name(name)[1], number, step.level)
@@ -72,7 +77,7 @@ class ProbeAbilities:
         if number not in numbers:
             fitting = " or ".join(f"input {fitting_number}" for fitting_number in sorted(numbers)) or "no input"
             text = f"{step.until} is input {number}, which does not stop {name}; {fitting} does"
-            remedy = "connect the signal there" if step.is_line else f"connect the signal there, or {PROBE_BY_HOST}"
+            remedy = f"connect the signal there, or {LINE_BY_HOST if step.is_line else PROBE_BY_HOST}"
             return Refusal("probe-input", text, remedy, member)
         text = f"the make {self.make} stops an axis when an input becomes {' or '.join(ability.levels)} only"
         return Refusal("probe-input", text, PROBE_BY_HOST, member)

@@ -183,9 +183,9 @@ def test_what_a_line_cannot_do_is_refused() -> None:
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ("to: {gantry.x: 3, lift.z: 4}, until: gantry.touch", "move lift.z by a step of its own"),
+        ("to: {gantry.x: 3, lift.z: 4}, until: gantry.touch", "let the coordinator stop it, which is later"),
         ("to: {gantry.x: 3, gantry.y: 4}, until: gantry.x.forward", "a limit switch stops its own axis"),
-        ("to: {gantry.x: 3, gantry.y: 4}, until: gantry.touch, by: host", "a computer stops one axis at a time"),
+        ("to: {gantry.x: 3}, until: lift.touch", "lift.touch cannot stop gantry.x, which is of another controller"),
         ("to: {}, until: gantry.touch", "`to` names no axis"),
     ],
 )

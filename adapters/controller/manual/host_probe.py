@@ -7,11 +7,12 @@ from adapters.abilities import ManualDriver
 from adapters.contract import ControllerReading, HostInterval, JogMove, ProbedContact, ProbeMove
 from adapters.controller.monitoring.polling import StatePolling
 from adapters.controller.state.context import ControllerContext
-from adapters.controller.state.host_ability import INPUT_S, READ_COUNTS, REST_COUNTS, WATCH_NS, find_host_ability
+from adapters.controller.state.host_ability import READ_COUNTS, REST_COUNTS, WATCH_NS, find_host_ability
 from adapters.controller.state.status import ControllerStatus
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.link.base import LinkClosed
 from orchestrator.model.errors import ControllerFault, Refusal
+from orchestrator.model.state import INPUT_S
 
 PAUSE_NS = 5 * NS_PER_MS
 POLL_S = (WATCH_NS - 2 * PAUSE_NS) / NS_PER_S

@@ -35,6 +35,7 @@ def make_info(context: ControllerContext, identity: ControllerIdentity | None) -
         retarget=capabilities.retarget,
         alone_s=capabilities.alone_s,
         jog_ramps=capabilities.jog_ramps,
+        shows_inputs=capabilities.shows_inputs,
         probe=driver.probe_ability if isinstance(driver, ProbeDriver) else None,
         limit_probe=driver.limit_ability if isinstance(driver, LimitProbeDriver) else None,
         line_probe=driver.line_ability if isinstance(driver, LineProbeDriver) else None,

@@ -187,6 +187,7 @@ class SMC2000Driver(YaskawaDriver[SerialDevice], ProbeDriver, SharedLineDriver):
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S,
             retarget_way="extend",
             jog_ramps=True,
+            shows_inputs=True,
             alone_s=find_alone_s(self._device, self._options),
         )
 

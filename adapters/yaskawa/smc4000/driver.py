@@ -174,6 +174,7 @@ class SMC4000Driver(YaskawaDriver[SmcDevice], LatchDriver, ProbeDriver, LineProb
             retarget_s=EXTENSION_EXCHANGES * exchange_ns / NS_PER_S if self.EXTENDS and not self._pairs else 0.0,
             retarget_way="extend",
             jog_ramps=True,
+            shows_inputs=True,
             alone_s=find_alone_s(self._device, self._options),
         )
 

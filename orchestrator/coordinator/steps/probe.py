@@ -1,7 +1,7 @@
 """Axes move until an input changes: one request, which is answered when they are at rest."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -13,10 +13,11 @@ from orchestrator.coordinator.steps.search_requests import SearchRequest
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis
 from orchestrator.model.messages import ProbedAxis, ProbeReply, ProbeRequest, ProbeTerms, raise_first_refusal
-from orchestrator.model.names import split_name
+from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.report import ProbeReport
 from orchestrator.model.state import AxisState, ControllerState, TimeInterval
 from orchestrator.model.steps.probe import Probe, find_line_ramps
+from orchestrator.plan.held_probes import find_ways_to_stop
 from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import (
@@ -35,24 +36,33 @@ SPARE_S = 5.0  # to begin, to come to rest, and to read
 
 
 @dataclass(frozen=True, slots=True)
-class _PlannedAxis:
-    """An axis of a probe in counts; speed in its unit/s. begin_counts: where it stands. stated_counts: how far it goes
+class PlannedProbeAxis:
+    """An axis of a probe in counts; speed in its unit/s. start_counts: where it stands. stated_counts: how far it goes
     on at most."""
 
     name: str
     axis: Axis
     offset: Fraction
-    begin_counts: int
+    start_counts: int
     end_counts: int
     speed: float
     stated_counts: float
 
     def find_reach(self) -> tuple[str, tuple[float, float]]:
         """Its name, and between which motor positions it may come, in its unit."""
-        sign = 1 if self.end_counts >= self.begin_counts else -1
+        sign = 1 if self.end_counts >= self.start_counts else -1
         farthest = self.end_counts + sign * self.stated_counts
-        low, high = sorted(self.axis.to_unit(counts) for counts in (self.begin_counts, farthest))
+        low, high = sorted(self.axis.to_unit(counts) for counts in (self.start_counts, farthest))
         return self.name, (low, high)
+
+    def require_inside(self) -> None:
+        """Raise `Refusal` where a contact at the end would bring it beyond its soft limits."""
+        side = 1 if self.end_counts >= self.start_counts else -1
+        farthest_counts = self.end_counts + side * Fraction(self.stated_counts) * bool(self.speed)
+        beyond_limits = explain_beyond_limits(self.name, self.axis, self.axis.to_position(farthest_counts), self.offset)
+        if beyond_limits is not None:
+            text = f"a contact at the end of the probe: {beyond_limits}"
+            raise Refusal("soft-limit", text, "probe more slowly, or less far", split_name(self.name)[0])
 
     def make_terms(self) -> ProbeTerms:
         """What a request says of it."""
@@ -98,11 +108,11 @@ def _find_overtravels(probed_axis: ProbedAxis) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class _PlannedProbe:
+class PlannedProbe:
     """A probe in counts: its axes, of which the first one moves if any does."""
 
     step: Probe
-    axes: list[_PlannedAxis]
+    axes: list[PlannedProbeAxis]
     longest_s: float
 
     @property
@@ -110,22 +120,27 @@ class _PlannedProbe:
         """The names of its axes in their controller."""
         return [split_name(planned_axis.name)[1] for planned_axis in self.axes]
 
-    def make_report(self, reply: ProbeReply) -> ProbeReport:
-        """The report of what was found; the first axis of the step has those of the others."""
-        probed_axes = reply.list_axes(self.names)
+    def make_report(self, reply: ProbeReply, probed_axes: Mapping[str, ProbedAxis]) -> ProbeReport:
+        """The report of what was found; the first axis of the step has those of the others. Raises `Refusal` where an
+        axis has certainly gone on farther than was stated, or where nothing was touched and that fails."""
         reports = {
-            planned_axis.name: planned_axis.make_report(self.step, reply, probed_axes[name])
-            for planned_axis, name in zip(self.axes, self.names, strict=True)
+            planned_axis.name: planned_axis.make_report(self.step, reply, probed_axes[planned_axis.name])
+            for planned_axis in self.axes
         }
         first_report, *other_reports = [reports[name] for name in self.step.axes]
+        self._require_bounds(reply, reports, probed_axes)
+        if not reply.touched and self.step.otherwise == "fail":
+            ends = " and ".join(f"{report.rest:g} {report.unit} of {name}" for name, report in reports.items())
+            text = f"{self.step.until} has not become {self.step.level} up to {ends}"
+            remedy = "check the contact and its wire, or go on farther"
+            raise Refusal("not-touched", text, remedy, split_name(self.step.until)[0])
         return first_report.model_copy(update={"others": other_reports})
 
-    def require_bounds(self, reply: ProbeReply, report: ProbeReport) -> None:
-        """Raise `Refusal` where an axis has certainly gone on farther than was stated."""
-        probed_axes = reply.list_axes(self.names)
-        reports = {axis_report.axis: axis_report for axis_report in (report, *report.others)}
-        for planned_axis, name in zip(self.axes, self.names, strict=True):
-            if reply.touched and planned_axis.exceeds_bound(probed_axes[name]):
+    def _require_bounds(
+        self, reply: ProbeReply, reports: Mapping[str, ProbeReport], probed_axes: Mapping[str, ProbedAxis]
+    ) -> None:
+        for planned_axis in self.axes:
+            if reply.touched and planned_axis.exceeds_bound(probed_axes[planned_axis.name]):
                 axis_report = reports[planned_axis.name]
                 text = (
                     f"{planned_axis.name} went on by {axis_report.overtravel:g} {axis_report.unit} behind the contact"
@@ -138,41 +153,34 @@ class _PlannedProbe:
 async def run_probe(context: StepContext, step: Probe) -> ReportFields:
     """Probe; the report states the contact as `probe`. Raises `Refusal`, also where nothing was touched and the step
     does not say `else: continue`."""
-    planned_probe = await _plan_probe(context, step)
+    planned_probe = await plan_probe(context, step)
     await _require_zones(context, planned_probe)
     for name in step.axes:
         context.targets.forget_target(name)
     reply, controller = await _send_probe(context, planned_probe), split_name(step.until)[0]
     raise_first_refusal({controller: reply})
-    report = planned_probe.make_report(reply)
-    planned_probe.require_bounds(reply, report)
-    if not report.touched and step.otherwise == "fail":
-        ends = " and ".join(
-            f"{axis_report.rest:g} {axis_report.unit} of {axis_report.axis}" for axis_report in (report, *report.others)
-        )
-        text = f"{step.until} has not become {step.level} up to {ends}"
-        raise Refusal("not-touched", text, "check the contact and its wire, or go on farther", controller)
-    return {"probe": report}
+    probed_axes = {f"{controller}.{name}": axis for name, axis in reply.list_axes(planned_probe.names).items()}
+    return {"probe": planned_probe.make_report(reply, probed_axes)}
 
 
-async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
-    view, controller = context.fleet.view, split_name(step.until)[0]
+async def plan_probe(context: StepContext, step: Probe) -> PlannedProbe:
+    """Plan a probe from where its axes stand. Raises `Refusal`."""
+    view = context.fleet.view
     axes = {name: view.fleet.axis(name) for name in step.axes}
     states = {name: await require_axis(view, name) for name in axes}
-    info = await view.require_info(controller)
+    infos = {member: await view.require_info(member) for member in map(controller_of, axes)}
     for name, axis in axes.items():
         require_no_play(name, axis, "contact")
         require_single_motor(name, axis, "probe")
-    abilities = ProbeAbilities.of(info)
-    ways_to_stop = {name: abilities.require_ability(view.fleet, step, name) for name in axes}
-    find_most_speeds(step, axes)
+    abilities = {member: ProbeAbilities.of(info) for member, info in infos.items()}
+    ways_to_stop = find_ways_to_stop(view.fleet, step, axes, abilities, find_most_speeds(step, axes))
     await _require_start(context, step)
     ends = {name: axes[name].to_target_counts(_find_target(context, step, name, states[name])) for name in axes}
     ways = {name: axis.to_length(ends[name] - states[name].commanded_counts) for name, axis in axes.items()}
     speeds = find_probe_speeds(step, axes, ways)
     ramps = find_line_ramps(axes, speeds)
     planned_axes = [
-        _PlannedAxis(
+        PlannedProbeAxis(
             name,
             axis,
             states[name].offset,
@@ -183,11 +191,14 @@ async def _plan_probe(context: StepContext, step: Probe) -> _PlannedProbe:
         )
         for name, axis in sorted(axes.items(), key=lambda item: not ways[item[0]])
     ]
+    if step.is_held:  # an adapter does that where it stops the axes
+        for planned_axis in planned_axes:
+            planned_axis.require_inside()
     longest_s = max(find_longest_s(axis, ways[name], speeds[name]) for name, axis in axes.items())
-    return _PlannedProbe(step, planned_axes, longest_s + SPARE_S)
+    return PlannedProbe(step, planned_axes, longest_s + SPARE_S)
 
 
-async def _require_zones(context: StepContext, planned: _PlannedProbe) -> None:
+async def _require_zones(context: StepContext, planned: PlannedProbe) -> None:
     """Raise `Refusal` for a probe whose axes may bring bodies together anywhere on their way, or by going on behind a
     contact at its end."""
     ends = dict(planned_axis.find_reach() for planned_axis in planned.axes)
@@ -216,7 +227,7 @@ def _find_target(context: StepContext, step: Probe, name: str, state: AxisState)
     return target
 
 
-async def _send_probe(context: StepContext, planned_probe: _PlannedProbe) -> ProbeReply:
+async def _send_probe(context: StepContext, planned_probe: PlannedProbe) -> ProbeReply:
     """Send the request, and stop the axes when one of their permits is lost. Raises `Refusal`."""
     step, fleet, names = planned_probe.step, context.fleet, planned_probe.names
     controller = split_name(step.until)[0]

@@ -24,8 +24,8 @@ def find_line_ramps(axes: Mapping[str, Axis], speeds: Mapping[str, float]) -> di
 
 
 class Probe(Step):
-    """Move axes of one controller on a straight line until an input changes, or to a position where they come to rest
-    without that. The report has their positions at which the input changed, as intervals."""
+    """Move axes on a straight line until an input changes, or to a position where they come to rest without that.
+    The report has their positions at which the input changed, as intervals."""
 
     moves: ClassVar[bool] = True
     is_swept: ClassVar[bool] = True
@@ -35,16 +35,16 @@ class Probe(Step):
     do: Literal["probe"] = "probe"
     to: AxisTargets = Field(
         default={},
-        description="The axis and where it goes at most: a quantity, or the name of a position. Several axes of one "
-        "controller move on a straight line, where it can stop them on that.",
+        description="The axis and where it goes at most: a quantity, or the name of a position. Several axes move on "
+        "a straight line: those of one controller, where it can stop them on that; others with `by: host`.",
     )
     measured: dict[str, MeasuredTarget] = MEASURED
     start: dict[str, AxisQuantity] = Field(
         default={}, description="Where axes must stand before, within a count; nothing moves otherwise."
     )
     until: str = Field(
-        description="controller.input, of the same controller as the axes; or controller.axis.forward or "
-        "controller.axis.reverse: its own limit switch, as the state names it."
+        description="controller.input, of the same controller as the axes, with `by: host` of any one; or "
+        "controller.axis.forward or controller.axis.reverse: its own limit switch, as the state names it."
     )
     level: Literal["active", "passive"] = Field(
         default="active", description="What the input becomes; it must be the other one at the beginning."
@@ -59,7 +59,8 @@ class Probe(Step):
     )
     by: Literal["controller", "host"] = Field(
         default="controller",
-        description="What stops the axis: its controller, or the computer that polls the input, later by far.",
+        description="What stops the axes: their controller; or, later by far, the computer that polls the input. "
+        "Several axes, and those of another controller than the input, the coordinator stops then.",
     )
 
     if TYPE_CHECKING:
@@ -85,21 +86,15 @@ class Probe(Step):
             raise ValueError("`to` names no axis; write e.g. `to: {gantry.x: 15}`")
         first, is_line = self.axes[0], self.is_line
         for axis in self.axes:
-            if controller_of(axis) == controller_of(self.until):
-                continue
-            text = f"{self.until} cannot stop {axis}: name an input of the same controller"
-            if is_line:
-                text = f"{text}, and let a probe move axes of one controller; move {axis} by a step of its own"
-            raise ValueError(text)
+            if self.by != "host" and controller_of(axis) != controller_of(self.until):
+                text = f"{self.until} cannot stop {axis}, which is of another controller"
+                raise ValueError(f"{text}: let the coordinator stop it, which is later (`by: host`)")
         if self.until.count(".") > 1 and self.limit is None:
             if is_line:
                 raise ValueError(f"{self.until} ends no line: a limit switch stops its own axis; probe with that alone")
             raise ValueError(f"{self.until} is no limit switch of {first}: {first}.forward or .reverse")
         if self.limit is not None and (self.level, self.by) != ("active", "controller"):
             raise ValueError(f"a limit switch stops {first} by its controller, when it becomes active")
-        if is_line and self.by == "host":
-            text = f"a computer stops one axis at a time, and {' and '.join(self.axes)} would leave their line"
-            raise ValueError(f"{text}; leave `by: host` out, or write one probe for each")
         if isinstance(self.speed, dict) and (strangers := self.speed.keys() - set(self.axes)):
             raise ValueError(f"speed names {', '.join(sorted(strangers))}, which the probe does not move")
         return self
@@ -113,6 +108,12 @@ class Probe(Step):
     def is_line(self) -> bool:
         """Whether it moves several axes on a line."""
         return len(self.axes) > 1
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the coordinator stops it, by the states of the controller of the input."""
+        is_other = controller_of(self.until) != controller_of(self.axes[0])
+        return self.by == "host" and (self.is_line or is_other)
 
     @property
     def limit(self) -> Direction | None:

@@ -7,6 +7,7 @@ from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.path import FollowPath
+from orchestrator.model.steps.probe import Probe
 from orchestrator.model.steps.scan import Scan
 
 
@@ -23,6 +24,11 @@ def as_move(step: Step) -> Move | None:
 def as_path(step: Step) -> FollowPath | None:
     """The step, if it is a path."""
     return step if isinstance(step, FollowPath) else None
+
+
+def as_held_probe(step: Step) -> Probe | None:
+    """The step, if it is a probe that the coordinator stops."""
+    return step if isinstance(step, Probe) and step.is_held else None
 
 
 def as_live(step: Step) -> Live | None:

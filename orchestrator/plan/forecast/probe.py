@@ -15,6 +15,7 @@ from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
 from orchestrator.plan.forecast.targets import check_target, take_target
 from orchestrator.plan.forecast.ways import MoveWays
+from orchestrator.plan.held_probes import find_watch_s, find_ways_to_stop
 from orchestrator.plan.path_step import MAX_START_COUNTS
 from orchestrator.plan.play import require_no_play
 from orchestrator.plan.probes import (
@@ -39,15 +40,15 @@ def forecast_probe(state: ForecastState, at: ForecastContext, step: Probe) -> Sp
         for name, axis in axes.items():
             require_no_play(name, axis, "contact")
             require_single_motor(name, axis, "probe")
-        abilities = _find_abilities(state, step)
-        find_most_speeds(step, axes)
+        most_speeds = find_most_speeds(step, axes)
+        abilities = _find_abilities(state, step, axes, most_speeds)
         _check_start(state, at, step)
         begins = {name: state.find_range(name) for name in axes}
         ends = _find_ends(state, at, step)
         state.lose_positions(at, axes)
         state.contacts |= dict.fromkeys(step.contact_names)
         ways = _find_ways(begins, ends)
-        speeds = find_most_speeds(step, axes) if ways is None else find_probe_speeds(step, axes, ways)
+        speeds = most_speeds if ways is None else find_probe_speeds(step, axes, ways)
     except Refusal as error:
         state.add_problem(at, (), error)
         return Span()
@@ -98,15 +99,20 @@ class _ProbeWay:
         return ContactRange(low, high + self.overtravel) if is_upward else ContactRange(low - self.overtravel, high)
 
 
-def _find_abilities(state: ForecastState, step: Probe) -> dict[str, ProbeAbility]:
+def _find_abilities(
+    state: ForecastState, step: Probe, axes: Mapping[str, Axis], most_speeds: Mapping[str, float]
+) -> dict[str, ProbeAbility]:
     """What stops each axis; empty without its controller, which alone knows that. Raises `Refusal` where it does not
     stop an axis by that input."""
-    abilities = state.probes.get(controller_of(step.until))
-    if abilities is None:
+    if any(controller_of(name) not in state.probes for name in axes):
         pronoun = "them" if step.is_line else "it"
-        state.notes[f"the controller of {' and '.join(step.axes)} stops {pronoun} by {step.until}"] = None
+        stopper = "coordinator" if step.is_held else f"controller of {' and '.join(step.axes)}"
+        state.notes[f"the {stopper} stops {pronoun} by {step.until}"] = None
         return {}
-    return {name: abilities.require_ability(state.fleet, step, name) for name in step.axes}
+    if step.is_held:
+        watch_s = find_watch_s(state.fleet, step)
+        state.notes[f"a contact that lasts less than {watch_s:.3g} s may not be seen"] = None
+    return find_ways_to_stop(state.fleet, step, axes, state.probes, most_speeds)
 
 
 def _find_ways(

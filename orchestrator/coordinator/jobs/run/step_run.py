@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.zone_reservations import ZONE_BUSY
 from orchestrator.coordinator.jobs.check import predict_s
+from orchestrator.coordinator.jobs.run.held_probe import HeldProbes
 from orchestrator.coordinator.jobs.run.job_axes import JobAxes
 from orchestrator.coordinator.jobs.run.measured_contacts import MeasuredContacts
 from orchestrator.coordinator.jobs.run.motion_chain import MotionChain
@@ -22,7 +23,7 @@ from orchestrator.model.jobs.service import JobRetargeted, RetargetJob
 from orchestrator.model.messages import RefusalDetails
 from orchestrator.model.report import FeedHold, JobState, StepReport
 from orchestrator.model.steps.base import Step
-from orchestrator.model.steps.tree import as_motion
+from orchestrator.model.steps.tree import as_held_probe, as_motion
 from orchestrator.plan.flying.path import FlightPath
 
 
@@ -52,6 +53,7 @@ class StepRun:
         self._zone_wait = ZoneWait(
             services.motion.zone_reservations, state, services.clock, context.holder, now=state.is_urgent
         )
+        self._held_probes = HeldProbes(services, context, state, chain)
 
     async def retarget(self, request: RetargetJob) -> JobRetargeted:
         """Send the axes of the present move to other targets. Raises `Refusal`: nothing has changed."""
@@ -148,6 +150,9 @@ class StepRun:
             if self._state.motion_step is not None:
                 return await self._run_motion(self._state.motion_step)
             services.fleet.certificates.require_until(self._state.needs, predict_s(services.view.fleet, step))
+            held_probe = as_held_probe(step)
+            if held_probe is not None:
+                return await self._held_probes.run(index, held_probe, self._state.change_state)
             await self._on_state("running", "")
             added_fields = await run_step(self._context, step)
         except Refusal as error:
