@@ -6,11 +6,14 @@ import pytest
 
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Axis, Fleet
+from orchestrator.model.state import StepCosts
 from orchestrator.model.steps.probe import Probe, find_line_ramps
 from orchestrator.plan.probes import ProbeAbilities, find_most_speeds, find_probe_speeds
 from orchestrator.runtime.simulated_fleets import make_smc4000
 
 WAYS = {"gantry.x": 3.0, "gantry.y": -4.0}
+
+COSTS = StepCosts(arm_ns=1, disarm_ns=1, stop_ns=1)
 
 
 def make_probe(speed: Any, axes: tuple[str, ...] = ("gantry.x", "gantry.y")) -> Probe:
@@ -68,8 +71,9 @@ def test_a_speed_that_a_line_cannot_have_is_refused(speed: Any, axes: tuple[str,
 
 def test_a_make_that_stops_no_lines_is_named() -> None:
     step = make_probe("1 mm/s")
+    abilities = ProbeAbilities("shrc203", COSTS, None, None, None, None, shows_inputs=False)
     with pytest.raises(Refusal, match="the make shrc203 cannot stop several axes on a line") as raised:
-        ProbeAbilities("shrc203", None, None, None, None).require_ability(make_fleet(), step, "gantry.x")
-    assert raised.value.remedy == "write one probe for each"
+        abilities.require_ability(make_fleet(), step, "gantry.x")
+    assert raised.value.remedy == "let the coordinator stop them (`by: host`), which has a longer overtravel"
     with pytest.raises(ValueError, match="speed names gantry"):
         make_probe({"gantry.z": 0.5})
