@@ -128,8 +128,8 @@ def run_seed(seed: int) -> ZoneRun:
             job_id = await client.submit(draw_job(draw))
             if is_last:
                 await sleep_ns(fleet.clock, draw.randrange(NS_PER_S // 2, 3 * NS_PER_S))
-                state = (await client.show_job(job_id)).entry.state
-                if state == "running":
+                entry = (await client.show_job(job_id)).entry
+                if entry is not None and entry.state == "running":
                     fault(fleet, draw)
                     await sleep_ns(fleet.clock, 8 * NS_PER_S)
                     break
