@@ -101,20 +101,20 @@ class ZoneReservations:
 
     async def wait_for_change(self) -> None:
         """Wait until a step or a job has ended, or for `LOOK_S`."""
-        changed = self._changed
+        change = self._changed
         with suppress(TimeoutError):
             async with asyncio.timeout(LOOK_S):
-                await changed.wait()
+                await change.wait()
 
     def _waits_for(self, waiter: str, holder: str) -> bool:
         """Whether a job waits for another one, also by way of others."""
-        known, todo = {waiter}, [waiter]
+        reached_jobs, todo = {waiter}, [waiter]
         while todo:
             for blocker in self._waits.get(todo.pop(), frozenset()):
                 if blocker == holder:
                     return True
-                if blocker not in known:
-                    known.add(blocker)
+                if blocker not in reached_jobs:
+                    reached_jobs.add(blocker)
                     todo.append(blocker)
         return False
 

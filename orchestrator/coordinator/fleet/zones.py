@@ -59,11 +59,11 @@ class ZoneGuard:
             positions = await self._query_positions(moved_axes, holder, ends)
             sweep = replace(sweep, positions={**positions, **sweep.positions})
             try:
-                checked = await (execute or self.execute)(self.memory.require, fleet, sweep)
+                checked_sweep = await (execute or self.execute)(self.memory.require, fleet, sweep)
             except Refusal as refusal:
                 raise self._explain(refusal, moved_axes, holder) from None
-            self.reservations.reserve(holder, mover.index, checked.reach, behind=ends is not None)
-        return checked.recent
+            self.reservations.reserve(holder, mover.index, checked_sweep.reach, behind=ends is not None)
+        return checked_sweep.recent
 
     async def require_homing(self, order: HomingOrder, holder: str) -> None:
         """Raise `Refusal` (as `require`) for a homing in an order that may bring bodies together; else reserve the

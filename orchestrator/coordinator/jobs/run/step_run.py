@@ -97,14 +97,8 @@ class StepRun:
             self._state.motion_step = self._chain.begin_step(index, motion)
         try:
             while True:
-                report = await self._run_once(index, step)
+                report = await self._run_in_turn(index, step)
                 refused_code = None if report.refused is None else report.refused.code
-                if refused_code == ZONE_BUSY and report.state == "failed":
-                    obstacle = await self._zone_wait.wait(report.reason)
-                    if obstacle:
-                        return report.model_copy(update={"reason": f"{report.reason}; {obstacle}"})
-                    await self.wait_while_paused()
-                    continue
                 if refused_code in waited_codes and report.state == "failed":
                     waited_codes.add(NOT_REFERENCED)  # by the change, if not by what ends it
                     await self._wait_for_cause(report.reason)
@@ -142,6 +136,17 @@ class StepRun:
             except Refusal as refusal:
                 cause = f"{refusal.text}; {refusal.remedy}" if refusal.remedy else refusal.text
         await self._rest.wait_for_rest()
+
+    async def _run_in_turn(self, index: int, step: Step) -> StepReport:
+        """Run a step; where a zone refuses it beside another job, again when that has moved on."""
+        while True:
+            report = await self._run_once(index, step)
+            if report.refused is None or report.refused.code != ZONE_BUSY:
+                return report
+            obstacle = await self._zone_wait.wait(report.reason)
+            if obstacle:
+                return report.model_copy(update={"reason": f"{report.reason}; {obstacle}"})
+            await self.wait_while_paused()
 
     async def _run_once(self, index: int, step: Step) -> StepReport:
         services = self._services
