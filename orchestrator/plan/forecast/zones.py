@@ -156,6 +156,10 @@ def _check(state: ForecastState, at: ForecastContext, sweep: Sweep) -> None:
             state.notes[f"{names} {verb} where zone {violation.rule.name} allows it"] = None
         else:
             state.add_problem(at, (), make_refusal(zones, course, violation))
+    for rule in zones.rules:
+        if rule.trust_step and len(course.moved.intersection(rule.constraint.axes)) > 1:
+            axes = " and ".join(name for name in rule.constraint.axes if name in course.moved)
+            state.notes[f"{axes} keep step: zone {rule.name} relies on it (trust_step)"] = None
 
 
 def _find_positions(state: ForecastState, moved: Iterable[str], adrift: Iterable[str]) -> Box:

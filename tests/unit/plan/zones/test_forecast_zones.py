@@ -230,3 +230,12 @@ def test_a_fleet_without_zones_says_nothing() -> None:
     plain = {name: part for name, part in FLEET.to_plain().items() if name != "zones"}
     checked = forecast_job(FLEET.model_validate(plain), read_steps(f"{HOME}, {OVER}, {LOWER}").steps)
     assert list_problems(checked) == [] and list_notes(checked) == [[], [], []]
+
+
+def test_a_step_says_which_rules_rely_on_its_axes_keeping_step() -> None:
+    plain = FLEET.to_plain()
+    plain["zones"]["rules"]["detector-sample"]["trust_step"] = True
+    both = "{do: move, to: {gantry.x: 50, stage.u: 10}}"
+    notes = list_notes(forecast(f"{HOME}, {both}, {RAISE}", Fleet.model_validate(plain)))
+    assert notes[1:] == [["gantry.x and stage.u keep step: zone detector-sample relies on it (trust_step)"], []]
+    assert list_notes(forecast(f"{HOME}, {both}"))[1] == []
