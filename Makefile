@@ -20,7 +20,7 @@ help:
 	@echo "make page             build the operators' page, which tutti up serves"
 	@echo "make test             set up, run all quick tests (less than 5 minutes on two idle cores)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
-	@echo "make test-slow        the other tests in virtual time: the dear ones"
+	@echo "make test-slow        the other tests in virtual time: those of half a second and more"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
 	@echo "make screenshots      pictures of the page, in build/screenshots, and those of the documents"
 	@echo "make test-hosts       two computers, a network that fails, keys in hostile hands (root, for namespaces)"
@@ -124,7 +124,7 @@ test-live: $(DEV)/.stamp
 
 # One after the other: they hold keys and buttons down, and look at what moves meanwhile.
 test-browser: $(DEV)/.stamp page
-	$(DEV)/bin/pytest -m browser tests/browser $(SLOWEST)
+	$(DEV)/bin/pytest -m "browser and not nightly" tests/browser $(SLOWEST)
 
 screenshots: $(DEV)/.stamp page
 	$(DEV)/bin/python tools/screenshots.py build/screenshots docs/figures
@@ -148,10 +148,11 @@ test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page
 	$(DEV)/bin/python tools/wheel_demo.py $(WHEEL)/bin/tutti
 	$(DEV)/bin/python tools/wheel_project.py $(WHEEL)/bin/python
 
-test-nightly: $(DEV)/.stamp test-thirdparty
+test-nightly: $(DEV)/.stamp page test-thirdparty test-slow
 	$(DEV)/bin/python tools/campaign_decisions.py
 	-$(DEV)/bin/python tools/mutants.py
-	$(DEV)/bin/pytest -m "nightly and not live" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
+	$(DEV)/bin/pytest -m "nightly and not live and not browser" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
+	$(DEV)/bin/pytest -m "browser and nightly" tests/browser $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
 	$(MAKE) test-other-pythons EACH="test-fast test-slow"
 
