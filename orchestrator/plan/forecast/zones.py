@@ -14,7 +14,7 @@ from orchestrator.plan.homing_order import HomingOrder
 from orchestrator.plan.path_step import PlannedPath
 from orchestrator.plan.probes import ContactRange
 from orchestrator.plan.zones.chain import Box
-from orchestrator.plan.zones.course import Sweep, Timing, join_spans
+from orchestrator.plan.zones.course import Course, Sweep, Timing, join_spans
 from orchestrator.plan.zones.homing import ZoneHoming
 from orchestrator.plan.zones.paths import bound_alone, find_path_terms
 from orchestrator.plan.zones.refusals import make_refusal
@@ -156,7 +156,12 @@ def _check(state: ForecastState, at: ForecastContext, sweep: Sweep) -> None:
             state.notes[f"{names} {verb} where zone {violation.rule.name} allows it"] = None
         else:
             state.add_problem(at, (), make_refusal(zones, course, violation))
-    for rule in zones.rules:
+    _note_trust(state, course)
+
+
+def _note_trust(state: ForecastState, course: Course) -> None:
+    """Say which rules rely on no axis of a step stopping alone."""
+    for rule in () if state.zones is None else state.zones.rules:
         if rule.trust_step and len(course.moved.intersection(rule.constraint.axes)) > 1:
             axes = " and ".join(name for name in rule.constraint.axes if name in course.moved)
             state.notes[f"{axes} keep step: zone {rule.name} relies on it (trust_step)"] = None
