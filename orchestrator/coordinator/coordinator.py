@@ -100,7 +100,7 @@ class Coordinator:
         self._zones = motion.zones
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute, self._zones)
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
-        ZoneWatch(access, self._alarms.report_condition)
+        ZoneWatch(access, motion.zone_memory, self._alarms.report_condition)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
         motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
         services = JobServices(
@@ -117,7 +117,7 @@ class Coordinator:
             leases=self._leases,
             positions=self._positions,
             virtual=self._virtual,
-            zones=ZoneObserver(self._view),
+            zones=ZoneObserver(self._view, motion.zone_memory),
             alarms=self._alarms.register,
             statistics=self._statistics,
             leadership=self.leadership,

@@ -74,8 +74,7 @@ def plot_zones(state: ZoneState, title: str) -> Figure:
 def _describe_rules(state: ZoneState) -> Iterator[tuple[str, str]]:
     width = max((len(rule.rule) for rule in state.rules), default=0)
     for rule in state.rules:
-        word = {True: "holds", False: "BROKEN", None: "not known"}[rule.holds]
-        yield f"{rule.rule:<{width}}  {word:<9}  {rule.text}", BROKEN if rule.holds is False else "#111827"
+        yield f"{rule.rule:<{width}}  {rule.verdict:<9}  {rule.text}", BROKEN if rule.holds is False else "#111827"
     yield "Zones are software, no safety function.", BODY
 
 

@@ -1,5 +1,6 @@
 """`tutti zones …`: keep-out zones of a fleet file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from orchestrator.cli.manual.axis import parse_targets
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
     from orchestrator.model.fleet import Fleet
+    from orchestrator.model.operation.zone_state import RuleReading
     from orchestrator.plan.zones.rules import FleetZones
 
 CHECKED = (
@@ -43,29 +45,30 @@ def check(file: Path, at: tuple[str, ...], *, as_json: bool) -> None:
 
     Positions are motor positions, like soft limits. Exit 1 when a rule is broken there.
     """
+    from orchestrator.plan.zones.observation import observe_zones
+
     fleet, fleet_zones = _load_zones(file)
     positions = {**dict.fromkeys(fleet_zones.ranges, 0.0), **_read_positions(fleet, at)}
-    states = fleet_zones.find_states(positions)
-    broken_rules = [state.rule for state in states if not state.holds]
+    readings = observe_zones(fleet, fleet_zones, positions, {}).rules
     value = {
         "bodies": {name: body.axes for name, body in fleet_zones.bodies.items()},
         "positions": positions,
         "margins": fleet_zones.margins,
         "rules": {
-            state.rule: {
-                "holds": state.holds,
-                "distance_mm": state.distance,
-                "trust_step": state.trust_step,
-                "text": state.text,
+            reading.rule: {
+                "holds": reading.holds is True,
+                "distance_mm": reading.distance,
+                "trust_step": reading.trust_step,
+                "text": reading.text,
             }
-            for state in states
+            for reading in readings
         },
         "homing_order": _find_homing_order(fleet, fleet_zones),
         "checked": CHECKED,
         "not_checked": NOT_CHECKED,
     }
-    print_result(value, "\n".join(_describe(file, fleet, fleet_zones, positions)), as_json=as_json)
-    if broken_rules:
+    print_result(value, "\n".join(_describe(file, fleet, fleet_zones, positions, readings)), as_json=as_json)
+    if not all(reading.holds for reading in readings):
         raise SystemExit(FAILED)
 
 
@@ -111,8 +114,7 @@ def show(connect: str, fleet: str | None, *, as_json: bool) -> None:
         if not state.rules:
             exit_with_error("this fleet has no `zones`", BAD_INPUT, "see the page on keeping axes apart for their form")
         lines = [f"{len(state.bodies)} bodies, {len(state.rules)} rules:"]
-        words = {True: "holds", False: "BROKEN", None: "not known"}
-        lines += [f"  {rule.rule}: {words[rule.holds]}: {rule.text}" for rule in state.rules]
+        lines += [f"  {rule.rule}: {rule.verdict}: {rule.text}" for rule in state.rules]
         lines.append("Zones are software, no safety function.")
         print_result(state.to_plain(), "\n".join(lines), as_json=as_json)
         if any(rule.holds is False for rule in state.rules):
@@ -152,16 +154,22 @@ def _find_homing_order(fleet: "Fleet", zones: "FleetZones") -> list[str] | None:
     return ZoneHoming(zones, fleet, {}).find_order(list(zones.ranges))
 
 
-def _describe(file: Path, fleet: "Fleet", zones: "FleetZones", positions: dict[str, float]) -> list[str]:
+def _describe(
+    file: Path,
+    fleet: "Fleet",
+    zones: "FleetZones",
+    positions: dict[str, float],
+    readings: "Sequence[RuleReading]",
+) -> list[str]:
     lines = [f"{file}: {len(zones.bodies)} bodies, {len(zones.rules)} rules", "bodies:"]
     for name, body in zones.bodies.items():
         carriers = f"rides on {', '.join(body.axes)}" if body.axes else "stands still"
         lines.append(f"  {name}: {carriers}")
     standing = ", ".join(f"{name} {position:g} {fleet.axis(name).unit}" for name, position in positions.items())
     lines.append(f"rules, with {standing}:")
-    for state in zones.find_states(positions):
-        trust = "; relies on the axes of a step (trust_step)" if state.trust_step else ""
-        lines.append(f"  {state.rule}: {'holds' if state.holds else 'BROKEN'}: {state.text}{trust}")
+    for reading in readings:
+        trust = "; relies on the axes of a step (trust_step)" if reading.trust_step else ""
+        lines.append(f"  {reading.rule}: {reading.verdict}: {reading.text}{trust}")
     order = _find_homing_order(fleet, zones)
     order_text = "none; home some of them, move them away, and home the others" if order is None else ", ".join(order)
     lines.append(f"order of homing, where no axis has a reference: {order_text}")

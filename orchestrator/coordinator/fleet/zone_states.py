@@ -1,20 +1,19 @@
 """The keep-out zones as they are now, by the last states of the controllers."""
 
 from orchestrator.coordinator.fleet.view import FleetView, find_answering_states
-from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import Request
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.zone_state import ZoneState
+from orchestrator.plan.zones.memory import ZoneMemory
 from orchestrator.plan.zones.observation import observe_zones
-from orchestrator.plan.zones.rules import FleetZones
 
 
 class ZoneObserver:
     """Answers where bodies are, and what rules say to that."""
 
-    def __init__(self, view: FleetView) -> None:
+    def __init__(self, view: FleetView, memory: ZoneMemory) -> None:
         self._view = view
-        self._made: tuple[Fleet, FleetZones] | None = None
+        self._memory = memory
 
     async def answer(self, request: Request) -> ZoneState:
         """The zones now; empty for a fleet without."""
@@ -22,9 +21,7 @@ class ZoneObserver:
         fleet = self._view.fleet
         if fleet.zones is None:
             return ZoneState()
-        if self._made is None or self._made[0] is not fleet:
-            self._made = fleet, FleetZones(fleet)
-        zones = self._made[1]
+        zones = self._memory.read(fleet)
         positions: dict[str, float] = {}
         unknown: dict[str, str] = {}
         states = find_answering_states(self._view, zones.ranges)

@@ -9,6 +9,7 @@ from orchestrator.model.fleet import Axis, Fleet
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.operation.alarms import MAX_SUBJECT, AlarmCause
 from orchestrator.model.state import AxisState, ControllerState
+from orchestrator.plan.zones.memory import ZoneMemory
 from orchestrator.plan.zones.rules import FleetZones
 from orchestrator.plan.zones.search import RuleCheck
 from orchestrator.plan.zones.watch import AxisSight, Danger, find_closing_speed, look_at_rule
@@ -39,13 +40,15 @@ class ZoneWatch:
     or loses its reference while others move counts as anywhere in its range from then on.
     """
 
-    def __init__(self, access: FleetAccess, report: ReportAlarm) -> None:
+    def __init__(self, access: FleetAccess, memory: ZoneMemory, report: ReportAlarm) -> None:
         self._access = access
         self._view = access.view
+        self._memory = memory
         self._report = report
         self._fleet: Fleet | None = None
         self._zones: FleetZones | None = None
         self._rules: dict[str, list[_WatchedRule]] = {}
+        self._axes: dict[str, list[str]] = {}
         self._sights: dict[str, AxisSight] = {}
         access.view.add_state_listener(self.take_state)
 
@@ -57,12 +60,13 @@ class ZoneWatch:
         zones = self._zones
         if zones is None or state.controller not in self._rules:
             return
-        for name in zones.ranges:
-            controller = controller_of(name)
+        for controller, names in self._axes.items():
             if controller == state.controller:
-                self._note(name, self._see(fleet.axis(name), name, state))
+                for name in names:
+                    self._note(name, self._see(fleet.axis(name), name, state))
             elif self._view.is_silent(controller):
-                self._note(name, AxisSight(None, moving=False, cause="silent"))
+                for name in names:
+                    self._note(name, AxisSight(None, moving=False, cause="silent"))
         now_ns = self._access.clock.now_ns()
         for rule in self._rules[state.controller]:
             if now_ns >= rule.free_until_ns:
@@ -78,11 +82,13 @@ class ZoneWatch:
 
     def _begin(self, fleet: Fleet) -> None:
         """Begin anew with a fleet file."""
-        self._fleet, self._zones = fleet, None if fleet.zones is None else FleetZones(fleet)
-        self._rules, self._sights = {}, {}
+        self._fleet, self._zones = fleet, None if fleet.zones is None else self._memory.read(fleet)
+        self._rules, self._axes, self._sights = {}, {}, {}
         if self._zones is None:
             return
         self._sights = dict.fromkeys(self._zones.ranges, AxisSight(None, moving=False, cause="offline"))
+        for name in dict.fromkeys(axis for check in self._zones.rules for axis in check.constraint.axes):
+            self._axes.setdefault(controller_of(name), []).append(name)
         speeds = {name: OVERSPEED * fleet.axis(name).limits.velocity for name in self._zones.ranges}
         for check in self._zones.rules:
             rule = _WatchedRule(check, find_closing_speed(check.constraint, self._zones.ranges, speeds))

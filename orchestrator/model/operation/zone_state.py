@@ -37,6 +37,11 @@ class RuleReading(Model):
     trust_step: bool = False
     text: str
 
+    @property
+    def verdict(self) -> str:
+        """Whether it holds, in a word."""
+        return "not known" if self.holds is None else "holds" if self.holds else "BROKEN"
+
 
 class ZoneState(Reply):
     """The keep-out zones of a fleet, all empty for one without. Software, no safety function.

@@ -1,7 +1,7 @@
 """Whether two bodies stay apart for all positions of their axes in a box: proven by bounds, or refuted by a place."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -9,7 +9,7 @@ from orchestrator.model.errors import TuttiError
 from orchestrator.model.zone_fields import Vector
 from orchestrator.plan.zones.chain import Body, Box, LinearPart, Rates
 from orchestrator.plan.zones.distance import find_separation
-from orchestrator.plan.zones.vectors import ORIGIN, dot, subtract
+from orchestrator.plan.zones.vectors import ORIGIN, dot, length, subtract
 
 MAX_LOOKS = 1_000
 """Boxes that are looked at for one rule and one step."""
@@ -143,6 +143,12 @@ class PairClearance:
             return None
         least, _ = self.find_distance(find_middle({axis: box[axis] for axis in self.axes}))
         return PairClearance(*self.bodies, min(least, self.distance)) if least > ROUNDING else None
+
+    def find_gap(self, balls: Iterable[tuple[Vector, float]]) -> float:
+        """How much farther apart than they must be both are, by balls that they do not leave, mm; not above 0: these do
+        not show it."""
+        (first, first_radius), (second, second_radius) = balls
+        return length(subtract(first, second)) - first_radius - second_radius - self.distance
 
     def describe(self, positions: Mapping[str, float]) -> str:
         """How near both are at positions."""

@@ -26,8 +26,7 @@ class ZoneMemory:
     """The rules of one fleet. All methods are for fleets with zones."""
 
     def __init__(self) -> None:
-        self._fleet: Fleet | None = None
-        self._zones: FleetZones | None = None
+        self._made: tuple[Fleet, FleetZones] | None = None
 
     def require(self, fleet: Fleet, sweep: Sweep) -> "CheckedSweep":
         """Raise `Refusal` (code `zone`) for a step that may break a rule; return what is known of one that does not."""
@@ -60,6 +59,7 @@ class ZoneMemory:
 
     def read(self, fleet: Fleet) -> FleetZones:
         """The rules of a fleet."""
-        if self._zones is None or self._fleet is not fleet:
-            self._fleet, self._zones = fleet, FleetZones(fleet)
-        return self._zones
+        entry = self._made
+        if entry is None or entry[0] is not fleet:
+            entry = self._made = fleet, FleetZones(fleet)
+        return entry[1]

@@ -1,7 +1,6 @@
 """The rules of a fleet file, and whether a step keeps them."""
 
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterator
 
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.units import Unit, parse_quantity
@@ -12,17 +11,6 @@ from orchestrator.plan.zones.clearance import Constraint, End, PairClearance, Re
 from orchestrator.plan.zones.course import Course, Sweep, find_margin, make_moving_axis
 from orchestrator.plan.zones.search import RuleCheck, Violation, find_rule_violation, leads_out
 from orchestrator.plan.zones.shapes import make_shape
-from orchestrator.plan.zones.vectors import length, subtract
-
-
-class RuleState(NamedTuple):
-    """A rule with all axes at some positions. distance: mm; None for a relation. text: in words."""
-
-    rule: str
-    holds: bool
-    distance: float | None
-    trust_step: bool
-    text: str
 
 
 class FleetZones:
@@ -89,20 +77,6 @@ class FleetZones:
                 if violation is not None and not leads_out(rule, course):
                     yield violation
 
-    def find_states(self, positions: Mapping[str, float]) -> list[RuleState]:
-        """Each rule with axes at rest at positions, without margins."""
-        box = {axis: (position, position) for axis, position in positions.items()}
-        return [
-            RuleState(
-                rule.name,
-                rule.constraint.look(box).holds is True,
-                rule.constraint.find_distance(positions)[0] if isinstance(rule.constraint, PairClearance) else None,
-                rule.trust_step,
-                rule.constraint.describe(positions),
-            )
-            for rule in self.rules
-        ]
-
     def is_clear(self, course: Course) -> bool:
         """Whether a step surely keeps all rules."""
         return next(self.find_violations(course), None) is None
@@ -119,8 +93,7 @@ class _Balls:
         """Whether they show that the bodies of a rule are always far enough apart."""
         if not isinstance(rule.constraint, PairClearance):
             return False
-        (first, first_radius), (second, second_radius) = map(self._find_ball, rule.constraint.bodies)
-        return length(subtract(first, second)) - first_radius - second_radius > rule.constraint.distance
+        return rule.constraint.find_gap(map(self._find_ball, rule.constraint.bodies)) > 0.0
 
     def _find_ball(self, body: Body) -> tuple[Vector, float]:
         ball = self._balls.get(body.name)

@@ -14,7 +14,7 @@ from orchestrator.plan.zones.clearance import (
     find_middle,
     find_violation,
 )
-from orchestrator.plan.zones.vectors import ORIGIN, length, subtract
+from orchestrator.plan.zones.vectors import ORIGIN, length
 
 MAX_LOOKS = 50
 """Boxes that are looked at for one rule and one reading: the watch takes little of the coordinator's time."""
@@ -135,7 +135,4 @@ def _find_gap(constraint: Constraint, box: Box) -> float:
     """How much farther than they must be two bodies surely are, by balls around them, mm; 0: balls do not show it."""
     if not isinstance(constraint, PairClearance):
         return 0.0
-    (first, first_radius), (second, second_radius) = (
-        body.find_ball(box) for body in (constraint.first, constraint.second)
-    )
-    return max(length(subtract(first, second)) - first_radius - second_radius - constraint.distance, 0.0)
+    return max(constraint.find_gap(body.find_ball(box) for body in (constraint.first, constraint.second)), 0.0)

@@ -11,6 +11,7 @@ from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import load_fleet
 from orchestrator.plan.zones.clearance import PairClearance
 from orchestrator.plan.zones.course import Sweep, Timing
+from orchestrator.plan.zones.observation import observe_zones
 from orchestrator.plan.zones.rules import FleetZones
 
 EXAMPLES = Path(__file__).parents[4] / "deploy" / "examples"
@@ -72,11 +73,14 @@ def test_a_body_cannot_ride_on_a_corrected_axis() -> None:
 def test_bodies_that_stand_still_are_compared_and_no_step_is_asked_for_them() -> None:
     zones = make_zones("zones.fleet.yaml", at=(99.5, 0, 0))
     assert zones.rules[0].constraint.axes == []
-    assert [state.holds for state in zones.find_states({})] == [False]
+    assert [rule.constraint.look({}).holds for rule in zones.rules] == [False]
     assert zones.is_clear(zones.make_course(Sweep({}, {}, Timing({}))))
 
 
 def test_rules_are_sent_to_other_processes() -> None:
-    zones = FleetZones(load_fleet(EXAMPLES / "zones.fleet.yaml"))
+    zones_fleet = load_fleet(EXAMPLES / "zones.fleet.yaml")
+    zones = FleetZones(zones_fleet)
     positions = dict.fromkeys(zones.ranges, 0.0)
-    assert pickle.loads(pickle.dumps(zones)).find_states(positions) == zones.find_states(positions)
+    sent_zones = pickle.loads(pickle.dumps(zones))
+    readings = [observe_zones(zones_fleet, made, positions, {}) for made in (zones, sent_zones)]
+    assert readings[0] == readings[1]

@@ -2,7 +2,7 @@
 
 import { effect, signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
-import { get } from "./http.ts";
+import { poll } from "./poll.ts";
 import { connection } from "./stream.ts";
 
 export type Vector = [number, number, number];
@@ -52,21 +52,10 @@ export function useZones(): ZoneState | null {
 export function watchZones(): void {
   effect(() => {
     if (connection.value !== "open") return undefined;
-    const periodMs = viewers.value > 0 ? SHOWN_MS : HIDDEN_MS;
-    let over = false;
-    let timer = 0;
-    const load = async (): Promise<void> => {
-      const answer = document.visibilityState === "visible" ? await get<ZoneState>("zones") : null;
-      if (over) return;
-      if (answer && "ok" in answer) zones.value = answer.ok;
-      if (answer && "ok" in answer && !answer.ok.rules?.length) return;
-      timer = setTimeout(() => void load(), periodMs);
-    };
-    void load();
-    return () => {
-      over = true;
-      clearTimeout(timer);
-    };
+    return poll<ZoneState>("zones", viewers.value > 0 ? SHOWN_MS : HIDDEN_MS, (answer) => {
+      zones.value = answer;
+      return !answer.rules?.length;
+    });
   });
 }
 
