@@ -18,7 +18,7 @@ SLOWEST = --durations=10
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
 	@echo "make page             build the operators' page, which tutti up serves"
-	@echo "make test             set up, run all quick tests (less than 5 minutes on two idle cores)"
+	@echo "make test             set up, run all quick tests (9 minutes on two slow cores, some 5 on quick ones)"
 	@echo "make test-fast        only those in virtual time;  make test-live: only those with sockets and processes"
 	@echo "make test-slow        the other tests in virtual time: those of half a second and more"
 	@echo "make test-browser     the operators' page in a real browser (Debian's chromium)"
