@@ -1,11 +1,12 @@
-# Environments from locks: one runs Tutti, one also tests and checks it, one has clients of other projects, one builds
-# the documentation. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
+# Environments from locks: one runs Tutti, one also tests and checks it, two have clients of other projects (of single
+# controllers, and of whole fleets), one builds the documentation. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
 # `make test PYTHON=python3.13` uses environments of its own, .venv-dev-python3.13.
 PYTHON ?= python3
 SUFFIX := $(if $(filter python3,$(PYTHON)),,-$(notdir $(PYTHON)))
 RUN := .venv$(SUFFIX)
 DEV := .venv-dev$(SUFFIX)
 THIRDPARTY := .venv-thirdparty$(SUFFIX)
+ECOSYSTEM := .venv-ecosystem$(SUFFIX)
 DOCS := .venv-docs$(SUFFIX)
 WHEEL := .venv-wheel$(SUFFIX)
 PAGE := .venv-page$(SUFFIX)
@@ -13,7 +14,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty test-ecosystem test-ecosystem-nightly check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -31,6 +32,7 @@ help:
 	@echo "make test-cost        run all tests and write what each costs, tests/COST.md"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
 	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
+	@echo "make test-ecosystem   the demo fleet against clients of Bluesky, EPICS, OPC UA, ROS 2, MQTT, and the types of our side"
 	@echo "make check            linters, type checks, import contracts"
 	@echo "make figures          figures of the project's order and words"
 	@echo "make docs             build the documentation as a site, build/site"
@@ -54,6 +56,12 @@ $(THIRDPARTY)/.stamp: requirements/run.lock requirements/thirdparty.lock pyproje
 	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes -r requirements/run.lock
 	$(THIRDPARTY)/bin/python $(PIP) install --require-hashes --no-deps -r requirements/thirdparty.lock
 	$(THIRDPARTY)/bin/python $(INSTALL)
+	touch $@
+
+$(ECOSYSTEM)/.stamp: requirements/run.lock requirements/ecosystem.lock pyproject.toml
+	$(PYTHON) -m venv --clear $(ECOSYSTEM)
+	$(ECOSYSTEM)/bin/python $(PIP) install --require-hashes -r requirements/run.lock -r requirements/ecosystem.lock
+	$(ECOSYSTEM)/bin/python $(INSTALL)
 	touch $@
 
 $(DOCS)/.stamp: requirements/docs.lock pyproject.toml
@@ -148,7 +156,7 @@ test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page
 	$(DEV)/bin/python tools/wheel_demo.py $(WHEEL)/bin/tutti
 	$(DEV)/bin/python tools/wheel_project.py $(WHEEL)/bin/python
 
-test-nightly: $(DEV)/.stamp page test-thirdparty test-slow
+test-nightly: $(DEV)/.stamp page test-thirdparty test-slow test-ecosystem test-ecosystem-nightly
 	$(DEV)/bin/python tools/campaign_decisions.py
 	-$(DEV)/bin/python tools/mutants.py
 	$(DEV)/bin/pytest -m "nightly and not live and not browser" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
@@ -159,6 +167,14 @@ test-nightly: $(DEV)/.stamp page test-thirdparty test-slow
 # Simulated controllers and fleets against clients from PyPI; a skipped test is a failed one.
 test-thirdparty: $(THIRDPARTY)/.stamp
 	TUTTI_THIRDPARTY=1 $(THIRDPARTY)/bin/pytest tests/thirdparty
+
+# Clients that are not ours drive the demo fleet by our integrations. Each needs its library: one environment has them all.
+test-ecosystem: $(ECOSYSTEM)/.stamp
+	$(ECOSYSTEM)/bin/basedpyright -p integrations
+	TUTTI_ECOSYSTEM=1 PYTHONDONTWRITEBYTECODE= $(ECOSYSTEM)/bin/pytest -m "not nightly" tests/ecosystem $(SLOWEST)
+
+test-ecosystem-nightly: $(ECOSYSTEM)/.stamp
+	TUTTI_ECOSYSTEM=1 $(ECOSYSTEM)/bin/pytest -m nightly --timeout 3600 tests/ecosystem $(SLOWEST)
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
@@ -184,6 +200,7 @@ lock:
 	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys -c requirements/dev.lock -o requirements/full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements/dev.lock -o requirements/docs.lock pyproject.toml
 	$(LOCK) -c requirements/dev.lock --overrides tests/thirdparty/overrides.txt -o requirements/thirdparty.lock tests/thirdparty/requirements.in
+	$(LOCK) -c requirements/dev.lock -o requirements/ecosystem.lock tests/ecosystem/requirements.in
 	$(LOCK) -c requirements/dev.lock -o requirements/page.lock orchestrator/gateway/page/requirements.in
 
 clean:

@@ -14,7 +14,7 @@ from pathlib import Path
 from local_names import measure_product
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("orchestrator", "adapters", "sim")
+PACKAGES = ("orchestrator", "adapters", "sim", "integrations")
 MAX_CLASS_LINES = 250
 MAX_COMPLEXITY = 15
 MANY_ARGUMENTS = 6

@@ -9,7 +9,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-PACKAGES = ("orchestrator", "adapters", "sim", "tutti", "benches")
+PACKAGES = ("orchestrator", "adapters", "sim", "tutti", "integrations", "benches")
 
 _PRONOUNS = """
     all another any both each either few it many mine much neither none one ones other others ours some such that

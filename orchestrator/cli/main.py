@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from orchestrator.cli.base.plugin_commands import find_plugin_commands, load_plugin_command
 from orchestrator.cli.base.root import RootGroup
 
 # command: (module, one line of help); grouped as the help shows them.
@@ -75,14 +76,15 @@ tutti up lab.fleet.yaml --sim
 
 
 class _LazyGroup(RootGroup):
-    """Lists its commands by name and imports the one that is called."""
+    """Lists its commands by name and imports the one that is called. What packages add is looked for last."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        return [*_COMMANDS, *(name for name in find_plugin_commands() if name not in _COMMANDS)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
-            return None
+            entry = find_plugin_commands().get(cmd_name)
+            return None if entry is None else load_plugin_command(entry)
         command: click.Command = getattr(import_module(f"orchestrator.cli.{_COMMANDS[cmd_name][0]}"), cmd_name)
         return command
 
@@ -94,11 +96,19 @@ class _LazyGroup(RootGroup):
         except click.exceptions.NoSuchCommand as error:
             if error.ctx is not ctx:
                 raise
-            raise click.exceptions.NoSuchCommand(error.command_name, possibilities=_COMMANDS, ctx=ctx) from None
+            names = self.list_commands(ctx)
+            raise click.exceptions.NoSuchCommand(error.command_name, possibilities=names, ctx=ctx) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+        added_commands = {name: entry for name, entry in find_plugin_commands().items() if name not in _COMMANDS}
+        if added_commands:
+            with formatter.section("Integrations"):
+                rows = [
+                    (name, load_plugin_command(entry).get_short_help_str()) for name, entry in added_commands.items()
+                ]
+                formatter.write_dl(rows)
 
 
 @click.command(cls=_LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})

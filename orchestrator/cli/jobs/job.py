@@ -8,6 +8,7 @@ import click
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.jobs import job_argument, load_report, name_jobs
+from orchestrator.cli.base.plugin_commands import PluginGroup
 from orchestrator.cli.jobs.approval import approve, plan
 from orchestrator.cli.jobs.check import check
 from orchestrator.cli.jobs.continuing import continue_job
@@ -35,7 +36,11 @@ if TYPE_CHECKING:
 _FILE = click.argument("file", type=click.Path(path_type=Path))
 
 
-@click.group(epilog="Example: tutti job submit move.job.yaml --wait")
+class _JobGroup(PluginGroup):
+    plugin_words = ("job",)
+
+
+@click.group(cls=_JobGroup, epilog="Example: tutti job submit move.job.yaml --wait")
 def job() -> None:
     """Submit, list, show, approve, reorder, pause, cancel, continue and retry jobs, and read their reports."""
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, INTERRUPTED
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.extras import require_extra
 from orchestrator.cli.base.jobs import name_jobs
-from orchestrator.cli.records.folder import require_extra
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.monitor.export.csv_table import CsvStyle, CsvTable
 

@@ -10,7 +10,7 @@ import click
 from orchestrator.cli.base.common import console, json_option, print_json, print_result
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import expected_errors
-from orchestrator.cli.records.folder import require_extra
+from orchestrator.cli.base.extras import require_extra
 from orchestrator.keys.names import USER_ROLES
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import console, fleet_option, json_option, print_json, print_result, state_option
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import exit_with_error, expected_errors
-from orchestrator.cli.records.folder import require_extra
+from orchestrator.cli.base.extras import require_extra
 
 if TYPE_CHECKING:
     from orchestrator.gateway.access.users import UserFile

@@ -9,7 +9,8 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, json_option, print_json
 from orchestrator.cli.base.csv_options import csv_style_options
 from orchestrator.cli.base.errors import errors, exit_with_error
-from orchestrator.cli.records.folder import find_recording, folder_option, recorded_fleet_option, require_extra
+from orchestrator.cli.base.extras import require_extra
+from orchestrator.cli.records.folder import find_recording, folder_option, recorded_fleet_option
 from orchestrator.monitor.export.csv_table import CsvStyle
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT
 from orchestrator.cli.base.common import fleet_option
 from orchestrator.cli.base.errors import exit_with_error
-from orchestrator.cli.base.extras import find_missing
 
 if TYPE_CHECKING:
     from orchestrator.monitor.recording.reader import RecordingSummary
@@ -26,14 +25,6 @@ metrics_option = click.option(
     default=None,
     help="Port of the metrics for Prometheus, on 127.0.0.1; 0: none. Default: the first free one of 9464 to 9473.",
 )
-
-
-def require_extra(extra: str) -> None:
-    """End the command if a part that it needs is not installed."""
-    missing_extra = find_missing(extra)
-    if missing_extra is not None:
-        text, remedy = missing_extra
-        exit_with_error(text, BAD_INPUT, remedy, code="not-installed")
 
 
 def find_folder(folder: Path | None, fleet: str | None) -> Path:

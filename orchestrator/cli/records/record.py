@@ -15,13 +15,13 @@ from orchestrator.cli.base.common import (
     utc_option,
 )
 from orchestrator.cli.base.errors import errors, exit_with_error
+from orchestrator.cli.base.extras import require_extra
 from orchestrator.cli.base.sizes import SizeType, format_size
 from orchestrator.cli.records.folder import (
     find_folder,
     folder_option,
     metrics_option,
     recorded_fleet_option,
-    require_extra,
 )
 
 if TYPE_CHECKING:

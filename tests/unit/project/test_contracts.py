@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("tutti", "orchestrator", "adapters", "sim", "benches")
+PACKAGES = ("tutti", "orchestrator", "adapters", "sim", "integrations", "benches")
 
 # Where a library may be imported; everywhere else it is refused.
 ALLOWED = {

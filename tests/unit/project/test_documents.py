@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("orchestrator", "adapters", "sim", "benches", "tests", "tools")
+PACKAGES = ("orchestrator", "adapters", "sim", "integrations", "benches", "tests", "tools")
 PAGES = sorted(path.relative_to(ROOT) for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 FILE = re.compile(r"(?<![\w/.])(?:orchestrator|adapters|sim|benches|tests|deploy|tools)/[\w/.*-]*[\w*]")
 MEMBER = re.compile(r"`(_?[A-Z][a-z]{2,}\w*)\.([a-z_]\w{2,})`")

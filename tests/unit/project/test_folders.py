@@ -3,7 +3,7 @@
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("orchestrator", "adapters", "sim", "tutti", "benches")
+PACKAGES = ("orchestrator", "adapters", "sim", "tutti", "integrations", "benches")
 
 # Folders of one module, and why each is one.
 ONE_MODULE = {

@@ -32,7 +32,9 @@ def names_a_make(path: Path) -> bool:
 
 def test_only_these_files_outside_a_folder_of_a_make_name_one() -> None:
     product = [
-        path for package in ("tutti", "orchestrator", "adapters", "sim") for path in (ROOT / package).rglob("*.py")
+        path
+        for package in ("tutti", "orchestrator", "adapters", "sim", "integrations")
+        for path in (ROOT / package).rglob("*.py")
     ]
     found = {str(path.relative_to(ROOT)) for path in product if names_a_make(path)}
     found = {name for name in found if not name.startswith(("orchestrator/bench/", "benches/"))}  # benches of makes

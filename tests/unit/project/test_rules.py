@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[3]
 sys.path.insert(0, str(ROOT / "tools"))
 import figures  # noqa: E402
 
-PACKAGES = ("orchestrator", "adapters", "sim", "benches")
+PACKAGES = ("orchestrator", "adapters", "sim", "integrations", "benches")
 
 # What runs in virtual time reads no clock, starts no thread, and draws nothing without a seed. Exempt are the live
 # ends, each for the reason that stands in its docstring, and benchmarks that measure real time.

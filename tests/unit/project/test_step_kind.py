@@ -15,7 +15,7 @@ sys.path.insert(0, str(ROOT / "tools"))
 import figures  # noqa: E402
 
 PATCH = HERE / "mark_step.patch"
-PRODUCT = ("orchestrator", "adapters", "sim", "tutti")
+PRODUCT = ("orchestrator", "adapters", "sim", "tutti", "integrations")
 MOST_FILES = 8  # of the product, for a kind that only records an instant
 
 # Where a step's class is asked for outside the kinds: files, and why the step cannot answer itself.
