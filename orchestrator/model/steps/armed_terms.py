@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +27,11 @@ def describe_armed_obstacle(*, aligns: bool, records: bool) -> str:
 class ArmedStep(Protocol):
     """What is asked of a step here."""
 
-    is_motion: ClassVar[bool]
-
     @property
     def kind(self) -> str: ...
+
+    @property
+    def can_wait_armed(self) -> bool: ...
 
     @property
     def armed_terms(self) -> ArmedTerms | None: ...
@@ -43,11 +44,11 @@ def check_armed_waits(steps: Sequence[ArmedStep]) -> None:
     for number, (step, next_step) in enumerate(_pair_steps(steps)):
         if step.armed_terms is None:
             continue
-        if next_step is None or not next_step.is_motion:
+        if next_step is None or not next_step.can_wait_armed:
             behind_words = "nothing" if next_step is None else f"`do: {next_step.kind}`"
             raise ValueError(
-                f"steps.{number}: `do: wait_armed` stands directly before a move or a path of the same list; "
-                f"{behind_words} follows it; move it there, or remove it"
+                f"steps.{number}: `do: wait_armed` stands directly before a move, a path, or a scan that flies, of the same "
+                f"list; {behind_words} follows it; move it there, or remove it"
             )
         obstacle = next_step.find_armed_obstacle()
         if obstacle:

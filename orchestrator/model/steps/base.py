@@ -239,6 +239,11 @@ class Step(ScriptModel):
         """The terms on which it has the motion directly behind it wait armed."""
         return None
 
+    @property
+    def can_wait_armed(self) -> bool:
+        """Whether it is, or begins with, a motion that may wait armed behind a step that says so."""
+        return self.is_motion
+
     def find_armed_obstacle(self) -> str:
         """Why this motion cannot wait armed, with a remedy; empty: it can."""
         return ""

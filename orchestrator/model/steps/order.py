@@ -77,6 +77,15 @@ class StepPlace:
         return self.scan is not None and self.scan.fly is not None and self.part == self.scan.points_steps - 1
 
     @property
+    def terms_index(self) -> int | None:
+        """The number of the step that says on which terms this one waits armed: the one before it, or before its scan
+        for the flight of the first line. None: no step does."""
+        if self.scan is None or self.point is None:
+            return self.index - 1 if self.index else None
+        is_first_flight = self.is_flown_path and self.index < self.first + self.scan.points_steps
+        return self.first - 1 if is_first_flight and self.first else None
+
+    @property
     def is_path(self) -> bool:
         """Whether axes follow a path in it."""
         return self.is_flown_path or (self.scan is None and self.step.follows_path)

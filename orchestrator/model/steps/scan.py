@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import Target
+from orchestrator.model.steps.armed_terms import describe_armed_obstacle
 from orchestrator.model.steps.base import InnerSteps, MotionOptions, Step, TargetResolver
 from orchestrator.model.steps.dwell import Dwell
 from orchestrator.model.steps.fly import FlyOptions
@@ -218,6 +219,16 @@ class Scan(MotionOptions, ScanPoints):
     @property
     def step_count(self) -> int:
         return self.point_count // self.points_together * self.points_steps
+
+    @property
+    def can_wait_armed(self) -> bool:
+        """The flight of its first line, or lines, may; a spec says itself whether it flies."""
+        return self.fly is not None or self.scanspec is not None
+
+    def find_armed_obstacle(self) -> str:
+        if self.fly is not None and self.fly.wait is not None:
+            return "`fly.wait` has each of its lines wait for an input; remove one of both"
+        return describe_armed_obstacle(aligns=bool(self.align), records=False)
 
     @property
     def trigger_outputs(self) -> list[str]:

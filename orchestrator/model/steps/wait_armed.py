@@ -11,7 +11,7 @@ from orchestrator.model.steps.base import Step
 
 class WaitArmed(Step):
     """Plan and load the move or path directly behind it in all its controllers, and start that on `tutti job go`, or
-    when an input becomes active."""
+    when an input becomes active. A scan that flies waits at the beginning of its first line."""
 
     do: Literal["wait_armed"] = "wait_armed"
     input: str | None = Field(default=None, description="controller.input; without one, only a request starts it.")

@@ -10,6 +10,7 @@ from orchestrator.model.steps.armed_terms import ArmedTerms
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.model.steps.numbers import name_step
+from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.tree import as_motion
 
 BETWEEN_MOST = 20  # steps between two motion steps that are looked at
@@ -21,6 +22,10 @@ class NumberedSteps(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int, /) -> Step: ...
+
+    def locate(self, index: int) -> StepPlace: ...
+
+    def has_begun(self, place: StepPlace) -> bool: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +71,13 @@ def find_next_motion(fleet: Fleet, steps: NumberedSteps, index: int) -> NextMoti
 
 
 def find_armed_terms(steps: NumberedSteps, index: int) -> ArmedTerms | None:
-    """The terms on which the motion with number `index` waits armed: those of the step directly before it."""
-    if index == 0:
+    """The terms on which the motion with number `index` waits armed: those of the step directly before it, or before
+    the scan that it flies first in."""
+    location = steps.locate(index)
+    if location.terms_index is None or steps.has_begun(location):
         return None
     try:
-        return steps[index - 1].armed_terms
+        return steps[location.terms_index].armed_terms
     except (KeyError, Refusal):  # a point of a scan that is not in memory any more, a curve that was flown
         return None
 

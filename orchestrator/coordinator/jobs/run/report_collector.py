@@ -12,7 +12,7 @@ from orchestrator.coordinator.jobs.run.flown_rows import make_line_rows
 from orchestrator.coordinator.jobs.run.point_feed import PointFeed
 from orchestrator.coordinator.motion.budget import worse_verdict
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
-from orchestrator.model.report import PointFinding, PointRecord, ScanSummary, StepReport, Verdict
+from orchestrator.model.report import ArmedReport, PointFinding, PointRecord, ScanSummary, StepReport, Verdict
 from orchestrator.model.steps.live import Live
 from orchestrator.model.steps.order import StepPlace
 from orchestrator.model.steps.scan import Scan
@@ -49,6 +49,7 @@ class _ScanProgress:
     least_ns: int | None = None
     most_ns: int = 0
     moved: StepReport | None = None
+    waited: ArmedReport | None = None
     ended: tuple[StepPlace, StepReport] | None = None
 
 
@@ -117,6 +118,7 @@ class ReportCollector:
         self._hand_on_last_row()
         if report.t0_fleet_ns is not None:
             self._last_motion = report
+        scan.waited = scan.waited or report.waited_armed
         scan.steps_done += report.state == "done"
         if report.state != "done":
             scan.ended = place, report
@@ -140,6 +142,7 @@ class ReportCollector:
         scan = self._scan
         assert scan is not None
         scan.point_ns = self._clock.now_ns()
+        scan.waited = scan.waited or report.waited_armed
         if report.t0_fleet_ns is not None:
             self._last_motion = report
             self._note_skew(scan, report)
@@ -264,6 +267,7 @@ class ReportCollector:
             budget=None if worst is None else worst.budget,
             start_skew=None if worst is None else worst.narrowest_skew,
             verdict=scan.worst,
+            waited_armed=scan.waited,
             scan=summary,
         )
         if scan.ended is None:

@@ -107,6 +107,10 @@ class StepSequence:
         positions = self._find_reader(place.scan).find_positions(place.point)
         return dict(zip(place.scan.axis_names, positions, strict=True))
 
+    def has_begun(self, place: StepPlace) -> bool:
+        """Whether a part of a line that is flown was flown already."""
+        return self._flights is not None and place.is_flown_path and self._flights.find_begin(place) != place.point
+
     @property
     def flights(self) -> ScanFlights:
         """What of its scans flies."""
