@@ -52,6 +52,7 @@ from orchestrator.model.report import (
 from orchestrator.model.script import WrongValue
 from orchestrator.model.state import (
     AxisState,
+    ClockQuality,
     ControllerEvent,
     ControllerInfo,
     ControllerState,
@@ -87,6 +88,7 @@ __all__ = [
     "BlockingLiveJob",
     "BlockingManualControl",
     "BlockingTutti",
+    "ClockQuality",
     "ControllerEvent",
     "ControllerFault",
     "ControllerInfo",

@@ -15,7 +15,7 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import group_by_controller
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.virtual_state import VirtualState
-from orchestrator.model.state import AxisState, ControllerState, Mode, TimeInterval
+from orchestrator.model.state import AxisState, ClockQuality, ControllerState, Mode, TimeInterval
 
 MAX_WAITING_STATES = 100  # of a controller; a consumer that is further behind goes on with the newest
 OLDEST_S = 1.0
@@ -28,7 +28,7 @@ class StateReading:
 
     axes: by `controller.axis`. read: the interval of fleet time, ns, in which their positions were sampled; None while
     it is not known: the controller is offline, or has no fleet time. utc: of the middle of `read` by the clock of its
-    computer, RFC 3339; without `read`, of the publication. missed: states of this controller between the one before and
+    computer, RFC 3339; without `read`, of the publication. clock: how well the clock of the controller is known. missed: states of this controller between the one before and
     this one, which came while too many waited to be taken, or were lost on the way.
     """
 
@@ -37,6 +37,7 @@ class StateReading:
     axes: Mapping[str, AxisState]
     read: TimeInterval | None
     utc: str
+    clock: ClockQuality | None
     missed: int
 
 
@@ -113,7 +114,7 @@ class StateStream:
             middle_ns = (interval.earliest_ns + interval.latest_ns) // 2
             utc = format_utc_ns(parse_utc_ns(utc) + middle_ns - state.fleet_ns)
         axes = {f"{name}.{axis}": state.axes[axis] for axis in self._names[name] if axis in state.axes}
-        return StateReading(name, state.mode, axes, interval, utc, missed_count)
+        return StateReading(name, state.mode, axes, interval, utc, state.clock, missed_count)
 
 
 class VirtualFeed:

@@ -55,8 +55,12 @@ class _Around:
 def place_flown_spec(scan: Scan) -> Scan:
     """A scan whose spec has `Fly`, with axes instead of the spec; others as they are. Raises `Refusal`: codes
     `no-scanspec`, `bad-scanspec`."""
-    if scan.scanspec is None or not contains_fly(scan.scanspec):
+    if scan.scanspec is None:
         return scan
+    if not contains_fly(scan.scanspec):
+        if scan.fly is None:
+            return scan
+        raise Refusal("bad-scanspec", "the scan has `fly`, and its spec no `Fly`", "put `Fly(…)` around the spec")
     _, spec_type = import_scanspec()
     try:
         spec: dict[str, Any] = spec_type.deserialize(dict(scan.scanspec)).serialize()
@@ -75,7 +79,12 @@ def place_flown_spec(scan: Scan) -> Scan:
         text = f"the spec has `Fly` with a duration of {duration_s:g} s; it must be above 0"
         raise Refusal("bad-scanspec", text, "correct the duration")
     fields = {name: getattr(scan, name) for name in scan.model_fields_set - {"scanspec", "axes", "fly"}}
-    fly: dict[str, Any] = {"duration": f"{round(duration_s * 1e9)} ns"}
+    fly: dict[str, Any] = {} if scan.fly is None else scan.fly.model_dump(mode="json", exclude_none=True)
+    duration = f"{round(duration_s * 1e9)} ns"
+    if {"axis", "speed"} & fly.keys() or fly.get("duration", duration) != duration:
+        text = "`fly` beside a spec says how it flies otherwise: the spec states its axes, and the time at each point"
+        raise Refusal("bad-scanspec", text, f"remove `axis` and `speed`, and write `duration: {duration}` or none")
+    fly["duration"] = duration
     if len(innermost.lines) > 1:
         fly["axis"] = list(innermost.lines)
     try:

@@ -47,8 +47,8 @@ def check_armed_waits(steps: Sequence[ArmedStep]) -> None:
         if next_step is None or not next_step.can_wait_armed:
             behind_words = "nothing" if next_step is None else f"`do: {next_step.kind}`"
             raise ValueError(
-                f"steps.{number}: `do: wait_armed` stands directly before a move, a path, or a scan that flies, of the same "
-                f"list; {behind_words} follows it; move it there, or remove it"
+                f"steps.{number}: `do: wait_armed` stands directly before a move, a path, or a scan that flies, of "
+                f"the same list; {behind_words} follows it; move it there, or remove it"
             )
         obstacle = next_step.find_armed_obstacle()
         if obstacle:

@@ -140,12 +140,12 @@ class Scan(MotionOptions, ScanPoints):
 
     def _check_flown(self, fly: FlyOptions) -> None:
         """Raise `ValueError` for a scan that cannot be flown, whatever its axes are."""
-        if not self.axes:
-            raise ValueError(
-                "`fly` needs the lines of `axes`; a table has none, and a scanspec says itself whether it flies (`Fly`)"
-            )
+        if not self.axes and self.scanspec is None:
+            raise ValueError("`fly` needs the lines of `axes`, or of a `scanspec` with `Fly`; a table has none")
         if self.at_each:
             raise ValueError("a scan that flies does not stop, so nothing runs in `at_each`; remove one of them")
+        if not self.axes:
+            return  # checked once the spec is read
         name, count = self.flown_axis, self.line_points
         if count < 2:
             raise ValueError(f"`fly`: {name} has one point, and a line needs two at least; leave out `fly`")

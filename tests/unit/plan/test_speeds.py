@@ -72,6 +72,13 @@ def test_a_move_takes_the_time_of_its_speed(speed: Any, distances: dict[str, flo
     assert plan(speed, **distances).duration_s == pytest.approx(seconds, rel=2e-3)
 
 
+def test_a_speed_may_name_an_axis_that_stands_at_its_target() -> None:
+    scale = float(FLEET.axis("a.x").counts_per_unit)
+    moves = [AxisMove("a.x", 0, round(10 * scale), 100 * scale, 1e5 * scale)]
+    step = Move(to={"a.x": 10, "a.y": 5}, speed={"a.x": "5 mm/s", "a.y": "20 mm/s"})
+    assert plan_motion(FLEET, step, moves).duration_s == pytest.approx(2, rel=2e-3)
+
+
 @pytest.mark.parametrize(
     ("speed", "distances", "text"),
     [
