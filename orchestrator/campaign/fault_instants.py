@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 from random import Random
 
-from orchestrator.campaign.fleet_parts import find_traits
-from orchestrator.campaign.flown_scans import find_flight_ns
 from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.flown_scans import find_flight_ns
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job

@@ -4,11 +4,11 @@ from collections.abc import Callable, Collection, Sequence
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT, find_traits
-from orchestrator.campaign.pairs import add_pair
-from orchestrator.campaign.probes import add_touch_inputs
 from orchestrator.campaign.recording.recorder import Stage
-from orchestrator.campaign.virtual_moves import add_virtual_axes
+from orchestrator.campaign.stages.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT, find_traits
+from orchestrator.campaign.stages.pairs import add_pair
+from orchestrator.campaign.stages.probes import add_touch_inputs
+from orchestrator.campaign.stages.virtual_moves import add_virtual_axes
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime import simulated_fleets as makes
 from orchestrator.runtime.example_fleet import load_example

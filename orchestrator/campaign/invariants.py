@@ -3,14 +3,14 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.campaign.faults import FaultKind
-from orchestrator.campaign.fleet_parts import find_traits
 from orchestrator.campaign.fleets import HOME_ANYWHERE
-from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.campaign.job_ends import check_end, check_live_job
 from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
+from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.flown_scans import find_flown_scan
 from orchestrator.campaign.start_checks import AtOnceChecker, find_outlasted
 from orchestrator.campaign.watched_axes import WatchedAxes
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S

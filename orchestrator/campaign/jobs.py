@@ -6,12 +6,12 @@ from itertools import chain
 from random import Random
 from typing import Any, Literal, NamedTuple
 
-from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
 from orchestrator.campaign.fleets import PATH_MAKE
-from orchestrator.campaign.flown_scans import draw_flown_scan
-from orchestrator.campaign.pairs import find_paired_controllers, move_pairs_as_one
-from orchestrator.campaign.probes import draw_probe
-from orchestrator.campaign.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
+from orchestrator.campaign.stages.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
+from orchestrator.campaign.stages.flown_scans import draw_flown_scan
+from orchestrator.campaign.stages.pairs import find_paired_controllers, move_pairs_as_one
+from orchestrator.campaign.stages.probes import draw_probe
+from orchestrator.campaign.stages.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
