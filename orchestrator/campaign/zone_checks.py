@@ -69,6 +69,11 @@ def find_zone_refusal(report: JobReport | None) -> RefusalDetails | None:
     return next((refusal for refusal in refusals if refusal.code in _ZONE_CODES), None)
 
 
+def ends_at_a_zone(report: JobReport | None, reason: str) -> bool:
+    """Whether a job was ended by a zone: a step was refused, or stopped by the watch. reason: that of its end."""
+    return find_zone_refusal(report) is not None or ": zone " in reason
+
+
 def may_be_refused(phase: CampaignPhase, order: JobOrder) -> bool:
     """Whether a zone may refuse a step of a job: of both carriages or too far out, beside an axis that is jogged, and
     behind a fault, which has left an axis in its way or without a reference."""

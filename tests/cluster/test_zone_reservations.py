@@ -166,6 +166,30 @@ def test_a_step_that_is_refused_for_a_job_that_ends_during_the_check_waits() -> 
     assert failure.value.code == ZONE_BUSY
 
 
+def test_a_job_that_looks_again_waits_for_nothing_known() -> None:
+    """What it waited for has moved on: it is in the way of none that waits for it."""
+    reservations = ZoneReservations()
+    for holder in ("a", "b"):
+        reservations.enter(holder)
+        reservations.reserve(holder, 0, {"x": (0, 1)})
+    reservations.note_blockers("a", ["b"])
+    reservations.note_blockers("b", ["a"])
+    assert reservations.begin_wait("a") is None
+    reservations.end("b", 0)
+    assert reservations.begin_wait("b") is None
+    assert reservations.begin_wait("a") == "b"
+
+
+def test_a_job_waits_for_those_alone_that_have_axes_of_the_rule() -> None:
+    """The stage turns into the way of the detector; with the column the job that lifts it has nothing to do."""
+    view = EndingJob(read_states(), ends_at_query=False)
+    guard = ZoneGuard(cast(FleetView, view), ZoneMemory(), view.reservations, view.leave_first)
+    sweep = Sweep({}, {"gantry.x": (390, 399)}, Timing({}), ["gantry.x"])
+    with pytest.raises(Refusal, match="zone column") as failure:
+        asyncio.run(guard.require(sweep, ZoneMover("b", 0)))
+    assert failure.value.code == "zone"
+
+
 @pytest.mark.parametrize("behind", [True, False])
 def test_a_reservation_ends_with_its_step(behind: bool) -> None:
     async def main() -> None:

@@ -123,5 +123,7 @@ class ZoneReservations:
         return False
 
     def _note_change(self) -> None:
+        """All that wait look again: until then it is not known what they wait for."""
+        self._waits.clear()
         self._changed.set()
         self._changed = asyncio.Event()

@@ -17,6 +17,7 @@ from orchestrator.plan.homing_order import HomingOrder
 from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.course import Sweep
 from orchestrator.plan.zones.memory import ZoneMemory
+from orchestrator.plan.zones.refusals import ZoneRefusal
 from orchestrator.plan.zones.rooms import Room
 
 
@@ -95,7 +96,10 @@ class ZoneGuard:
         return blockers
 
     def _explain(self, refusal: Refusal, blockers: Mapping[str, Collection[str]], holder: str) -> Refusal:
-        """The refusal of a step; of one that may go on when other jobs have moved or ended, with code `zone-busy`."""
+        """The refusal of a step; of one that may go on when other jobs have moved or ended, with code `zone-busy`. Jobs
+        that have no axis of the rule that refuses it are not in its way."""
+        if isinstance(refusal, ZoneRefusal):
+            blockers = {owner: axes for owner, axes in blockers.items() if not refusal.axes.isdisjoint(axes)}
         if refusal.code != "zone" or not blockers:
             return refusal
         self.reservations.note_blockers(holder, blockers)
