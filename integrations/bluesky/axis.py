@@ -85,10 +85,10 @@ class AxisLogic(MovableLogic[float], FlyableLogic[FlyMotorInfo, AxisFlight]):
         await self.setpoint.set(end)
         async with AsyncExitStack() as context:
             live = await context.enter_async_context(axis.connection.moves.use_live([info.name]))
-            armed = await live.arm(
+            motion = await live.arm(
                 Move(to={info.name: end}, speed=format_speed(speed, info)), timeout_s=axis.armed_timeout_s
             )
-            self.flight = AxisFlight(context.pop_all(), armed, ramp_s)
+            self.flight = AxisFlight(context.pop_all(), motion, ramp_s)
         return self.flight
 
     async def on_kickoff(self, ctx: AxisFlight) -> AxisFlight:

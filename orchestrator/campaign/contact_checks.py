@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import find_traits
-from orchestrator.campaign.probes import find_probe
 from orchestrator.campaign.recording.recorder import RecordedRequest
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
+from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.probes import find_probe
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.names import split_name
 from orchestrator.model.report import JobReport

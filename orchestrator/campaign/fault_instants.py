@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 from random import Random
 
-from orchestrator.campaign.fleet_parts import find_traits
-from orchestrator.campaign.flown_scans import find_flight_ns
 from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest, Stage
+from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.flown_scans import find_flight_ns
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
@@ -18,6 +18,7 @@ _FAULT_WINDOWS_NS: dict[str, tuple[int, int]] = {
 }
 FIRE_WINDOW_NS = 60 * NS_PER_MS  # around T0
 _MOTION_WINDOW_NS = (150 * NS_PER_MS, 1500 * NS_PER_MS)  # after T0
+_ZONE_WINDOW_NS = (100 * NS_PER_MS, 9 * NS_PER_S)  # after T0: a carriage goes out, others wait, and it goes back
 _CHAIN_WINDOW_NS = 200 * NS_PER_MS  # after T0 of the step that was loaded behind another one
 _ARMED_WINDOW_NS = 3 * NS_PER_S  # after arming; some steps are started before
 _STAGES_AT_ONCE: tuple[Stage, ...] = ("arm", "commit", "go")  # which one request goes through
@@ -91,6 +92,8 @@ class FaultInstants:
             return min(now_ns, t0_ns), t0_ns + FIRE_WINDOW_NS
         if stage in ("motion", "trigger", "virtual", "pair"):
             return t0_ns + _MOTION_WINDOW_NS[0], t0_ns + _MOTION_WINDOW_NS[1]
+        if stage == "zone":
+            return t0_ns + _ZONE_WINDOW_NS[0], t0_ns + _ZONE_WINDOW_NS[1]
         return None
 
     def _find_armed_window(self, stage: Stage, request: RecordedRequest, now_ns: int) -> _Window | None:

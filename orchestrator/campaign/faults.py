@@ -7,13 +7,13 @@ from random import Random
 from typing import Literal
 
 from orchestrator.bus.base import Priority
-from orchestrator.campaign.fleet_parts import find_traits
 from orchestrator.campaign.fleets import makes_with
 from orchestrator.campaign.injection import disk_faults
 from orchestrator.campaign.injection.bus_faults import BusFaults
 from orchestrator.campaign.injection.repairs import Repair, do_nothing
 from orchestrator.campaign.jobs import find_link_members
 from orchestrator.campaign.link_faults import LinkFaults
+from orchestrator.campaign.stages.fleet_parts import find_traits
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.model.fleet import Fleet

@@ -4,11 +4,12 @@ from collections.abc import Callable, Collection, Sequence
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT, find_traits
-from orchestrator.campaign.pairs import add_pair
-from orchestrator.campaign.probes import add_touch_inputs
 from orchestrator.campaign.recording.recorder import Stage
-from orchestrator.campaign.virtual_moves import add_virtual_axes
+from orchestrator.campaign.stages.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT, find_traits
+from orchestrator.campaign.stages.pairs import add_pair
+from orchestrator.campaign.stages.probes import add_touch_inputs
+from orchestrator.campaign.stages.virtual_moves import add_virtual_axes
+from orchestrator.campaign.stages.zones import add_zones, carries_a_body
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime import simulated_fleets as makes
 from orchestrator.runtime.example_fleet import load_example
@@ -32,6 +33,8 @@ AT_ONCE_MAKES = ("smc4000", "shrc203", "ppsmc", "smc30")
 """The makes whose controllers start steps at once."""
 PAIR_MAKES = (PATH_MAKE, SYNC_MAKE)
 """The makes of two axes that carry one beam."""
+BODY_MAKES = tuple(make for make in MAKES if find_traits(make).body is not None)
+"""The makes whose axes carry bodies of zones."""
 TOUCH_MAKES = tuple(make for make in MAKES if find_traits(make).touch is not None)
 """The makes whose axes are stopped by an input."""
 STAGE_MAKES: dict[Stage, tuple[str, ...]] = {
@@ -41,6 +44,7 @@ STAGE_MAKES: dict[Stage, tuple[str, ...]] = {
     "flying": (PATH_MAKE, "cia402"),
     "pair": PAIR_MAKES,
     "probe": TOUCH_MAKES,
+    "zone": BODY_MAKES,
 }
 """The makes that can reach a stage, where not all can."""
 HOME_AT_CURRENT_POSITION = "37"  # of CiA 402: the reference is the current position of the axis
@@ -141,14 +145,31 @@ def _draft_other(make: str, number: int) -> FleetDraft:
 
 def make_stage_fleet(seed: int, wanted: Sequence[str], stages: Collection[Stage]) -> Fleet:
     """Draw a fleet with at least one controller of each make in `wanted`, and with what jobs of `stages` need."""
-    makes_of_stage = PAIR_MAKES if "pair" in stages else ()
+    makes_of_stage = PAIR_MAKES if "pair" in stages else _draw_zone_makes(seed, wanted) if "zone" in stages else ()
     has_paths = "chunk" in stages or "flying" in stages
     fleet = make_campaign_fleet(seed, [*wanted, *makes_of_stage], paths=has_paths)
     if "virtual" in stages:
         fleet = add_virtual_axes(fleet, seed)
     if "pair" in stages:
         fleet = add_pair(fleet, PAIR_MAKES)
+    if "zone" in stages:
+        fleet = add_zones(fleet, makes_of_stage, seed)
     return add_touch_inputs(fleet) if "probe" in stages else fleet
+
+
+def _draw_zone_makes(seed: int, wanted: Sequence[str]) -> Sequence[str]:
+    """Draw the makes of both carriages, one of them in `wanted`, and of the third axis."""
+    draw = Random(f"zone makes {seed}")
+    body_makes = [wanted[0], draw.choice([make for make in BODY_MAKES if make != wanted[0]])]
+    draw.shuffle(body_makes)
+    return [*body_makes, draw.choice([make for make in MAKES if make not in body_makes])]
+
+
+def find_members(fleet: Fleet, make: str) -> list[str]:
+    """The controllers of a make that a fault can affect."""
+    return [
+        name for name, config in fleet.controllers.items() if config.adapter == make and carries_a_body(fleet, name)
+    ]
 
 
 def make_campaign_fleet(seed: int, wanted: Sequence[str], *, paths: bool = False) -> Fleet:

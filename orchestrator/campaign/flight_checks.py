@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.campaign.fleets import SYNC_MAKE
-from orchestrator.campaign.flown_scans import SPACING, find_flown_scan
 from orchestrator.campaign.recording.row_recorder import PublishedRows, RowRecorder
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords
+from orchestrator.campaign.stages.flown_scans import SPACING, find_flown_scan
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.fleet import Axis

@@ -3,16 +3,17 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from orchestrator.campaign.faults import FaultKind
-from orchestrator.campaign.fleet_parts import find_traits
 from orchestrator.campaign.fleets import HOME_ANYWHERE
-from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.campaign.job_ends import check_end, check_live_job
 from orchestrator.campaign.jobs import JobOrder
 from orchestrator.campaign.motion_checks import MotionChecker
 from orchestrator.campaign.recording.recorder import BusRecorder, RecordedRequest
 from orchestrator.campaign.records import STEP_WINDOW_NS, CampaignPhase, PhaseRecords
+from orchestrator.campaign.stages.fleet_parts import find_traits
+from orchestrator.campaign.stages.flown_scans import find_flown_scan
 from orchestrator.campaign.start_checks import AtOnceChecker, find_outlasted
 from orchestrator.campaign.watched_axes import WatchedAxes
+from orchestrator.campaign.zone_checks import ends_at_a_zone, may_be_refused
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.model.report import FINISHED_STATES, JobReport, MemberReport, StepReport
 from orchestrator.model.state import AxisEvidence, ControllerState, TimeInterval
@@ -210,7 +211,8 @@ class InvariantChecker:
             touched_controllers = (
                 is_broken and not phase.fault.harmless and set(order.controllers) & set(phase.affected)
             )
-            if not touched_controllers:
+            is_refused = ends_at_a_zone(report, row.reason) and may_be_refused(phase, order)
+            if not touched_controllers and not is_refused:
                 self.add_violation(
                     "7", f"job {order.job.name}, which the fault does not affect, is {row.state}: {row.reason}"
                 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from orchestrator.campaign.flown_scans import find_flown_scan
+from orchestrator.campaign.stages.flown_scans import find_flown_scan
 from orchestrator.coordinator.journal.records import JobRecord
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.jobs.job import Job

@@ -6,14 +6,17 @@ from itertools import chain
 from random import Random
 from typing import Any, Literal, NamedTuple
 
-from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
 from orchestrator.campaign.fleets import PATH_MAKE
-from orchestrator.campaign.flown_scans import draw_flown_scan
-from orchestrator.campaign.pairs import find_paired_controllers, move_pairs_as_one
-from orchestrator.campaign.probes import draw_probe
-from orchestrator.campaign.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
+from orchestrator.campaign.stages.fleet_parts import TRIGGER_OUTPUT, TRIGGER_PERIOD, find_traits
+from orchestrator.campaign.stages.flown_scans import draw_flown_scan
+from orchestrator.campaign.stages.pairs import find_paired_controllers, move_pairs_as_one
+from orchestrator.campaign.stages.probes import draw_probe
+from orchestrator.campaign.stages.virtual_moves import VIRTUAL_SPEED, draw_virtual_targets
+from orchestrator.campaign.stages.zones import draw_zone_jobs, find_way_back
+from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.fleet import Fleet, group_by_link
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.names import controller_of
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.steps.base import Step
 from orchestrator.model.steps.live import Live
@@ -32,17 +35,19 @@ CHAIN_BACK_S = (0.0, 0.15)
 PATH_SHARES = (0.4, 1.0, 0.5, 0.1)  # of the way of a move, at the end of each line
 PATH_TOLERANCE = 8.0  # units: the clocks of a campaign's fleet are young
 ARMED_TIMEOUT = "30 s"  # of a step that waits armed
+ZONE_END_SKEW_NS = 300 * NS_PER_MS  # between both carriages
 MAX_MOVE_S = 5.5  # of a move: some seconds more than injecting and detecting the fault takes
 
 
 MainKind = Literal[
-    "move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight", "virtual", "pair", "probe"
+    "move", "home", "chain", "path", "trigger", "at-once", "live", "armed", "flight", "virtual", "pair", "probe", "zone"
 ]
 """home: `member` is homed before the move. chain: several steps, one after the other. path: one step along a path of
 several chunks. trigger: outputs are switched on the way. at-once: a chain of `member` alone, whose steps start at
 once. live: a live job whose program asks for a chain. armed: its move waits
 armed for a request. flight: a scan that flies. virtual: its move is one of virtual axes. pair: its move is that of a
-pair. probe: `member` probes, and goes back."""
+pair. probe: `member` probes, and goes back.
+zone: jobs of axes that carry bodies of keep-out zones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +85,8 @@ def draw_orders(
 ) -> list[JobOrder]:
     """Draw two or three jobs; the first one, of this kind, moves `member`. positions: position of each axis, in its
     unit."""
+    if kind == "zone":
+        return _draw_zone_orders(fleet, member, positions, draw)
     groups = [line for line in _group_inseparable(fleet) if member not in line]
     draw.shuffle(groups)
     group_count = max(1, len(groups) - draw.choice((0, 1, 2)))
@@ -90,14 +97,7 @@ def draw_orders(
     if kind == "home":
         first = [{"do": "home", "axes": [member]}]
         all_positions |= {f"{member}.{axis}": 0.0 for axis in fleet.controllers[member].axes}
-    if kind in ("at-once", "probe"):
-        main = [member]
-    elif kind == "pair":
-        main = find_paired_controllers(fleet)
-    elif kind in ("path", "flight"):
-        main = [name for name in fleet.controllers if _takes_paths(fleet, name)]
-    elif kind == "virtual":
-        main = list(fleet.controllers)
+    main = _find_main(fleet, member, kind) or main
     other_controllers = [name for name in other_controllers if name not in main]
     job = _draw_main(kind, _JobAxes(fleet, main, all_positions), member, draw, first)
     orders = [_make_live(job, main) if kind == "live" else JobOrder(job, QueueTerms(), tuple(main))]
@@ -114,6 +114,33 @@ def draw_orders(
     terms = QueueTerms(priority=draw.choice((-1, 0)))
     orders.append(JobOrder(_draw_moves("late", _JobAxes(fleet, late, all_positions), draw), terms, tuple(late)))
     return orders
+
+
+def _find_main(fleet: Fleet, member: str, kind: MainKind) -> list[str]:
+    """The controllers of the first job, where its kind says which; else none."""
+    match kind:
+        case "at-once" | "probe":
+            return [member]
+        case "pair":
+            return find_paired_controllers(fleet)
+        case "path" | "flight":
+            return [name for name in fleet.controllers if _takes_paths(fleet, name)]
+        case "virtual":
+            return list(fleet.controllers)
+        case _:
+            return []
+
+
+def _draw_zone_orders(fleet: Fleet, member: str, positions: Mapping[str, float], draw: Random) -> list[JobOrder]:
+    """Axes of one step arrive together, so that what they may be apart in time leaves them room."""
+    return [
+        JobOrder(
+            make_job(fleet, job.name, job.steps).model_copy(update={"max_end_skew": ZONE_END_SKEW_NS}),
+            job.terms,
+            tuple(dict.fromkeys(map(controller_of, job.axes))),
+        )
+        for job in draw_zone_jobs(fleet, member, positions, draw)
+    ]
 
 
 def _make_live(job: Job, controllers: list[str]) -> JobOrder:
@@ -182,7 +209,9 @@ def make_witness(fleet: Fleet, positions: Mapping[str, float], attempt: int) -> 
     for name, position in positions.items():
         reach = fleet.axis(name).limits.velocity * SPEED_FRACTION * MAX_MOVE_S
         forward = (position < reach / 2) != bool(attempt % 2)
-        targets[name] = round(position + WITNESS_SHARE * (reach if forward else -reach), 2)
+        way_back = find_way_back(fleet, name, position)
+        share = WITNESS_SHARE * (reach if forward else -reach)
+        targets[name] = round(position + share, 2) if way_back is None else way_back
     job = make_job(fleet, WITNESS, [{"do": "move", "to": targets, "speed": SPEED_FRACTION}])
     return JobOrder(job, QueueTerms(priority=-9), tuple(fleet.controllers))
 

@@ -5,9 +5,9 @@ from contextvars import Context
 from dataclasses import replace
 from random import Random
 
-from orchestrator.campaign.fleet_parts import find_traits
 from orchestrator.campaign.injection.arbitrary_replies import ArbitraryReplies
 from orchestrator.campaign.injection.repairs import Repair
+from orchestrator.campaign.stages.fleet_parts import find_traits
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.virtual import VirtualClock
 from orchestrator.link.memory import MemoryWire

@@ -15,11 +15,11 @@ from functools import partial
 from random import Random
 from typing import NamedTuple
 
-from orchestrator.bus.base import BusSample
+from orchestrator.campaign.authority_checks import AuthorityChecker
 from orchestrator.campaign.computers import connect_computers, make_computers
 from orchestrator.campaign.fault_instants import FIRE_WINDOW_NS, FaultInstants
 from orchestrator.campaign.faults import FAULTS, FaultInjector
-from orchestrator.campaign.fleets import PERMIT_MAKE, make_stage_fleet
+from orchestrator.campaign.fleets import PERMIT_MAKE, find_members, make_stage_fleet
 from orchestrator.campaign.hand_jogs import STAGE_RENEWALS, HandJogs
 from orchestrator.campaign.invariants import InvariantChecker
 from orchestrator.campaign.job_acts import FlightActs, StartRequests
@@ -45,6 +45,7 @@ from orchestrator.campaign.recording.recorder import (
 )
 from orchestrator.campaign.recording.rest import find_at_rest
 from orchestrator.campaign.records import CampaignPhase
+from orchestrator.campaign.zone_checks import may_refuse_submission
 from orchestrator.client.api import Tutti
 from orchestrator.client.attendance import Attendance
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
@@ -87,6 +88,7 @@ _KINDS: dict[Stage, MainKind] = {
     "virtual": "virtual",
     "pair": "pair",
     "probe": "probe",
+    "zone": "zone",
 }
 
 
@@ -163,7 +165,6 @@ class _Scenario:
         self._draw = Random(seed_run.seed)
         self._target: tuple[CampaignPhase, FaultCell, asyncio.Future[tuple[str, int]]] | None = None
         self._stage_times: dict[tuple[tuple[str, int], str], dict[str, int]] = {}
-        self._epochs: dict[str, int] = {}
         self._phase: CampaignPhase | None = None
         self._attendance: Attendance | None = None
         self._witnesses = 0
@@ -175,6 +176,7 @@ class _Scenario:
         self.virtual.wrap_bus = self.recorder.wrap_bus
         self.checker = InvariantChecker(self.virtual, self.recorder, seed_run.seed)
         self._paths = PathChecker(self.virtual, self.checker.add_violation)
+        self._authority = AuthorityChecker(self.virtual, self.checker.add_violation)
         self._injector = FaultInjector(self.virtual, clock, self._draw)
         self._jogs = HandJogs(self.virtual, clock, self._draw, self._axis_positions)
         self._instants = FaultInstants(
@@ -185,7 +187,7 @@ class _Scenario:
         """Prepare the fleet, and run one phase after the other."""
         await self.virtual.start()
         client = self.virtual.make_client()
-        await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._check_epoch)
+        await self.virtual.make_client("watcher").bus.subscribe(self.virtual.keys.state(), self._authority.take_state)
         looking = asyncio.get_running_loop().create_task(self._poll_velocities())
         axes = list(self._seed_run.fleet.controllers)
         if await self._prepare_axes(client, axes, axes):
@@ -197,7 +199,7 @@ class _Scenario:
         looking.cancel()
         self._programs.cancel_all()
         self.checker.watched.end()
-        self._check_leaders()
+        self._authority.check_leaders(self._injector.former_leaders)
 
     def _log_event(self, text: str) -> None:
         self._seed_run.events.append(f"{self._clock.now_ns() / NS_PER_S:8.3f} s  {text}")
@@ -231,7 +233,7 @@ class _Scenario:
 
     async def _run_phase(self, client: Tutti, cell: FaultCell, *, last: bool) -> None:
         fleet, fault = self._seed_run.fleet, FAULTS[cell.fault]
-        member = self._draw.choice([n for n, config in fleet.controllers.items() if config.adapter == cell.make])
+        member = self._draw.choice(find_members(fleet, cell.make))
         motion_counts = {name: len(unit.commanded_motions) for name, unit in self.virtual.controllers.items()}
         act = CampaignPhase(fault, member, self._injector.find_affected(fault, member), motion_counts)
         arrival: asyncio.Future[tuple[str, int]] = asyncio.get_running_loop().create_future()
@@ -283,9 +285,15 @@ class _Scenario:
             self._log_event(f"{order.job.name} is {end}")
 
     async def _submit_order(self, client: Tutti, phase: CampaignPhase, order: JobOrder) -> str:
-        """Submit a job, and return its key; the program of a live job begins."""
+        """Submit a job, unless a zone refuses it, and return its key; the program of a live job begins."""
         key = self.virtual.draw_id()
-        job_id = await client.submit(order.job, key, order.terms)
+        try:
+            job_id = await client.submit(order.job, key, order.terms)
+        except Refusal as refusal:
+            if not may_refuse_submission(order, refusal):
+                raise
+            self._log_event(f"{order.job.name} is not accepted: {refusal.text}")
+            return key
         phase.jobs[job_id] = order
         if order.asked_steps:
             self._programs.spawn(run_program(client, self._clock, job_id, order.asked_steps))
@@ -525,16 +533,6 @@ class _Scenario:
 
     # Checks during a run
 
-    def _check_epoch(self, sample: BusSample) -> None:
-        """Check invariant 9: no adapter goes back to an older epoch."""
-        if not sample.payload.startswith(b'{"schema":"tutti.state/1"'):
-            return  # garbage of an adversary
-        _, _, remainder = sample.payload.partition(b'"epoch":')
-        epoch = int(remainder[: remainder.index(b",")])
-        if epoch < self._epochs.get(sample.key, 0):
-            self.checker.add_violation("9", f"{sample.key}: epoch {epoch} after {self._epochs[sample.key]}")
-        self._epochs[sample.key] = epoch
-
     async def _check_latches(self, fault: str) -> None:
         """Check invariant 4: every reachable adapter latches an e-stop, without a coordinator."""
         if fault != "estop":
@@ -544,20 +542,6 @@ class _Scenario:
             if state.estop is None:
                 self.checker.add_violation("4", f"{name} has not latched the e-stop")
         await person.close()
-
-    def _check_leaders(self) -> None:
-        """Check invariant 9: the leaders have different epochs, and an overtaken coordinator has detected its loss
-        of leadership."""
-        epochs = [
-            coordinator.leadership.epoch
-            for _, coordinator in self.virtual.coordinators.values()
-            if coordinator.leadership.epoch
-        ]
-        if len(set(epochs)) != len(epochs):
-            self.checker.add_violation("9", f"two leaders with one epoch: {epochs}")
-        for name in self._injector.former_leaders:
-            if not self.virtual.coordinators[name][1].leadership.over:
-                self.checker.add_violation("9", f"coordinator {name} was overtaken but still acts as leader")
 
 
 def _note_arrival(arrival: "asyncio.Future[tuple[str, int]]", step: tuple[str, int]) -> None:

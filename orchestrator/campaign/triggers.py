@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from orchestrator.campaign.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT
-from orchestrator.campaign.flown_scans import find_flown_scan
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords, StepRecord
+from orchestrator.campaign.stages.fleet_parts import TRIGGER_NUMBER, TRIGGER_OUTPUT
+from orchestrator.campaign.stages.flown_scans import find_flown_scan
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.model.report import JobReport, StepReport
 from orchestrator.runtime.virtual.fleet import VirtualFleet

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 
-from orchestrator.campaign.fleet_parts import VIRTUAL_GROUP
 from orchestrator.campaign.records import CampaignPhase, PhaseRecords
-from orchestrator.campaign.virtual_moves import find_virtual_move
+from orchestrator.campaign.stages.fleet_parts import VIRTUAL_GROUP
+from orchestrator.campaign.stages.virtual_moves import find_virtual_move
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.model.names import controller_of

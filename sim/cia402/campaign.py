@@ -5,7 +5,7 @@ from random import Random
 
 from orchestrator.link.can import CanFrame, decode_frames, encode_frames
 from orchestrator.model.fleet import CanBusLink, Controller
-from sim.core.campaign import BeamCarrier, CampaignTraits, TouchInput
+from sim.core.campaign import BeamCarrier, BodyCarrier, CampaignTraits, TouchInput
 
 
 def _refuse_reply(data: bytes) -> bytes:
@@ -34,6 +34,7 @@ CAMPAIGN = CampaignTraits(
     starts_link_together=True,
     change_one_thing=_change_one_thing,
     touch=TouchInput(2, "high", "computer"),
+    body=BodyCarrier({"method": "28"}, {"home_switch": [-4000, -500]}),
     beam=BeamCarrier(
         options={"watchdog_ms": 500},
         homing={"method": "index_negative", "speed": 0.5, "search_speed": 0.5},

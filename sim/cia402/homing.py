@@ -226,8 +226,11 @@ class HomingMode(OperationMode):
         edge = None if switch is None else switch[end]
         if edge is None:
             return None
-        if last * (edge - self.servo.mechanical_position) <= 0 and (yield _SearchLeg(-last, _FAST, (edge,))) is None:
-            return None
+        if last * (edge - self.servo.mechanical_position) <= 0:
+            # Where it stands on the edge itself, as after its last homing, that is left behind at the next count.
+            left_place = edge - last if self.servo.mechanical_position == edge else edge
+            if (yield _SearchLeg(-last, _FAST, (left_place,))) is None:
+                return None
         return (yield _SearchLeg(last, _SLOW, (self._index_beyond(edge, last) if index else edge,)))
 
     @property

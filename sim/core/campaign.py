@@ -2,7 +2,7 @@
 make has none of these properties."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from random import Random
 from typing import Any, Literal, Protocol, cast
 
@@ -38,6 +38,15 @@ class BeamCarrier:
 
 
 @dataclass(frozen=True, slots=True)
+class BodyCarrier:
+    """An axis in mm that carries a body, and finds the same reference each time. homing, simulate: fields of the axis,
+    and of its simulator, for that."""
+
+    homing: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    simulate: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+
+@dataclass(frozen=True, slots=True)
 class CampaignTraits:
     """Properties of a make for the fault campaign.
 
@@ -52,6 +61,7 @@ class CampaignTraits:
     change_one_thing: what a second client sends; None: it has no other connection.
     touch: the input of its controllers that a probe is stopped by; None: the campaign probes with none.
     beam: how one of its axes carries a beam with that of another controller; None: the campaign has none such.
+    body: how one of its axes carries a body of a keep-out zone; None: the campaign has none such.
     """
 
     refuse_reply: Callable[[bytes], bytes] | None = None
@@ -64,6 +74,7 @@ class CampaignTraits:
     change_one_thing: SecondMaster | None = None
     touch: TouchInput | None = None
     beam: BeamCarrier | None = None
+    body: BodyCarrier | None = None
 
 
 def campaign_traits(simulator: object) -> CampaignTraits:

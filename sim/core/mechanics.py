@@ -63,7 +63,7 @@ class Mechanics:
     def _find_error(self, name: str) -> float:
         settings = self._settings(name)
         tables = {name: settings.errors, **settings.errors_of} if settings.errors else settings.errors_of
-        return sum(_interpolate(rows, self._find_motor_of(of)) for of, rows in tables.items())
+        return sum(interpolate(rows, self._find_motor_of(of)) for of, rows in tables.items())
 
     def _find_motor_of(self, name: str) -> float:
         """Where the motor is that moves an axis: of `axis`, or of `controller.axis`."""
@@ -77,6 +77,6 @@ class Mechanics:
 _RIGID = AxisMechanics()
 
 
-def _interpolate(rows: Sequence[Sequence[float]], position: float) -> float:
+def interpolate(rows: Sequence[Sequence[float]], position: float) -> float:
     """The error at a position: straight between rows, and as at the ends beyond them."""
     return float(np.interp(position, [row[0] for row in rows], [row[1] for row in rows]))

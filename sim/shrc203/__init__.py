@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.model.fleet import Controller
-from sim.core.campaign import CampaignTraits, TouchInput
+from sim.core.campaign import BodyCarrier, CampaignTraits, TouchInput
 from sim.core.controller import FirmwareTiming, Simulator
 from sim.core.oscillator import Oscillator
 from sim.shrc203.bench import Shrc203Bench
@@ -23,6 +23,7 @@ class _Shrc203Simulator:
         refuse_reply=lambda data: b"NG\r\n" if data.endswith(b"\r\n") else data,
         start_class="host",
         touch=TouchInput(1, "high", "host"),
+        body=BodyCarrier(),
     )
 
     @property

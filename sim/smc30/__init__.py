@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from orchestrator.clock.base import Clock
 from orchestrator.model.fleet import Controller
-from sim.core.campaign import CampaignTraits, TouchInput
+from sim.core.campaign import BodyCarrier, CampaignTraits, TouchInput
 from sim.core.controller import DeviceSpec, FirmwareTiming
 from sim.core.oscillator import Oscillator
 from sim.smc30.bench import Smc30Bench
@@ -32,6 +32,7 @@ class Smc30Simulator:
         starts_link_together=True,
         references_at_limit=True,
         touch=TouchInput(2, "high", "controller"),
+        body=BodyCarrier(),
     )
 
     @property

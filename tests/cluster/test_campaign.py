@@ -217,10 +217,31 @@ def test_no_fault_lets_an_axis_go_on_behind_its_contact(seed: int, fault: str, m
     assert not story.violations and story.hit, story.summarize()
 
 
+ZONED = [
+    (167, "nothing-forwarded", "cia402"),
+    (61, "limit", "smc2000"),
+    (4, "none", "cia402"),
+    (23, "link-cut", "smc30"),
+    (16, "host-other-file", "smc2000"),  # a drive that stood on its home edge was homed through a zone
+    (148, "fleet-restarted", "smc30"),
+]
+"""Faults while carriages go to and fro in front of each other; the first two in the suite, nightly all of them."""
+
+
+@pytest.mark.parametrize(
+    ("seed", "fault", "make"),
+    [*ZONED[:2], *(pytest.param(*cell, marks=pytest.mark.nightly) for cell in ZONED[2:])],
+)
+def test_no_fault_brings_bodies_of_zones_nearer_than_they_may_be(seed: int, fault: str, make: str) -> None:
+    story = run_scenario(seed, [FaultCell("zone", fault, make)])
+    assert not story.violations and story.hit, story.summarize()
+    assert any(" is done" in event for event in story.events), story.summarize()
+
+
 @pytest.mark.nightly
-@pytest.mark.parametrize("stage", ["pair", "probe"])
+@pytest.mark.parametrize("stage", ["pair", "probe", "zone"])
 @pytest.mark.parametrize("first", range(0, 200, 20))
-def test_pairs_and_probes_keep_their_bounds_in_other_seeds(stage: Stage, first: int) -> None:
+def test_pairs_probes_and_zones_keep_their_bounds_in_other_seeds(stage: Stage, first: int) -> None:
     for seed in range(first, first + 20):
         story = run_scenario(seed, cells_of_seed(seed, SeedChoice((stage,))))
         assert not story.violations, story.summarize()

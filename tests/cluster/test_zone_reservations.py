@@ -1,19 +1,27 @@
 """Steps of parallel jobs and keep-out zones: one waits for the other instead of meeting it, or is refused."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
 import pytest
-from cluster.test_zone_seeds import TRUTH, DistanceWatch, ZoneRun
+from cluster.test_zone_seeds import ZoneRun
 from cluster.test_zone_watch import HOME
 from cluster.test_zones import ENABLE, zones_fleet
 from cluster.worlds import job, outcome, run_fleet
 
+from orchestrator.campaign.stages.zone_truth import TRUTH, ZoneTruth
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.coordinator.fleet.zone_reservations import ZoneReservations
+from orchestrator.coordinator.fleet.view import FleetView
+from orchestrator.coordinator.fleet.zone_reservations import ZONE_BUSY, ZoneReservations
+from orchestrator.coordinator.fleet.zones import ZoneGuard, ZoneMover, query_rest_positions
+from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobReport
+from orchestrator.model.state import ControllerState
+from orchestrator.plan.zones.course import Sweep, Timing
+from orchestrator.plan.zones.memory import ZoneMemory
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 # Turned by 40 degrees, a corner of the arm is 4 mm nearer to the detector than it may be at 152 mm.
@@ -29,14 +37,15 @@ def run_beside(
 
     async def main(fleet: VirtualFleet) -> list[JobReport]:
         await outcome(fleet, ENABLE, HOME, *before)
-        sampling = asyncio.ensure_future(DistanceWatch(fleet, run).sample())
+        truth = ZoneTruth(fleet)
+        run.nearest, watching = truth.nearest, asyncio.ensure_future(truth.watch())
         client = fleet.make_client()
         ids: list[str] = []
         for number, each in enumerate(jobs):
             ids.append(await client.submit(each, terms=QueueTerms(now=now and number > 0)))
             await sleep_ns(fleet.clock, round(apart_s * NS_PER_S))
         reports = [await client.wait_for_job(job_id) for job_id in ids]
-        sampling.cancel()
+        watching.cancel()
         return reports
 
     return run_fleet(main, zones_fleet()), run
@@ -100,6 +109,85 @@ def test_of_two_that_would_wait_for_each_other_the_second_does_not() -> None:
         assert reservations.begin_wait("c") is None
 
     asyncio.run(main())
+
+
+class EndingJob:
+    """A fleet at rest whose job `a`, which has the stage, ends while a step of another job is checked: as its controller
+    is asked for its state, or later."""
+
+    def __init__(self, states: Mapping[str, ControllerState], *, ends_at_query: bool) -> None:
+        self._ends_at_query = ends_at_query
+        self.fleet = zones_fleet()
+        self.reservations = ZoneReservations()
+        self.reservations.enter("a")
+        self.reservations.enter("b")
+        leases = {"u": "a", "phi": "a"}
+        self._states = {**states, "stage": states["stage"].model_copy(update={"leases": leases})}
+
+    def is_silent(self, controller: str) -> bool:
+        return controller not in self._states
+
+    def last_state(self, controller: str) -> ControllerState:
+        return self._states[controller]
+
+    async def query_state(self, controller: str) -> ControllerState:
+        if controller == "stage" and self._ends_at_query:
+            self.reservations.leave("a")
+        return self._states[controller]
+
+    async def leave_first(self, function: Callable[..., Any], *values: Any) -> Any:
+        self.reservations.leave("a")
+        return function(*values)
+
+
+def read_states() -> Mapping[str, ControllerState]:
+    async def main(fleet: VirtualFleet) -> Mapping[str, ControllerState]:
+        await outcome(fleet, ENABLE, HOME)
+        return await fleet.make_client().status(1.0)
+
+    return run_fleet(main, zones_fleet())
+
+
+def test_axes_of_a_job_that_ends_during_a_check_stand_where_they_are() -> None:
+    view = EndingJob(read_states(), ends_at_query=True)
+    query = query_rest_positions(cast(FleetView, view), ["stage.u", "gantry.x"], {}, "b", view.reservations)
+    assert asyncio.run(query).keys() == {"stage.u", "gantry.x"}
+    assert not view.reservations.is_job("a")
+
+
+def test_a_step_that_is_refused_for_a_job_that_ends_during_the_check_waits() -> None:
+    """It is checked again, and not refused for what is no longer so."""
+    view = EndingJob(read_states(), ends_at_query=False)
+    view.reservations.reserve("a", 0, {"stage.phi": (0, 60)})
+    guard = ZoneGuard(cast(FleetView, view), ZoneMemory(), view.reservations, view.leave_first)
+    sweep = Sweep({}, {"gantry.x": (0, 152)}, Timing({}), ["gantry.x"])
+    with pytest.raises(Refusal, match=r"job a has stage\.phi, stage\.u") as failure:
+        asyncio.run(guard.require(sweep, ZoneMover("b", 0)))
+    assert failure.value.code == ZONE_BUSY
+
+
+def test_a_job_that_looks_again_waits_for_nothing_known() -> None:
+    """What it waited for has moved on: it is in the way of none that waits for it."""
+    reservations = ZoneReservations()
+    for holder in ("a", "b"):
+        reservations.enter(holder)
+        reservations.reserve(holder, 0, {"x": (0, 1)})
+    reservations.note_blockers("a", ["b"])
+    reservations.note_blockers("b", ["a"])
+    assert reservations.begin_wait("a") is None
+    reservations.end("b", 0)
+    assert reservations.begin_wait("b") is None
+    assert reservations.begin_wait("a") == "b"
+
+
+def test_a_job_waits_for_those_alone_that_have_axes_of_the_rule() -> None:
+    """The stage turns into the way of the detector; with the column the job that lifts it has nothing to do."""
+    view = EndingJob(read_states(), ends_at_query=False)
+    guard = ZoneGuard(cast(FleetView, view), ZoneMemory(), view.reservations, view.leave_first)
+    sweep = Sweep({}, {"gantry.x": (390, 399)}, Timing({}), ["gantry.x"])
+    with pytest.raises(Refusal, match="zone column") as failure:
+        asyncio.run(guard.require(sweep, ZoneMover("b", 0)))
+    assert failure.value.code == "zone"
 
 
 @pytest.mark.parametrize("behind", [True, False])

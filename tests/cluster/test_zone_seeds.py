@@ -12,27 +12,23 @@ from cluster.test_zones import ENABLE, zones_fleet
 from cluster.worlds import give_word, outcome, run_fleet
 
 from orchestrator.bus.base import Priority
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
+from orchestrator.campaign.stages.zone_truth import TRUTH, ZoneTruth
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import EstopMessage
-from orchestrator.plan.zones.clearance import PairClearance
 from orchestrator.plan.zones.course import Course
 from orchestrator.plan.zones.rules import FleetZones
 from orchestrator.plan.zones.search import Violation
 from orchestrator.runtime.virtual.fleet import VirtualFleet
 
 JOBS = 4
-SAMPLE_NS = 8 * NS_PER_MS
-TRUTH = 0.02  # mm: rounding to counts
-CLOSING_SPEED = 200.0  # mm/s, of all axes at once
-COUNTS = {"gantry.x": ("X", 1000), "gantry.z": ("Y", 1000), "stage.u": ("1", 10000), "stage.phi": ("2", 400)}
 # Most of the ways lead over the sample, high and low.
 TARGETS = {"gantry.x": (100, 300), "gantry.z": (0, 50), "stage.u": (0, 50), "stage.phi": (-90, 90)}
 
 
 @dataclass
 class ZoneRun:
-    """What came of a seed. nearest: by rule, how much farther than it must be a body was at least, mm."""
+    """What came of a seed. nearest: by rule, as of `ZoneTruth`."""
 
     nearest: dict[str, float] = field(default_factory=dict[str, float])
     done: int = 0
@@ -74,39 +70,6 @@ FAULTS: list[Callable[[VirtualFleet, Random], None]] = [
 ]
 
 
-class DistanceWatch:
-    """Samples true distances. run: keeps the smallest ones."""
-
-    def __init__(self, fleet: VirtualFleet, run: ZoneRun) -> None:
-        self._fleet, self._run = fleet, run
-        self._rules = {
-            check.name: check.constraint
-            for check in FleetZones(zones_fleet()).rules
-            if isinstance(check.constraint, PairClearance)
-        }
-
-        # Where counters are 0 by truth: those of a controller that was off count from elsewhere.
-        self._zeros = {axis: self._find_place(axis) - self._find_count(axis) for axis in COUNTS}
-
-    def _find_place(self, axis: str) -> float:
-        motor, scale = COUNTS[axis]
-        return self._fleet.controllers[axis.partition(".")[0]].physical_position(motor) / scale
-
-    def _find_count(self, axis: str) -> float:
-        motor, scale = COUNTS[axis]
-        return self._fleet.controllers[axis.partition(".")[0]].position(motor) / scale
-
-    async def sample(self) -> None:
-        """Look again as soon as bodies can have come nearer than they were at least."""
-        while True:
-            positions = {axis: self._find_place(axis) - zero for axis, zero in self._zeros.items()}
-            gaps = {name: rule.find_distance(positions)[1] - rule.distance for name, rule in self._rules.items()}
-            for name, gap in gaps.items():
-                self._run.nearest[name] = min(self._run.nearest.get(name, gap), gap)
-            free_s = (min(gaps.values()) - min(self._run.nearest.values())) / CLOSING_SPEED
-            await sleep_ns(self._fleet.clock, max(SAMPLE_NS, round(free_s * NS_PER_S)))
-
-
 def draw_job(draw: Random) -> Job:
     axes = draw.sample(list(TARGETS), draw.choice([1, 1, 2, 2, 3]))
     targets = {axis: round(draw.uniform(*TARGETS[axis]), 1) for axis in axes}
@@ -121,7 +84,8 @@ def run_seed(seed: int) -> ZoneRun:
 
     async def main(fleet: VirtualFleet) -> None:
         await outcome(fleet, ENABLE, HOME)
-        sampling = asyncio.ensure_future(DistanceWatch(fleet, run).sample())
+        truth = ZoneTruth(fleet)
+        run.nearest, watching = truth.nearest, asyncio.ensure_future(truth.watch())
         client = fleet.make_client()
         for number in range(3 * JOBS):
             is_last = run.done >= JOBS - 1
@@ -139,7 +103,7 @@ def run_seed(seed: int) -> ZoneRun:
             if report.state == "failed":
                 await client.start_queue()
             assert report.state == "done" or "zone " in report.reason, (number, report.reason)
-        sampling.cancel()
+        watching.cancel()
 
     run_fleet(main, zones_fleet())
     return run

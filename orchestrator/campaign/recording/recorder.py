@@ -32,13 +32,15 @@ Stage = Literal[
     "virtual",
     "pair",
     "probe",
+    "zone",
 ]
 """chain: a step is loaded behind a moving one, and has not been moving for long. Stages with seeds of their own: chunk:
 the next chunk of a path is loaded or released; trigger: a step moves whose members switch outputs on the way; at-once:
 a step that starts at once is requested, and waits for the end of the one before; live: a step that a live job was asked
 for is loaded behind a moving one, or moves; armed-waiting: a step is armed, and waits for `go`;
 flying: several lines of a scan are flown in one motion; virtual: a step of virtual axes moves; pair: two axes that
-carry one beam move; probe: an axis moves until it is stopped by an input."""
+carry one beam move; probe: an axis moves until it is stopped by an input;
+zone: axes that carry bodies of keep-out zones move."""
 _ALL: tuple[Stage, ...] = get_args(Stage)
 _CHAIN = _ALL.index("chain")
 STAGES = _ALL[: _CHAIN + 1]

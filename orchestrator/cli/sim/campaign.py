@@ -34,6 +34,7 @@ STAGE_NAMES = (
     "virtual",
     "pair",
     "probe",
+    "zone",
 )
 """Those of the campaign, which is not loaded for the help text."""
 
@@ -49,7 +50,7 @@ STAGE_NAMES = (
     multiple=True,
     type=click.Choice(STAGE_NAMES),
     help="Seeds with one fault, at this stage; several can be given. Only so there are faults at chunk, trigger, "
-    "at-once, live, armed-waiting, flying, virtual, pair and probe.",
+    "at-once, live, armed-waiting, flying, virtual, pair, probe and zone.",
 )
 @click.option("--fault", "faults", multiple=True, help="Seeds with one fault, of this kind; several can be given.")
 @click.option("--apart", is_flag=True, help="Each adapter host on a computer with a clock and network of its own.")

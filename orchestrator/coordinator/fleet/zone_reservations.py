@@ -54,6 +54,10 @@ class ZoneReservations:
         """Whether a holder of leases is a running job."""
         return holder in self._jobs
 
+    def list_jobs(self) -> frozenset[str]:
+        """The holders of leases that are running jobs now."""
+        return frozenset(self._jobs)
+
     def reserve(self, holder: str, index: int, box: Box, *, behind: bool = False) -> None:
         """Reserve where a step may move axes; in place of what its job has reserved before, unless it begins behind a
         step that moves now."""
@@ -119,5 +123,7 @@ class ZoneReservations:
         return False
 
     def _note_change(self) -> None:
+        """All that wait look again: until then it is not known what they wait for."""
+        self._waits.clear()
         self._changed.set()
         self._changed = asyncio.Event()

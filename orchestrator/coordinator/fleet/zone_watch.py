@@ -106,7 +106,7 @@ class ZoneWatch:
         else:
             rule.lost = set()
         rule.known = {axis for axis, sight in sights.items() if sight.position is not None}
-        rule_sight = look_at_rule(constraint, sights, zones.ranges)
+        rule_sight = look_at_rule(constraint, sights, zones.ranges, trust_step=rule.check.trust_step)
         rule.free_until_ns = now_ns + rule.find_free_ns(rule_sight.free)
         danger = rule_sight.danger
         text = "" if danger is None else f"zone {rule.check.name}: {danger.text}"
@@ -131,15 +131,19 @@ class ZoneWatch:
         if not axis_state.referenced:
             cause = "homing" if axis_state.homing else "not referenced"
             return AxisSight(None, axis_state.moving, is_unchecked, cause=cause)
-        reach = self._find_reach(axis, axis_state, state) if axis_state.moving else 0.0
-        return AxisSight(axis_state.motor_position, axis_state.moving, is_unchecked, reach)
+        if not axis_state.moving:
+            return AxisSight(axis_state.motor_position, moving=False, unchecked=is_unchecked)
+        reach, drift = self._find_reach(axis, axis_state, state), abs(axis_state.velocity) * self._find_wait_s(state)
+        return AxisSight(axis_state.motor_position, axis_state.moving, is_unchecked, reach, drift)
+
+    def _find_wait_s(self, state: ControllerState) -> float:
+        """From when a controller that moves was read until it is read again, s."""
+        return _find_age(state) + 1.0 / self._view.fleet.controllers[state.controller].state.moving_hz
 
     def _find_reach(self, axis: Axis, axis_state: AxisState, state: ControllerState) -> float:
         """How far an axis that moves may come until it stands, in its unit."""
         speed = max(axis.limits.velocity, abs(axis_state.velocity))
-        rates = self._view.fleet.controllers[state.controller].state
-        waits_s = _find_age(state) + 1.0 / rates.moving_hz + STOP_S
-        return speed * waits_s + speed**2 / (2 * axis.limits.acceleration)
+        return speed * (self._find_wait_s(state) + STOP_S) + speed**2 / (2 * axis.limits.acceleration)
 
     def _stop(self, rule: "_WatchedRule", danger: Danger, text: str, now_ns: int) -> None:
         if rule.stopped_ns is not None and now_ns < rule.stopped_ns + AGAIN_NS:

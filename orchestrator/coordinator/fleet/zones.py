@@ -17,6 +17,7 @@ from orchestrator.plan.homing_order import HomingOrder
 from orchestrator.plan.zones.chain import Box
 from orchestrator.plan.zones.course import Sweep
 from orchestrator.plan.zones.memory import ZoneMemory
+from orchestrator.plan.zones.refusals import ZoneRefusal
 from orchestrator.plan.zones.rooms import Room
 
 
@@ -56,12 +57,13 @@ class ZoneGuard:
             return sweep.recent
         fleet, holder = self.view.fleet, mover.holder
         async with self.reservations.lock:
+            blockers = self._find_blockers(moved_axes, holder)
             positions = await self._query_positions(moved_axes, holder, ends)
             sweep = replace(sweep, positions={**positions, **sweep.positions})
             try:
                 checked_sweep = await (execute or self.execute)(self.memory.require, fleet, sweep)
             except Refusal as refusal:
-                raise self._explain(refusal, moved_axes, holder) from None
+                raise self._explain(refusal, blockers | self._find_blockers(moved_axes, holder), holder) from None
             self.reservations.reserve(holder, mover.index, checked_sweep.reach, behind=ends is not None)
         return checked_sweep.recent
 
@@ -71,17 +73,19 @@ class ZoneGuard:
         if order.axes.isdisjoint(self.list_axes()):
             return
         async with self.reservations.lock:
+            blockers = self._find_blockers(order.axes, holder)
             positions = await self._query_positions((), holder)
             try:
                 await self.execute(self.memory.require_homing, self.view.fleet, positions, order)
             except Refusal as refusal:
-                raise self._explain(refusal, order.axes, holder) from None
+                raise self._explain(refusal, blockers | self._find_blockers(order.axes, holder), holder) from None
             ranges = self.memory.read(self.view.fleet).ranges
             box = {axis: ranges[axis] for axis in order.axes if axis in ranges}
             self.reservations.reserve(holder, WHOLE_STEP, box)
 
-    def _explain(self, refusal: Refusal, moved: Collection[str], holder: str) -> Refusal:
-        """The refusal of a step; of one that may go on when other jobs have moved or ended, with code `zone-busy`."""
+    def _find_blockers(self, moved: Collection[str], holder: str) -> dict[str, list[str]]:
+        """The running jobs that have axes of the same rules as `moved`, and these axes. One that ends while a step is
+        checked counts in the check all the same, so that they are asked for before it as well."""
         blockers: dict[str, list[str]] = {}
         for axis in sorted(self.memory.list_related(self.view.fleet, moved)):
             controller, local = split_name(axis)
@@ -89,6 +93,13 @@ class ZoneGuard:
             owner = holder if state is None else state.leases.get(local, holder)
             if owner != holder and self.reservations.is_job(owner):
                 blockers.setdefault(owner, []).append(axis)
+        return blockers
+
+    def _explain(self, refusal: Refusal, blockers: Mapping[str, Collection[str]], holder: str) -> Refusal:
+        """The refusal of a step; of one that may go on when other jobs have moved or ended, with code `zone-busy`. Jobs
+        that have no axis of the rule that refuses it are not in its way."""
+        if isinstance(refusal, ZoneRefusal):
+            blockers = {owner: axes for owner, axes in blockers.items() if not refusal.axes.isdisjoint(axes)}
         if refusal.code != "zone" or not blockers:
             return refusal
         self.reservations.note_blockers(holder, blockers)
@@ -136,9 +147,8 @@ async def query_rest_positions(
     offline, not referenced, move otherwise, or are leased for manual control, which may move them at any time. The last
     published state may be older than the end of a homing, so that controllers are asked.
     """
-    controllers = list(dict.fromkeys(split_name(name)[0] for name in axes if name not in ends))
-    answers = await asyncio.gather(*(_query_state(view, controller) for controller in controllers))
-    states = dict(zip(controllers, answers, strict=True))
+    running_jobs = reservations.list_jobs()  # one that ends meanwhile leaves its axes where they stand
+    states = await _query_states(view, dict.fromkeys(split_name(name)[0] for name in axes if name not in ends))
     positions: dict[str, tuple[float, float]] = {}
     for name in axes:
         axis, reserved_ends = view.fleet.axis(name), reservations.find_box(name, holder)
@@ -154,11 +164,17 @@ async def query_rest_positions(
             if answer is None or state is None or not state.referenced or state.moving or state.homing:
                 continue
             owner = answer.leases.get(local, holder)
-            if owner != holder and not reservations.is_job(owner):
+            if owner not in (holder, *running_jobs) and not reservations.is_job(owner):
                 continue
             position = float(axis.to_position(state.axis_counts))
         positions[name] = position, position
     return positions
+
+
+async def _query_states(view: FleetView, controllers: Collection[str]) -> Mapping[str, ControllerState | None]:
+    """The states of controllers, as of `_query_state`."""
+    answers = await asyncio.gather(*(_query_state(view, controller) for controller in controllers))
+    return dict(zip(controllers, answers, strict=True))
 
 
 async def _query_state(view: FleetView, controller: str) -> ControllerState | None:

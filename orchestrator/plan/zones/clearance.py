@@ -178,6 +178,10 @@ class RelationConstraint:
         widest = max(shares, key=shares.__getitem__)
         return Look(holds=None, widest=widest if shares[widest] > FINEST else None)
 
+    def find_depth(self, positions: Mapping[str, float]) -> float:
+        """How far positions are behind both ends, in the unit of the axis that is less so; below 0: it is kept."""
+        return min(end.find_depth(positions) for end in (self._when, self._forbid))
+
     def relax(self, box: Box) -> "NoDeeper":
         """Neither position goes farther behind its end than it may be in the box."""
         return NoDeeper(self, [(end, end.way.find_range(box)) for end in (self._when, self._forbid)])
@@ -225,8 +229,12 @@ class End:
 
     def holds_at(self, positions: Mapping[str, float]) -> bool:
         """Whether it holds with axes at positions."""
-        position = self.way.find_at(positions)
-        return position < self.end if self.is_below else position > self.end
+        return self.find_depth(positions) > 0.0
+
+    def find_depth(self, positions: Mapping[str, float]) -> float:
+        """How far positions are on its side of the end, in its unit."""
+        excess = self.way.find_at(positions) - self.end
+        return -excess if self.is_below else excess
 
     def may_hold(self, box: Box) -> bool:
         """Whether it holds anywhere in a box."""

@@ -1,6 +1,6 @@
 """The refusal of a step that may break a rule, with what would fit."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import permutations
 from math import isfinite
 
@@ -17,8 +17,22 @@ MOST_ORDERED = 3
 """Axes whose orders are tried."""
 
 
-def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Refusal:
-    """The refusal of a step that may break a rule: code `zone`."""
+class ZoneRefusal(Refusal):
+    """The refusal of a step that may break a rule: code `zone`. axes: of the rule."""
+
+    def __init__(self, text: str, remedy: str, axes: Iterable[str]) -> None:
+        super().__init__("zone", text, remedy)
+        self.axes = frozenset(axes)
+
+
+def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> ZoneRefusal:
+    """The refusal of a step that may break a rule."""
+    text, remedy = _find_words(zones, course, violation)
+    return ZoneRefusal(text, remedy, violation.rule.constraint.axes)
+
+
+def _find_words(zones: FleetZones, course: Course, violation: Violation) -> tuple[str, str]:
+    """What the refusal of a step says, and what to do."""
     rule = violation.rule
     text = f"zone {rule.name}: {_describe(zones, course, violation)}"
     unknown_axes = [axis for axis in rule.constraint.axes if axis in course.unknown]
@@ -26,21 +40,21 @@ def make_refusal(zones: FleetZones, course: Course, violation: Violation) -> Ref
         axes = ", ".join(unknown_axes)
         text += f"; the position of {axes} is not known (not referenced, offline, or in use by something else)"
         text += ", and counts as anywhere in its range"
-        return Refusal("zone", text, f"home {axes}, or wait until what uses it has ended")
+        return text, f"home {axes}, or wait until what uses it has ended"
     if violation.positions is None:
-        return Refusal("zone", text, "move in shorter steps, or give the bodies fewer parts that turn")
+        return text, "move in shorter steps, or give the bodies fewer parts that turn"
     if not course.moving:
-        return Refusal("zone", text, "move the other axes of this zone away first")
+        return text, "move the other axes of this zone away first"
     begin_box = course.find_box(rule.constraint.axes, 0.0, 0.0, trust_step=True)
     if rule.constraint.look(begin_box).holds is False:
         middle = find_middle({axis: begin_box[axis] for axis in rule.constraint.axes})
         way_out = find_exit(zones, rule, middle)
         words = "jog them apart first" if way_out is None else way_out.describe()
-        return Refusal("zone", text, f"they stand so where the step begins: {words}")
+        return text, f"they stand so where the step begins: {words}"
     is_trusted = rule.trust_step or find_rule_violation(rule, course, trust_step=True) is not None
     if not is_trusted:
         text += "; it does while all axes keep step, and not where one of them stops and the others go on"
-    return Refusal("zone", text, _find_remedy(zones, course, trusted=is_trusted))
+    return text, _find_remedy(zones, course, trusted=is_trusted)
 
 
 def _describe(zones: FleetZones, course: Course, violation: Violation) -> str:

@@ -10,6 +10,7 @@ from orchestrator.plan.zones.clearance import (
     Constraint,
     OutOfWork,
     PairClearance,
+    RelationConstraint,
     Search,
     find_middle,
     find_violation,
@@ -25,13 +26,15 @@ class AxisSight:
     """What is seen of a real axis. position: its motor position; None: it may be anywhere in its range. cause: why.
 
     unchecked: no plan that was checked knows of it: it moves by another's doing, or its position was lost while others
-    moved. reach: how far an axis that moves may come before it stands, in its unit.
+    moved. reach: how far an axis that moves may come before it stands, in its unit; drift: how far it may move until it
+    is read again.
     """
 
     position: float | None
     moving: bool
     unchecked: bool = False
     reach: float = 0.0
+    drift: float = 0.0
     cause: str = ""
 
 
@@ -54,8 +57,12 @@ class RuleSight:
     free: float = 0.0
 
 
-def look_at_rule(constraint: Constraint, sights: Mapping[str, AxisSight], ranges: Box) -> RuleSight:
+def look_at_rule(
+    constraint: Constraint, sights: Mapping[str, AxisSight], ranges: Box, *, trust_step: bool = False
+) -> RuleSight:
     """Whether a rule is broken, or may be before axes stand. sights: of all its axes. ranges: where an axis can be.
+    trust_step: the rule relies on axes that keep step; those are read at different instants, so that they may be
+    farther from each other than their readings.
 
     Where all motion was checked ahead, with all its uncertainties, axes count where they are. Where the plan did not
     know of one, all that moves may go on as fast as it may, in either direction, until it stands.
@@ -65,11 +72,12 @@ def look_at_rule(constraint: Constraint, sights: Mapping[str, AxisSight], ranges
     positions = {axis: position for axis in axes if (position := sights[axis].position) is not None}
     is_known = len(positions) == len(axes)
     if not any(sights[axis].unchecked for axis in axes):
-        return _look_at_point(constraint, positions, moving_axes) if is_known else RuleSight()
+        drifts = _find_drifts(sights, moving_axes if trust_step else ())
+        return _look_at_point(constraint, positions, moving_axes, drifts) if is_known else RuleSight()
     box = {axis: _find_ends(sights[axis], ranges[axis]) for axis in axes}
     if _find_gap(constraint, box) > 0.0:
         return RuleSight()
-    sight = _look_at_point(constraint, positions, moving_axes) if is_known else RuleSight()
+    sight = _look_at_point(constraint, positions, moving_axes, {}) if is_known else RuleSight()
     if sight.danger is not None or not moving_axes:
         return RuleSight(sight.danger)
     violation = _find_place(constraint, box)
@@ -77,6 +85,12 @@ def look_at_rule(constraint: Constraint, sights: Mapping[str, AxisSight], ranges
         return RuleSight()
     text = f"{_describe_causes(axes, sights)}; then {constraint.describe(violation)}"
     return RuleSight(Danger(text, moving_axes, broken=False))
+
+
+def _find_drifts(sights: Mapping[str, AxisSight], moving_axes: tuple[str, ...]) -> Mapping[str, float]:
+    """How far axes that move together may have moved since they were read; none of one that moves alone."""
+    drifting_axes = moving_axes if len(moving_axes) > 1 else ()
+    return {axis: sights[axis].drift for axis in drifting_axes}
 
 
 def _find_place(constraint: Constraint, box: Box) -> Mapping[str, float] | None:
@@ -111,7 +125,13 @@ def find_closing_speed(constraint: Constraint, ranges: Box, speeds: Mapping[str,
     )
 
 
-def _look_at_point(constraint: Constraint, positions: Mapping[str, float], moving_axes: tuple[str, ...]) -> RuleSight:
+def _look_at_point(
+    constraint: Constraint,
+    positions: Mapping[str, float],
+    moving_axes: tuple[str, ...],
+    drifts: Mapping[str, float],
+) -> RuleSight:
+    """Whether a rule is broken at positions by more than axes have moved meanwhile, `drifts`."""
     box = {axis: (position, position) for axis, position in positions.items()}
     gap = _find_gap(constraint, box)
     if gap > 0.0:
@@ -119,7 +139,10 @@ def _look_at_point(constraint: Constraint, positions: Mapping[str, float], movin
     free = 0.0
     if isinstance(constraint, PairClearance):
         least, most = constraint.find_distance(positions)
-        is_broken, free = most < constraint.distance - ROUNDING, max(least - constraint.distance, 0.0)
+        drift = find_closing_speed(constraint, box, {**dict.fromkeys(constraint.axes, 0.0), **drifts})
+        is_broken, free = most < constraint.distance - drift - ROUNDING, max(least - constraint.distance, 0.0)
+    elif isinstance(constraint, RelationConstraint):
+        is_broken = constraint.find_depth(positions) > sum(drifts.values())
     else:
         is_broken = constraint.look(box).holds is False
     return RuleSight(Danger(constraint.describe(positions), moving_axes, broken=True) if is_broken else None, free)

@@ -3,7 +3,7 @@
 from random import Random
 
 from orchestrator.model.fleet import Controller
-from sim.core.campaign import BeamCarrier, CampaignTraits, TouchInput
+from sim.core.campaign import BeamCarrier, BodyCarrier, CampaignTraits, TouchInput
 
 
 def _refuse_reply(data: bytes) -> bytes:
@@ -25,10 +25,13 @@ ON_ETHERNET = CampaignTraits(
     keeps_half_open=True,
     change_one_thing=_change_one_thing,
     touch=_TOUCH_OF_LINES,
+    body=BodyCarrier(),
     beam=BeamCarrier(
         options={"watchdog_s": 0.5},
         homing={"method": "index", "speed": 0.5, "search_speed": 0.5},
         simulate={"index_every": {"X": 20, "Y": 20}},
     ),
 )
-IN_A_CHAIN = CampaignTraits(refuse_reply=_refuse_reply, start_class="clock", most_per_link=3, touch=_TOUCH)
+IN_A_CHAIN = CampaignTraits(
+    refuse_reply=_refuse_reply, start_class="clock", most_per_link=3, touch=_TOUCH, body=BodyCarrier()
+)

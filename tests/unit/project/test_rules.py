@@ -24,7 +24,7 @@ PACKAGES = ("orchestrator", "adapters", "sim", "integrations", "benches")
 # ends, each for the reason that stands in its docstring, and benchmarks that measure real time.
 LIVE = re.compile(
     r"(process|live|guardian|workers|executor|parent)\.py$|/link/|^orchestrator/(cli|bus/zenoh)/"
-    r"|^orchestrator/bench/|^benches/(page/|speed/|paths/planning)|^orchestrator/client/(connection|worker)"
+    r"|^orchestrator/bench/|^integrations/|^benches/(page/|speed/|paths/planning)|^orchestrator/client/(connection|worker)"
 )
 BANNED_CALLS = {"monotonic", "perf_counter", "run_in_executor", "to_thread"}
 BANNED = {"time", "threading", "concurrent.futures", "uuid", "multiprocessing", "secrets"}

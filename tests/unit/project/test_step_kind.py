@@ -20,11 +20,11 @@ MOST_FILES = 8  # of the product, for a kind that only records an instant
 
 # Where a step's class is asked for outside the kinds: files, and why the step cannot answer itself.
 ASKED_FOR_CLASSES = {
-    "orchestrator/campaign/flown_scans.py": "the checker knows the lines of the campaign's own scans",
+    "orchestrator/campaign/stages/flown_scans.py": "the checker knows the lines of the campaign's own scans",
     "orchestrator/campaign/jobs.py": "the campaign adds triggers to its own moves",
     "orchestrator/campaign/paths.py": "the checker knows the geometry of the campaign's own paths",
-    "orchestrator/campaign/probes.py": "the checker knows the probes of the campaign",
-    "orchestrator/campaign/virtual_moves.py": "the checker knows the targets of the campaign's own moves",
+    "orchestrator/campaign/stages/probes.py": "the checker knows the probes of the campaign",
+    "orchestrator/campaign/stages/virtual_moves.py": "the checker knows the targets of the campaign's own moves",
     "orchestrator/cli/manual/one_step.py": "`tutti axis` checks the words of its command before there is a job",
     "orchestrator/cli/paths/path.py": "`tutti path plot` draws paths",
     "orchestrator/coordinator/motion/planning.py": "the planner of paths and that of moves are two",

@@ -5,7 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("tutti", "orchestrator", "adapters", "sim", "integrations")
+PACKAGES = ("tutti", "orchestrator", "adapters", "sim")
 START = re.compile(r"\b(?:create_task|ensure_future)\(")
 
 CLOCK = "it makes the tasks of all others"

@@ -298,7 +298,7 @@ _RIGHT: Mapping[str, object] = {"travel": (-5_000.0, 5_000.0), "home_switch": (1
 _LEFT: Mapping[str, object] = {"travel": (-5_000.0, 5_000.0), "home_switch": (None, 2_000.0)}
 
 
-@pytest.mark.parametrize("begin", [-3_000, 1_500, 3_000])
+@pytest.mark.parametrize("begin", [-3_000, 1_000, 1_500, 2_000, 3_000])
 @pytest.mark.parametrize(
     ("method", "options", "home", "last"),
     [

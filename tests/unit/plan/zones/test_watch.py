@@ -13,9 +13,9 @@ CONSTRAINTS = {rule.name: rule.constraint for rule in ZONES.rules}
 REST = {axis: AxisSight(0.0, moving=False) for axis in ZONES.ranges}
 
 
-def look(rule: str, **sights: AxisSight) -> RuleSight:
+def look(rule: str, *, trust_step: bool = False, **sights: AxisSight) -> RuleSight:
     seen = {**REST, **{name.replace("_", "."): sight for name, sight in sights.items()}}
-    return look_at_rule(CONSTRAINTS[rule], seen, ZONES.ranges)
+    return look_at_rule(CONSTRAINTS[rule], seen, ZONES.ranges, trust_step=trust_step)
 
 
 def test_bodies_are_free_by_what_they_are_farther_apart_than_they_must_be() -> None:
@@ -32,6 +32,16 @@ def test_what_was_checked_is_in_danger_only_where_a_rule_is_broken() -> None:
     assert danger is not None and danger.broken and danger.moving == ("gantry.x",)
     resting = look("detector-sample", gantry_x=AxisSight(155.5, moving=False)).danger
     assert resting is not None and resting.broken and resting.moving == ()
+
+
+def test_axes_that_are_trusted_to_keep_step_are_in_danger_only_by_more_than_they_drift() -> None:
+    """They were read at different instants."""
+    near, nearer = (AxisSight(position, moving=True, drift=1.0) for position in (156.5, 157.5))
+    stage = AxisSight(0.0, moving=True, drift=1.0)
+    assert look("detector-sample", gantry_x=near, stage_u=stage).danger is not None
+    assert look("detector-sample", trust_step=True, gantry_x=near, stage_u=stage).danger is None
+    assert look("detector-sample", trust_step=True, gantry_x=nearer, stage_u=stage).danger is not None
+    assert look("detector-sample", trust_step=True, gantry_x=near).danger is not None  # the other one stands
 
 
 def test_what_was_not_checked_is_in_danger_where_it_may_come_before_it_stands() -> None:

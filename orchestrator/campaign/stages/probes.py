@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import PROBE_NAME, TOUCH_INPUT, find_traits
+from orchestrator.campaign.stages.fleet_parts import PROBE_NAME, TOUCH_INPUT, find_traits
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.probe import Probe

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from random import Random
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import TRIGGER_OUTPUT
+from orchestrator.campaign.stages.fleet_parts import TRIGGER_OUTPUT
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.scan import Scan

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 from random import Random
 
-from orchestrator.campaign.fleet_parts import VIRTUAL_GROUP
+from orchestrator.campaign.stages.fleet_parts import VIRTUAL_GROUP
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.steps.move import Move

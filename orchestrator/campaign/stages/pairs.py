@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from orchestrator.campaign.fleet_parts import PAIR_GROUP, find_traits
+from orchestrator.campaign.stages.fleet_parts import PAIR_GROUP, find_traits
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of
 
