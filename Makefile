@@ -170,7 +170,7 @@ test-thirdparty: $(THIRDPARTY)/.stamp
 
 # Clients that are not ours drive the demo fleet by our integrations. Each needs its library: one environment has them all.
 test-ecosystem: $(ECOSYSTEM)/.stamp
-	$(ECOSYSTEM)/bin/basedpyright -p integrations
+	$(ECOSYSTEM)/bin/basedpyright -p tests/ecosystem
 	TUTTI_ECOSYSTEM=1 PYTHONDONTWRITEBYTECODE= $(ECOSYSTEM)/bin/pytest -m "not nightly" tests/ecosystem $(SLOWEST)
 
 test-ecosystem-nightly: $(ECOSYSTEM)/.stamp

@@ -28,8 +28,9 @@ class StateReading:
 
     axes: by `controller.axis`. read: the interval of fleet time, ns, in which their positions were sampled; None while
     it is not known: the controller is offline, or has no fleet time. utc: of the middle of `read` by the clock of its
-    computer, RFC 3339; without `read`, of the publication. clock: how well the clock of the controller is known. missed: states of this controller between the one before and
-    this one, which came while too many waited to be taken, or were lost on the way.
+    computer, RFC 3339; without `read`, of the publication. clock: how well the controller's clock is known. missed:
+    states of this controller between the one before and this one, which came while too many waited to be taken, or were
+    lost on the way.
     """
 
     controller: str

@@ -509,3 +509,20 @@ def test_an_override_slows_the_moves_that_follow() -> None:
         await outcome(fleet, job("[{do: move, to: {gantry.x: 100}, speed: 0.2}]"))
 
     run_fleet(main)
+
+
+def test_a_dwell_that_counts_from_the_beginning_waits_for_what_is_left() -> None:
+    async def main(fleet: VirtualFleet) -> None:
+        begun_ns = fleet.clock.now_ns()
+        report = await outcome(
+            fleet,
+            job(
+                "[{do: dwell, duration: 3 s}, {do: dwell, duration: 5 s, since_begin: true}, "
+                "{do: dwell, duration: 2 s, since_begin: true}]"
+            ),
+        )
+        assert report.state == "done"
+        assert [step.actual_s for step in report.steps] == pytest.approx([3, 2, 0], abs=0.1)
+        assert fleet.clock.now_ns() - begun_ns < 6_000_000_000
+
+    run_fleet(main)

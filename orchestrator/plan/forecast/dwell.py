@@ -7,6 +7,6 @@ from orchestrator.plan.forecast.state import ForecastState
 
 
 def forecast_dwell(state: ForecastState, at: ForecastContext, step: Dwell) -> Span:
-    """A pause takes its duration."""
+    """A pause takes its duration; one that counts from the beginning of the job takes what is left of it, if any."""
     del state, at
-    return Span(step.duration / 1e9, step.duration / 1e9)
+    return Span(0.0 if step.since_begin else step.duration / 1e9, step.duration / 1e9)

@@ -58,6 +58,7 @@ class JobRun:
             services.motion.zones,
             row.id,
             row.actor,
+            services.clock.now_ns(),
             self._state.note_part,
         )
         self._step_run = StepRun(services, self._context, self._state, self._chain, axes)

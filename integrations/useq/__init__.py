@@ -1,0 +1,1 @@
+"""Sequences of microscopes (useq-schema) as jobs: `tutti job from-useq`."""
