@@ -15,8 +15,8 @@ class Dwell(Step):
     duration: Duration
     since_begin: bool = Field(
         default=False,
-        description="true: until so long after the job has begun, for what repeats at instants; it does not wait if that "
-        "is past.",
+        description="true: until so long after the job has begun, for what repeats at instants; it does not wait if "
+        "that is past.",
     )
 
     if TYPE_CHECKING:

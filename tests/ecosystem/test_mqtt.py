@@ -1,0 +1,134 @@
+"""States of the demo fleet on a broker that is not ours (Debian's `mosquitto`)."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import paho.mqtt.client as paho
+import pytest
+
+from tutti.testing import LiveTestbed
+
+BROKER = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+CALL = "from orchestrator.cli.entry import main; main()"
+LIMIT_S = 30.0
+
+
+def wait_for(condition: Callable[[], Any]) -> Any:
+    until = time.monotonic() + LIMIT_S
+    while not (value := condition()):
+        assert time.monotonic() < until
+    return value
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[int]:
+    """The port of a broker of this test."""
+    if BROKER is None:
+        pytest.skip("the system's package mosquitto is not installed")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    config = tmp_path / "mosquitto.conf"
+    config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
+    process = subprocess.Popen([BROKER, "-c", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        wait_for(lambda: is_open(port))
+        yield port
+    finally:
+        process.kill()
+        process.wait()
+
+
+def is_open(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+class Listener:
+    """A client that is not ours, and the newest message of each topic."""
+
+    def __init__(self, port: int, topics: str) -> None:
+        self.messages: dict[str, dict[str, Any]] = {}
+        self._client = paho.Client(paho.CallbackAPIVersion.VERSION2)
+        self._client.on_connect = lambda *_: self._client.subscribe(topics, qos=1)
+        self._client.on_message = lambda _, __, message: self.messages.update(
+            {message.topic: json.loads(message.payload)}
+        )
+        self._client.connect("127.0.0.1", port)
+        self._client.loop_start()
+
+    def close(self) -> None:
+        self._client.loop_stop()
+
+
+def serve(fleet: LiveTestbed, port: int, *words: str) -> subprocess.Popen[str]:
+    command = [
+        "mqtt",
+        "serve",
+        "--broker",
+        f"127.0.0.1:{port}",
+        "--connect",
+        fleet.endpoint,
+        "--hz",
+        "20",
+        "--json",
+        *words,
+    ]
+    return subprocess.Popen([sys.executable, "-c", CALL, *command], stdout=subprocess.PIPE, text=True)
+
+
+def test_states_are_published_and_the_broker_says_when_they_end(demo_fleet: LiveTestbed, broker: int) -> None:
+    process = serve(demo_fleet, broker)
+    listener = Listener(broker, "tutti/#")
+    try:
+        wait_for(lambda: listener.messages.get("tutti/demo/gantry/x"))
+        assert listener.messages["tutti/demo/status"] == {"status": "online"}
+        target = 7.0 if demo_fleet.tutti.position("gantry.x") > 8 else 9.0
+        demo_fleet.tutti.move({"gantry.x": target})
+        wait_for(lambda: abs(listener.messages["tutti/demo/gantry/x"]["position"] - target) < 0.002)
+        process.kill()
+        wait_for(lambda: listener.messages["tutti/demo/status"] == {"status": "offline"})
+    finally:
+        process.kill()
+        process.wait()
+        listener.close()
+
+
+@pytest.mark.nightly
+def test_births_and_deaths_of_sparkplug(demo_fleet: LiveTestbed, broker: int) -> None:
+    listener = Listener(broker, "spBv1.0/#")
+    process = serve(demo_fleet, broker, "--sparkplug", "lab")
+    try:
+        birth = wait_for(lambda: listener.messages.get("spBv1.0/lab/DBIRTH/demo/gantry"))
+        assert "x/position" in {metric["name"] for metric in birth["metrics"]}
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(LIMIT_S) == 0
+        death = wait_for(lambda: listener.messages.get("spBv1.0/lab/NDEATH/demo"))
+        assert death["metrics"] == listener.messages["spBv1.0/lab/NBIRTH/demo"]["metrics"][:1]
+    finally:
+        process.kill()
+        process.wait()
+        listener.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--broker", "127.0.0.1:1"], 1, "does not take messages"),
+        (["--broker", "nowhere"], 2, "no address"),
+        (["--prefix", "a/#"], 2, "cannot begin a topic"),
+    ],
+)
+def test_a_broker_that_cannot_be_used_is_said(demo_fleet: LiveTestbed, words: list[str], code: int, said: str) -> None:
+    command = [sys.executable, "-c", CALL, "mqtt", "serve", "--connect", demo_fleet.endpoint, *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, said in done.stderr, "Traceback" in done.stderr) == (code, True, False), done.stderr
