@@ -46,14 +46,14 @@ class StatePublisher:
         connected_event = asyncio.Event()
         following = asyncio.create_task(self._follow())
         publishing = asyncio.create_task(self._publish(connected_event))
-        waiting = asyncio.create_task(connected_event.wait())
+        connecting = asyncio.create_task(connected_event.wait())
         try:
-            await asyncio.wait([waiting, publishing], return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([connecting, publishing], return_when=asyncio.FIRST_COMPLETED)
             if publishing.done():
                 publishing.result()
             yield
         finally:
-            for task in (following, publishing, waiting):
+            for task in (following, publishing, connecting):
                 task.cancel()
             for task in (following, publishing):
                 with suppress(asyncio.CancelledError, Refusal):
@@ -90,8 +90,8 @@ class StatePublisher:
             self._waiting = set(self._newest)  # all of them anew, for a broker that has forgotten
             try:
                 while True:
-                    waiting, self._waiting = self._waiting, set()
-                    for controller in sorted(waiting):
+                    controllers, self._waiting = self._waiting, set()
+                    for controller in sorted(controllers):
                         await self._send(client, self._form.take(self._newest[controller]))
                     await asyncio.sleep(self._period_s)
             except asyncio.CancelledError:

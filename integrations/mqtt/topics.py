@@ -116,13 +116,15 @@ class SparkplugForm:
             self.metrics.pop(device, None)
             return [self._make("DDEATH", device, [], reading.utc)]
         values = dict(list_metrics(reading))
-        known = self.metrics.get(device)
+        known_values = self.metrics.get(device)
         self.metrics[device] = values
         if device not in self.alive:
             self.alive.add(device)
             return [self._make("DBIRTH", device, make_metrics(values), reading.utc)]
-        changed = {name: value for name, value in values.items() if known is None or known.get(name) != value}
-        return [self._make("DDATA", device, make_metrics(changed), reading.utc)] if changed else []
+        new_values = {
+            name: value for name, value in values.items() if known_values is None or known_values.get(name) != value
+        }
+        return [self._make("DDATA", device, make_metrics(new_values), reading.utc)] if new_values else []
 
     def end(self, utc: str) -> list[Publication]:
         del utc

@@ -32,27 +32,30 @@ class MicroscopeMap:
 
 def read_mapping(entries: list[str], ignored: list[str]) -> MicroscopeMap:
     """Read `x=gantry.x,y=gantry.y,camera=gantry.lamp,channel.DAPI=gantry.laser`. Raises `BadMapping`."""
-    axes: dict[str, str] = {}
-    channels: dict[str, str] = {}
-    camera: str | None = None
-    for entry in (part.strip() for text in entries for part in text.split(",") if part.strip()):
-        name, sign, target = (word.strip() for word in entry.partition("="))
-        if not sign or "." not in target.strip("."):
-            raise BadMapping(
-                f"{entry}: this is no entry of a mapping", "write NAME=CONTROLLER.NAME, such as x=gantry.x"
-            )
-        if name in axes or name.removeprefix(CHANNEL) in channels or (name == CAMERA and camera is not None):
+    targets: dict[str, str] = {}
+    for entry in split_words(entries):
+        name, target = _read_entry(entry)
+        if name in targets:
             raise BadMapping(f"{entry}: {name} is in the mapping already", "remove one of both")
-        if name in COORDINATES:
-            axes[name] = target
-        elif name == CAMERA:
-            camera = target
-        elif name.startswith(CHANNEL) and name != CHANNEL:
-            channels[name.removeprefix(CHANNEL)] = target
-        else:
-            raise BadMapping(f"{entry}: no sequence has {name!r}", "there are x, y, z, camera and channel.NAME")
-    shared_axes = [axis for axis in axes.values() if list(axes.values()).count(axis) > 1]
-    if shared_axes:
-        raise BadMapping(f"{shared_axes[0]} stands for two coordinates", "map each to an axis of its own")
-    names = (part.strip() for text in ignored for part in text.split(","))
-    return MicroscopeMap(axes, camera, channels, frozenset(name for name in names if name))
+        targets[name] = target
+    axes = {name: target for name, target in targets.items() if name in COORDINATES}
+    if len(set(axes.values())) < len(axes):
+        raise BadMapping(f"{', '.join(axes.values())}: one axis stands for two coordinates", "map each to its own")
+    channels = {name.removeprefix(CHANNEL): target for name, target in targets.items() if name.startswith(CHANNEL)}
+    return MicroscopeMap(axes, targets.get(CAMERA), channels, frozenset(split_words(ignored)))
+
+
+def _read_entry(entry: str) -> tuple[str, str]:
+    """The name and the target of one entry. Raises `BadMapping`."""
+    name, _, target = (word.strip() for word in entry.partition("="))
+    controller, _, part = target.partition(".")
+    if not controller or not part:
+        raise BadMapping(f"{entry}: this is no entry of a mapping", "write NAME=CONTROLLER.NAME, such as x=gantry.x")
+    if name not in (*COORDINATES, CAMERA) and (not name.startswith(CHANNEL) or name == CHANNEL):
+        raise BadMapping(f"{entry}: no sequence has {name!r}", "there are x, y, z, camera and channel.NAME")
+    return name, target
+
+
+def split_words(texts: list[str]) -> list[str]:
+    """The parts of texts between commas."""
+    return [part.strip() for text in texts for part in text.split(",") if part.strip()]

@@ -41,15 +41,15 @@ def make_steps(sequence: MDASequence, mapping: MicroscopeMap, exposure_ms: float
     `UnmappedSequence`."""
     rows: list[tuple[_Setting, tuple[float, ...]]] = []
     problems: dict[str, None] = {}
-    place: dict[str, float] = {}
+    coordinates: dict[str, float] = {}
     for number, event in enumerate(sequence.iter_events()):
         if number == MAX_EVENTS:
             raise UnmappedSequence([f"the sequence has more than {MAX_EVENTS:,} events; write it in parts"])
         problems |= dict.fromkeys(_list_problems(event, mapping))
         if not isinstance(event.action, AcquireImage):
             continue
-        place |= {name: value for name in mapping.axes if (value := getattr(event, f"{name}_pos")) is not None}
-        lacking = [name for name in mapping.axes if name not in place]
+        coordinates |= {name: value for name in mapping.axes if (value := getattr(event, f"{name}_pos")) is not None}
+        lacking = [name for name in mapping.axes if name not in coordinates]
         if lacking:
             problems[
                 f"event {dict(event.index)}: no {', '.join(lacking)}; give its position, or leave it out of the mapping"
@@ -57,7 +57,7 @@ def make_steps(sequence: MDASequence, mapping: MicroscopeMap, exposure_ms: float
             continue
         setting, more_problems = _make_setting(event, mapping, exposure_ms)
         problems |= dict.fromkeys(more_problems)
-        rows.append((setting, tuple(place[name] for name in mapping.axes)))
+        rows.append((setting, tuple(coordinates[name] for name in mapping.axes)))
     if problems:
         raise UnmappedSequence(list(problems))
     if not rows:

@@ -252,10 +252,7 @@ class Coordinator:
         holder = f"start-{self._environment.new_id()[:8]}"
         try:
             await self._leases.acquire(LeaseUser(holder, "coordinator", "enabling at the start"), names, brief=True)
-            now_ns = self._fleet.clock.now_ns()
-            context = StepContext(
-                self._fleet, self._targets, self._positions, self._zones, holder, "coordinator", now_ns
-            )
+            context = StepContext(self._fleet, self._targets, self._positions, self._zones, holder, "coordinator")
             await switch_motors(context, names, on=True)
         except Refusal as error:
             self._log.warning(f"not enabled at start: {error.text}", controller=controller)

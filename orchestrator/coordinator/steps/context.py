@@ -26,7 +26,7 @@ def _ignore_progress(part: float, doing: str) -> None:
 @dataclass(frozen=True, slots=True)
 class StepContext:
     """What a step needs while it runs. holder: has the leases of its axes. targets: exact positions of axes. positions:
-    those with names. zones: the check against them. begun_ns: when its job began."""
+    those with names. zones: the check against them. begun_ns: when its job began; 0 outside of one."""
 
     fleet: FleetAccess
     targets: ExactTargets
@@ -34,7 +34,7 @@ class StepContext:
     zones: ZoneGuard
     holder: str
     actor: str
-    begun_ns: int
+    begun_ns: int = 0
     progress: ProgressCallback = _ignore_progress
 
     @property

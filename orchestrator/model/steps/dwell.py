@@ -15,6 +15,7 @@ class Dwell(Step):
     duration: Duration
     since_begin: bool = Field(
         default=False,
+        exclude_if=lambda since_begin: not since_begin,
         description="true: until so long after the job has begun, for what repeats at instants; it does not wait if "
         "that is past.",
     )
