@@ -14,7 +14,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty test-ecosystem test-ecosystem-nightly check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty ecosystem test-ecosystem test-ecosystem-nightly check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -145,6 +145,7 @@ test-hosts: $(DEV)/.stamp
 test-docs: $(DEV)/.stamp
 	$(DEV)/bin/python tools/reference_pages.py --check
 	$(DEV)/bin/python tools/licences.py --check
+	$(DEV)/bin/python tools/integration_matrix.py --check
 	$(DEV)/bin/pytest tests/live/test_documents.py -n 2 --dist loadgroup $(SLOWEST)
 
 # What setuptools has left from another build would come into the wheel.
@@ -168,6 +169,9 @@ test-nightly: $(DEV)/.stamp page test-thirdparty test-slow test-ecosystem test-e
 test-thirdparty: $(THIRDPARTY)/.stamp
 	TUTTI_THIRDPARTY=1 $(THIRDPARTY)/bin/pytest tests/thirdparty
 
+# Set up by itself, beside what leaves time for it.
+ecosystem: $(ECOSYSTEM)/.stamp
+
 # Clients that are not ours drive the demo fleet by our integrations. Each needs its library: one environment has them all.
 test-ecosystem: $(ECOSYSTEM)/.stamp
 	$(ECOSYSTEM)/bin/basedpyright -p tests/ecosystem
@@ -175,13 +179,13 @@ test-ecosystem: $(ECOSYSTEM)/.stamp
 
 test-ecosystem-nightly: $(ECOSYSTEM)/.stamp
 	TUTTI_ECOSYSTEM=1 $(ECOSYSTEM)/bin/pytest -m nightly --timeout 3600 tests/ecosystem $(SLOWEST)
+	$(ECOSYSTEM)/bin/python tools/integration_matrix.py
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
 	$(DEV)/bin/ruff format --check .
 	$(DEV)/bin/lint-imports
 	$(DEV)/bin/basedpyright
-	$(DEV)/bin/basedpyright -p tests
 	$(DEV)/bin/pytest -m structure tests/unit/project tests/unit/client
 
 figures: $(DEV)/.stamp
