@@ -1,7 +1,9 @@
 """Jogs beside keep-out zones in virtual time: they end before the border, may leave it, and count with what stands around
 them."""
 
+import asyncio
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from cluster.test_zones import ENABLE, zones_fleet
@@ -9,7 +11,7 @@ from cluster.worlds import job, outcome, run_fleet
 
 from orchestrator.client.manual import ManualControl
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
-from orchestrator.coordinator.fleet.leases import LeaseRegistry
+from orchestrator.coordinator.fleet.leases import LeaseHold, LeaseRegistry
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import JogRoom
@@ -145,3 +147,27 @@ def find_leases(fleet: VirtualFleet) -> LeaseRegistry:
     """The leases of the coordinator."""
     ((_, coordinator),) = fleet.coordinators.values()
     return coordinator._leases  # pyright: ignore[reportPrivateUsage]
+
+
+def test_a_lease_counts_for_jobs_before_its_controller_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its rooms are found while the axes of jobs stand; a job that is checked then must not count on its axes to stand."""
+    send_lease = LeaseRegistry.send_lease
+
+    async def send_late(registry: LeaseRegistry, hold: LeaseHold, *args: Any, **options: Any) -> Any:
+        if "manual" in hold.what:
+            await sleep_ns(registry._fleet.clock, 3000 * NS_PER_MS)
+        return await send_lease(registry, hold, *args, **options)
+
+    async def main(fleet: VirtualFleet) -> str:
+        await outcome(fleet, ENABLE, HOME, job("[{do: move, to: {gantry.x: 130}}]"))
+        monkeypatch.setattr(LeaseRegistry, "send_lease", send_late)
+        manual = fleet.make_client().manual_control(["stage.u", "stage.phi"])
+        acquiring = asyncio.ensure_future(manual.__aenter__())
+        await sleep_ns(fleet.clock, 500 * NS_PER_MS)
+        report = await fleet.make_client().wait_for_job(
+            await fleet.make_client().submit(job("[{do: move, to: {gantry.x: 153}}]"))
+        )
+        acquiring.cancel()
+        return f"{report.state}: {report.reason}"
+
+    assert "zone detector-sample" in run_fleet(main, zones_fleet())

@@ -106,6 +106,10 @@ class LeaseRegistry:
         """The lease of a holder."""
         return self._held.get(holder)
 
+    def find_owner(self, axis: str) -> str | None:
+        """The holder of the lease of an axis, also of one that its adapter has not got yet; None: it has none."""
+        return next((hold.holder for hold in self._held.values() if axis in hold.axes), None)
+
     def set_rooms(self, hold: LeaseHold, rooms: Mapping[str, JogRoom]) -> LeaseHold:
         """Note other rooms of a lease, for its next renewals; return the lease with them."""
         self._held[hold.holder] = replace(hold, rooms=rooms)

@@ -35,6 +35,7 @@ class ManualLeases:
         self._fleet = fleet
         self._rooms = JogRooms(zones, leases)
         leases.find_rooms = self._rooms.find
+        zones.reservations.find_owner = leases.find_owner
         self._leases = leases
         self._journal = journal
         self._execute = execute

@@ -2,7 +2,7 @@
 waits for it instead of meeting it."""
 
 import asyncio
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -24,6 +24,10 @@ class _Reservation:
     box: Box
 
 
+def _find_no_owner(axis: str) -> None:
+    del axis
+
+
 class ZoneReservations:
     """The boxes that steps of running jobs may sweep, by the holder of their leases.
 
@@ -34,6 +38,8 @@ class ZoneReservations:
 
     def __init__(self) -> None:
         self.lock = asyncio.Lock()
+        self.find_owner: Callable[[str], str | None] = _find_no_owner
+        """The holder of the lease of an axis. It counts before the adapter has it."""
         self._jobs: dict[str, list[_Reservation]] = {}
         self._blockers: dict[str, frozenset[str]] = {}
         self._waits: dict[str, frozenset[str]] = {}

@@ -116,8 +116,9 @@ class ZoneGuard:
         """Where axes that are jogged under one lease may be, by axis; those whose positions are not known have none."""
         if set(axes).isdisjoint(self.list_axes()):
             return {}
-        positions = await self._query_positions((), holder)
-        return await self.execute(self.memory.find_rooms, self.view.fleet, positions, axes)
+        async with self.reservations.lock:  # a step that is checked meanwhile is reserved before, or sees the lease
+            positions = await self._query_positions((), holder)
+            return await self.execute(self.memory.find_rooms, self.view.fleet, positions, axes)
 
     def list_axes(self) -> list[str]:
         """The real axes on which rules depend."""
@@ -163,7 +164,7 @@ async def query_rest_positions(
             state = None if answer is None else answer.axes.get(local)
             if answer is None or state is None or not state.referenced or state.moving or state.homing:
                 continue
-            owner = answer.leases.get(local, holder)
+            owner = reservations.find_owner(name) or answer.leases.get(local, holder)
             if owner not in (holder, *running_jobs) and not reservations.is_job(owner):
                 continue
             position = float(axis.to_position(state.axis_counts))
