@@ -94,6 +94,7 @@ def test_a_grid_is_one_job_and_each_event_has_its_own_point(lab: Lab) -> None:
     assert start["data_keys"]["x"]["units"] == "mm" and start["configuration"]["x"]["data"]["x-velocity"] > 0
 
 
+@pytest.mark.nightly
 def test_axes_of_two_makes_are_one_synchronised_move(lab: Lab) -> None:
     lab.run(bps.mv(lab.x, 30, lab.u, 3))
     entry = lab.fleet.tutti.list_jobs()[0]
@@ -104,6 +105,7 @@ def test_axes_of_two_makes_are_one_synchronised_move(lab: Lab) -> None:
     assert 0 < lab.call(lab.x.start_bound.get_value()) < 0.05
 
 
+@pytest.mark.nightly
 def test_an_axis_flies_at_constant_speed(lab: Lab) -> None:
     def fly() -> Any:
         info = FlyMotorInfo(start_position=40, end_position=60, time_for_move=1)
@@ -147,6 +149,7 @@ def test_a_position_outside_the_limits_moves_nothing(lab: Lab, position: float) 
     assert count_jobs(lab.fleet) <= jobs + 1 and lab.engine.state == "idle"
 
 
+@pytest.mark.nightly
 def test_an_abort_stops_and_a_pause_is_resumed(lab: Lab) -> None:
     lab.run(bps.mv(lab.x, 0))
     threading.Timer(0.4, lab.engine.request_pause).start()
