@@ -1,0 +1,169 @@
+"""Motor records of the axes of a fleet: their drivers by jobs and manual control, their readings by its states."""
+
+import asyncio
+from collections.abc import AsyncGenerator, Coroutine
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from datetime import datetime
+
+from integrations.epics.lanes import GATHER_S, Lane
+from integrations.epics.readings import AxisReading
+from integrations.epics.record import MotorRecord
+from tutti import AxisInfo, Disable, Enable, Home, JobReport, SetPosition, StateReading, Tutti
+
+STALE_S = 3.0  # a controller publishes its state at least once a second
+REST_S = 5.0
+
+
+class FleetAxis:
+    """One axis, as the driver of its record."""
+
+    def __init__(self, lane: Lane, info: AxisInfo, first: AxisReading, velocity: float) -> None:
+        self._lane = lane
+        self._info = info
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._is_moving = False
+        self._released = asyncio.Event()
+        self._read = asyncio.Event()
+        self.record = MotorRecord(info, first, velocity, self)
+
+    def move(self, target: float, velocity: float) -> None:
+        """As `AxisDriver.move`."""
+        if self._is_moving:
+            self._lane.redirect(self._info.name, target)
+            return
+        self._is_moving = True
+        self._begin(self._lane.move(self._info.name, target, min(1.0, velocity / self._info.velocity)))
+
+    def jog(self, velocity: float) -> None:
+        """As `AxisDriver.jog`."""
+        self._released = asyncio.Event()
+        self._begin(self._lane.jog(self._info.name, velocity, self._released))
+
+    def home(self) -> None:
+        """As `AxisDriver.home`."""
+        self._begin(self._lane.run(self._info.name, Home(axes=[self._info.name])))
+
+    def set_position(self, position: float) -> None:
+        """As `AxisDriver.set_position`."""
+        self._begin(self._lane.run(self._info.name, SetPosition(axes={self._info.name: position})))
+
+    def enable(self, *, on: bool) -> None:
+        """As `AxisDriver.enable`."""
+        self._begin(self._lane.run(self._info.name, (Enable if on else Disable)(axes=[self._info.name])))
+
+    def stop(self) -> None:
+        """As `AxisDriver.stop`."""
+        self._released.set()
+        self._spawn(self._lane.stop(self._info.name))
+
+    def take(self, reading: AxisReading) -> None:
+        """Take a newer reading."""
+        self.record.read(reading)
+        self._read.set()
+
+    def close(self) -> None:
+        """End what goes on; its jobs end with their session."""
+        for task in self._tasks:
+            task.cancel()
+
+    def _begin(self, operation: Coroutine[None, None, str | None]) -> None:
+        self._spawn(self._run(operation))
+
+    def _spawn(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.ensure_future(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _run(self, operation: Coroutine[None, None, str | None]) -> None:
+        error = await operation
+        if error is not None or self.record.reading.moving:
+            await self._wait_for_rest()
+        self._is_moving = False
+        self.record.end(error)
+
+    async def _wait_for_rest(self) -> None:
+        """Wait for a reading from now on at which the axis does not move; an axis that is offline has none."""
+        try:
+            async with asyncio.timeout(REST_S):
+                while True:
+                    self._read.clear()
+                    await self._read.wait()
+                    if not self.record.reading.moving:
+                        return
+        except TimeoutError:
+            pass
+
+
+@asynccontextmanager
+async def open_axes(tutti: Tutti) -> AsyncGenerator[list[FleetAxis]]:
+    """The real axes of a fleet, whose records follow its states while the context lasts. What they have begun ends with
+    it. Raises `Refusal`."""
+    fleet = await tutti.load_fleet()
+    axes: dict[str, FleetAxis] = {}
+
+    def note_end(report: JobReport) -> None:
+        for name, read in report.steps[-1].positions.items():
+            reading = replace(axes[name].record.reading, position=read.position, moving=False, utc_s=None)
+            axes[name].take(replace(reading, fleet_ns=read.read.latest_ns))
+
+    async with tutti.attend() as attendance:
+        states = await tutti.status()
+        for controller, config in fleet.controllers.items():
+            info = await tutti.controller_info(controller)
+            shared = Lane(tutti, attendance.session, GATHER_S if len(config.axes) > 1 else 0.0, note_end)
+            for name, axis_config in config.axes.items():
+                axis_now = states[controller].axes[name]
+                lane = Lane(tutti, attendance.session, 0.0, note_end) if info.independent_axes else shared
+                axis = f"{controller}.{name}"
+                first = AxisReading(axis_now.position, axis_now.commanded, float(axis_now.offset))
+                velocity = axis_config.limits.velocity * axis_config.manual_speed
+                axes[axis] = FleetAxis(lane, await tutti.axis(axis), first, velocity)
+        following = asyncio.ensure_future(_follow_states(tutti, axes))
+        try:
+            yield list(axes.values())
+        finally:
+            following.cancel()
+            for axis in axes.values():
+                axis.close()
+
+
+async def _follow_states(tutti: Tutti, axes: dict[str, FleetAxis]) -> None:
+    """Give each axis its readings, and one that is offline to those of which none comes any more."""
+    states = tutti.states(list(axes))
+    loop = asyncio.get_running_loop()
+    read_s = dict.fromkeys(axes, loop.time())
+    coming = asyncio.ensure_future(anext(states))
+    try:
+        while True:
+            if (await asyncio.wait([coming], timeout=STALE_S / 3))[0]:
+                state = coming.result()
+                coming = asyncio.ensure_future(anext(states))
+                for name, reading in _make_readings(state).items():
+                    read_s[name] = loop.time()
+                    axes[name].take(reading)
+            for name, axis in axes.items():
+                if read_s[name] < loop.time() - STALE_S and axis.record.reading.online:
+                    axis.take(replace(axis.record.reading, online=False, moving=False, utc_s=None, fleet_ns=None))
+    finally:
+        coming.cancel()
+
+
+def _make_readings(state: StateReading) -> dict[str, AxisReading]:
+    utc_s = datetime.fromisoformat(state.utc).timestamp()
+    return {
+        name: AxisReading(
+            position=axis.position,
+            commanded=axis.commanded,
+            offset=float(axis.offset),
+            moving=axis.moving or axis.homing,
+            enabled=axis.enabled,
+            referenced=axis.referenced,
+            limit=axis.limit,
+            fault=axis.fault or "",
+            online=state.mode != "offline",
+            utc_s=utc_s,
+            fleet_ns=None if state.read is None else state.read.latest_ns,
+        )
+        for name, axis in state.axes.items()
+    }

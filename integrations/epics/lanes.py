@@ -1,0 +1,170 @@
+"""Jobs for the axes of one controller: one at a time, where its axes cannot be in two jobs."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from tutti import Job, JobReport, Move, QueueTerms, Refusal, Step, Tutti, TuttiError
+
+GATHER_S = 0.005  # moves that are put one after the other by one client are one job
+RETRY_S = 0.02  # between two attempts to send elsewhere a move that begins or ends just now
+RENEW_S = 0.06
+
+JobDone = Callable[[JobReport], None]
+
+
+@dataclass(slots=True)
+class _Wish:
+    """A move that is asked for. speed: a fraction of the limits. ended: by its result, the text of what went wrong."""
+
+    target: float
+    speed: float
+    ended: "asyncio.Future[str | None]" = field(default_factory=asyncio.Future)
+
+
+class Lane:
+    """What moves axes of one controller, or one axis that it moves by itself. gather_s: how long a move waits for those
+    of other axes. on_done: called with the report of each job of moves that is done."""
+
+    def __init__(self, tutti: Tutti, session: str, gather_s: float, on_done: JobDone) -> None:
+        self._tutti = tutti
+        self._terms = QueueTerms(session=session, now=True)
+        self._gather_s = gather_s
+        self._on_done = on_done
+        self._lock = asyncio.Lock()
+        self._changed = asyncio.Event()
+        self._waiting: dict[str, _Wish] = {}
+        self._moving: dict[str, _Wish] = {}
+        self._running: list[asyncio.Task[None]] = []
+        self._job_id = ""
+        self._job_axes: list[str] = []
+        self._stopped = ""  # the axis whose stop ends the present job
+
+    async def move(self, axis: str, target: float, speed: float) -> str | None:
+        """Move an axis; return what went wrong. A stop ends it without an error."""
+        wish = self._waiting[axis] = _Wish(target, speed)
+        if len(self._waiting) == 1:
+            self._running = [task for task in self._running if not task.done()]
+            self._running.append(asyncio.ensure_future(self._run_waiting()))
+        return await wish.ended
+
+    def redirect(self, axis: str, target: float) -> None:
+        """Send an axis that is on a move, or waits for it, to another target."""
+        wish = self._waiting.get(axis) or self._moving.get(axis)
+        if wish is not None:
+            wish.target = target
+            self._changed.set()
+
+    async def run(self, axis: str, step: Step) -> str | None:
+        """Run another step of an axis; return what went wrong. A stop ends it without an error."""
+        async with self._lock:
+            return await self._run_job([axis], step)
+
+    async def jog(self, axis: str, velocity: float, released: asyncio.Event) -> str | None:
+        """Jog an axis (its unit/s) until it is released; return what went wrong."""
+        try:
+            async with self._lock, self._tutti.manual_control([axis], what="jog by EPICS") as manual:
+                if not released.is_set():
+                    await manual.jog({axis: velocity})
+                while not released.is_set():
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(released.wait(), RENEW_S)
+                        break
+                    await manual.renew_jog()
+        except TuttiError as error:
+            return describe(error)
+        return None
+
+    async def stop(self, axis: str) -> None:
+        """Stop what this lane does with an axis; without that, the job that moves it."""
+        wish = self._waiting.pop(axis, None)
+        if wish is not None:
+            wish.ended.set_result(None)
+            return
+        job_id = self._job_id
+        if axis in self._job_axes:
+            self._stopped = axis
+        else:
+            state = (await self._tutti.status()).get(axis.partition(".")[0])
+            job_id = "" if state is None else state.job or ""
+        if job_id:
+            with suppress(Refusal):  # it has ended
+                await self._tutti.cancel_job(job_id)
+
+    async def _run_waiting(self) -> None:
+        await asyncio.sleep(self._gather_s)
+        async with self._lock:
+            wishes, self._waiting = self._waiting, {}
+            if wishes:
+                error, is_refused = await self._move(wishes)
+                if is_refused and len(wishes) > 1:  # perhaps one of them
+                    for axis, wish in wishes.items():
+                        wish.ended.set_result((await self._move({axis: wish}))[0])
+                for axis, wish in wishes.items():
+                    if not wish.ended.done():
+                        by_other = self._stopped and self._stopped != axis
+                        text = f"stopped with {self._stopped}: their controller moves them as one"
+                        wish.ended.set_result(text if by_other else error)
+
+    async def _move(self, wishes: dict[str, _Wish]) -> tuple[str | None, bool]:
+        """Move axes until each is at its newest target. Returns what went wrong, and whether nothing was begun."""
+        self._moving, is_begun = wishes, False
+        while True:
+            targets = {axis: wish.target for axis, wish in wishes.items()}
+            speed = {axis: wish.speed for axis, wish in wishes.items()}
+            error = await self._run_job(list(wishes), Move(to=targets, speed=speed, sync="none"), targets)
+            if error is not None or self._stopped or targets == {axis: wish.target for axis, wish in wishes.items()}:
+                self._moving = {}
+                return error, error is not None and not is_begun and not self._job_id
+            is_begun = True
+
+    async def _run_job(self, axes: list[str], step: Step, targets: dict[str, float] | None = None) -> str | None:
+        """Run a job of one step; `targets` of a move, which become those of the moves that are asked for meanwhile."""
+        self._job_axes, self._job_id, self._stopped = axes, "", ""
+        try:
+            name = f"{step.kind} {', '.join(axes)} by EPICS"[:120]
+            self._job_id = (await self._tutti.enqueue_job(Job(name, [step]), None, self._terms)).id
+            if self._stopped:
+                await self._tutti.cancel_job(self._job_id)
+            ending = asyncio.ensure_future(self._tutti.wait_for_job(self._job_id))
+            refused = None if targets is None else await self._follow_targets(ending, targets)
+            report = await ending
+        except TuttiError as error:
+            return describe(error)
+        finally:
+            self._job_axes = []
+        if self._stopped == axes[0] and len(axes) == 1:
+            return None
+        if report.state == "done":
+            self._on_done(report)
+            return refused
+        return f"{report.name} is {report.state}: {report.reason}"
+
+    async def _follow_targets(self, ending: "asyncio.Future[JobReport]", targets: dict[str, float]) -> str | None:
+        """Send the present job to newer targets until it ends; return why a target was refused."""
+        refused: str | None = None
+        while not ending.done():
+            self._changed.clear()
+            wanted = {axis: wish.target for axis, wish in self._moving.items()}
+            if wanted == targets or self._stopped:
+                changing = asyncio.ensure_future(self._changed.wait())
+                await asyncio.wait([ending, changing], return_when=asyncio.FIRST_COMPLETED)
+                changing.cancel()
+                continue
+            try:
+                await self._tutti.retarget_job(self._job_id, wanted)
+                targets.update(wanted)
+                refused = None
+            except Refusal as error:
+                if error.code in ("not-running", "not-moving"):
+                    await asyncio.wait([ending], timeout=RETRY_S)
+                else:
+                    targets.update(wanted)
+                    refused = describe(error)
+        return refused
+
+
+def describe(error: TuttiError) -> str:
+    """An error in one line, with its remedy."""
+    return f"{error.text}; {error.remedy}" if isinstance(error, Refusal) and error.remedy else str(error)

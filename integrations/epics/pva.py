@@ -1,0 +1,136 @@
+"""Channels by PVAccess, with p4p."""
+
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+import asyncio
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from p4p.nt import NTEnum, NTScalar
+from p4p.server import DynamicProvider, Server, StaticProvider
+from p4p.server.raw import SharedPV
+
+from integrations.epics.channels import Channel
+from integrations.epics.fields import Value
+
+NS_PER_S = 10**9
+_CODES = {"float": "d", "int": "i", "text": "s"}
+
+
+class ValuePv:
+    """The PV of one channel, which it follows. Its clients are answered in `loop`. on_end: called there when the last
+    one is gone."""
+
+    def __init__(self, channel: Channel, loop: asyncio.AbstractEventLoop, on_end: "Callable[[ValuePv], None]") -> None:
+        self._channel = channel
+        self._loop = loop
+        self._on_end = on_end
+        self._has_put = False
+        kind, is_number = channel.field.kind, channel.field.kind == "float"
+        is_menu = kind == "menu"
+        self._place = "value.index" if is_menu else "value"
+        nt = (
+            NTEnum(display=True) if is_menu else NTScalar(_CODES[kind], display=True, control=is_number, form=is_number)
+        )
+        self._type = nt.type
+        first = self._pack(channel.value, None)
+        if is_menu:
+            first["value.choices"] = list(channel.field.choices)
+        elif is_number:
+            limits = {"limitLow": channel.low, "limitHigh": channel.high}
+            first["display"] = {"units": channel.unit, "precision": channel.digits, **limits}
+            first["control"] = limits
+        self.pv = SharedPV(initial=first, handler=self)
+        self.unfollow = channel.record.follow(
+            channel.key, lambda value, stamp_s: self.pv.post(self._pack(value, stamp_s))
+        )
+
+    def _pack(self, value: Value, stamp_s: float | None) -> Any:
+        alarm = self._channel.record.alarm
+        stamp_ns = time.time_ns() if stamp_s is None else round(stamp_s * NS_PER_S)
+        packed = self._type()
+        packed[self._place] = value
+        packed["alarm"] = {"severity": alarm.severity, "status": alarm.status, "message": alarm.text}
+        packed["timeStamp"] = {"secondsPastEpoch": stamp_ns // NS_PER_S, "nanoseconds": stamp_ns % NS_PER_S}
+        return packed
+
+    # Called by p4p, in threads of its own
+
+    def put(self, _: SharedPV, operation: Any) -> None:
+        """A client puts."""
+        self._loop.call_soon_threadsafe(self._put, operation)
+
+    def onLastDisconnect(self, _: SharedPV) -> None:  # noqa: N802
+        """The last client is gone."""
+        self._loop.call_soon_threadsafe(self._end)
+
+    def _put(self, operation: Any) -> None:
+        raw, is_answered = operation.value()[self._place], False
+        options = operation.pvRequest().todict().get("record", {}).get("_options", {})
+
+        def answer(error: str | None) -> None:
+            nonlocal is_answered
+            if not is_answered:
+                operation.done(error=error)
+            is_answered = True
+
+        self._has_put = bool(raw)
+        self._channel.record.put(self._channel.key, raw, answer)
+        if str(options.get("block")) != "true":
+            answer(None)
+
+    def _end(self) -> None:
+        if self._has_put and self._channel.is_held:
+            self._channel.record.put(self._channel.key, 0, lambda _: None)
+        self._on_end(self)
+
+
+class _Held:
+    """Channels that are held: each client has a PV of its own, so that its end is seen."""
+
+    def __init__(self, channels: Sequence[Channel], loop: asyncio.AbstractEventLoop) -> None:
+        self._channels = {name: channel for channel in channels for name in channel.names}
+        self._loop = loop
+        self._pvs: set[ValuePv] = set()
+
+    def testChannel(self, name: str) -> bool:  # noqa: N802
+        """Whether `name` is a channel of these; called by p4p, as `makeChannel`."""
+        return name in self._channels
+
+    def makeChannel(self, name: str, _: str) -> SharedPV:  # noqa: N802
+        """The PV of a client that begins to use `name`."""
+        value_pv = ValuePv(self._channels[name], self._loop, self._drop)
+        self._pvs.add(value_pv)
+        return value_pv.pv
+
+    def _drop(self, value_pv: ValuePv) -> None:
+        value_pv.unfollow()
+        self._pvs.discard(value_pv)
+
+
+@contextmanager
+def serve_pva(
+    channels: Sequence[Channel], more: dict[str, SharedPV], interface: str, port: int, udp_port: int
+) -> Generator[int]:
+    """Serve channels while the context lasts; more: other PVs. port: of TCP, 0 for any; the context is the one that is
+    used. Raises `OSError`."""
+    loop = asyncio.get_running_loop()
+    static, held = StaticProvider("tutti"), _Held([channel for channel in channels if channel.is_held], loop)
+    pvs = dict(more)
+    for channel in channels:
+        if not channel.is_held:
+            pvs |= dict.fromkeys(channel.names, ValuePv(channel, loop, lambda _: None).pv)
+    for name, pv in pvs.items():
+        static.add(name, pv)
+    dynamic = DynamicProvider("tutti-held", held)
+    configuration = {
+        "EPICS_PVAS_INTF_ADDR_LIST": interface,
+        "EPICS_PVAS_SERVER_PORT": str(port),
+        "EPICS_PVAS_BROADCAST_PORT": str(udp_port),
+        "EPICS_PVAS_AUTO_BEACON_ADDR_LIST": "NO" if interface == "127.0.0.1" else "YES",
+    }
+    with Server(providers=[static, dynamic], conf=configuration, useenv=False) as server:
+        yield int(server.conf()["EPICS_PVAS_SERVER_PORT"])
