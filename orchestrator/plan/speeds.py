@@ -38,11 +38,12 @@ def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -
         return [replace(move, velocity=move.velocity * fleet.axis(move.axis).manual_speed) for move in moves]
     owners = _find_owners(fleet, step)
     if owners and owners.keys() >= set(step.named_axes).intersection(fleet.names.virtual):
-        return _limit_named(fleet, _name_owners(step, speed, owners, moves), moves)
+        return _limit_named(fleet, step, _name_owners(step, speed, owners, moves), moves)
     distances = _find_virtual_distances(fleet, step, moves)
     if isinstance(speed, Mapping):
         moves = _limit_together(moves, _find_virtual_duration(fleet, speed, distances))
-        return _limit_named(fleet, {name: value for name, value in speed.items() if name not in distances}, moves)
+        speeds = {name: value for name, value in speed.items() if name not in distances}
+        return _limit_named(fleet, step, speeds, moves)
     units = {fleet.unit_of(name) for name in distances}
     if len(units) == 1 and len(distances) == len(step.named_axes):
         length = hypot(*distances.values())
@@ -127,9 +128,12 @@ def _limit_together(moves: Sequence[AxisMove], least_s: float) -> list[AxisMove]
     return limited_moves
 
 
-def _limit_named(fleet: Fleet, speeds: Mapping[str, float | str], moves: Sequence[AxisMove]) -> list[AxisMove]:
+def _limit_named(
+    fleet: Fleet, step: MotionOptions, speeds: Mapping[str, float | str], moves: Sequence[AxisMove]
+) -> list[AxisMove]:
     """The moves with the speeds of the axes that are named; the others keep their limits."""
-    names = {move.axis for move in moves}
+    # A forecast has no moves of axes whose beginning is not known.
+    names = {*step.find_axes(fleet), *(move.axis for move in moves)}
     strangers = [name for name in speeds if name not in names]
     if strangers:
         raise PlanError(f"speed names {', '.join(strangers)}, which the step does not move")
