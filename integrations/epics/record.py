@@ -136,7 +136,6 @@ class MotorRecord(MotorValues):
         self._set("LVIO", 0)
         self._set("JOGR" if name == "JOGF" else "JOGF", 0)
         self._set(name, 1)
-        self._is_pending = False
         self._waiting.append(done)
         if not is_same or self._stopping:
             self._replace(self._begin_jog)
@@ -156,7 +155,6 @@ class MotorRecord(MotorValues):
             self._require_go(name)
             self._set("DMOV", 0)
             self._set(name, 1)
-            self._is_pending = False
             self._replace(partial(self._begin, "home", self._driver.home))
         else:
             self._require_rest(name)
@@ -198,8 +196,6 @@ class MotorRecord(MotorValues):
             self._take_back()
         elif choice == PAUSE and self._operation and not self._stopping:
             self._stop("pause" if self._operation == "move" else "stop")
-        elif choice != PAUSE and self._stopping == "pause":
-            self._following = self._go
         else:
             self._settle()
 
