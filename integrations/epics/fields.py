@@ -14,9 +14,10 @@ Value = float | int | str
 STOP, PAUSE, MOVE, GO = range(4)
 """Choices of SPMG."""
 STATES = (
-    *("NO_ALARM", "READ", "WRITE", "HIHI", "HIGH", "LOLO", "LOW", "STATE", "COS", "COMM", "TIMEOUT", "HWLIMIT"),
-    *("CALC", "SCAN", "LINK", "SOFT", "BAD_SUB", "UDF", "DISABLE", "SIMM", "READ_ACCESS", "WRITE_ACCESS"),
+    *("NO_ALARM", "READ", "WRITE", "HIHI", "HIGH", "LOLO", "LOW", "STATE"),
+    *("COS", "COMM", "TIMEOUT", "HWLIMIT", "CALC", "SCAN", "LINK", "SOFT"),
 )
+"""The first 16, which is as many as a menu of Channel Access has."""
 SEVERITIES = ("NO_ALARM", "MINOR", "MAJOR", "INVALID")
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import bluesky.plan_stubs as bps
 import bluesky.plans as bp
 import pytest
+from aioca import purge_channel_caches
 from bluesky import RunEngine
 from ecosystem.epics_server import free_ports, serving, set_client_environment
 from ophyd_async.core import init_devices
@@ -29,14 +30,16 @@ def engine() -> Iterator[RunEngine]:
     run_engine = RunEngine({}, context_managers=[])
     yield run_engine
     loop = run_engine.loop
+    loop.call_soon_threadsafe(purge_channel_caches)
     loop.call_soon_threadsafe(loop.stop)
     run_engine._th.join(10)
     loop.close()
 
 
-def test_a_motor_moves(server: LiveTestbed, engine: RunEngine) -> None:
+@pytest.mark.parametrize("protocol", ["pva", "ca"])
+def test_a_motor_moves(server: LiveTestbed, engine: RunEngine, protocol: str) -> None:
     with init_devices(timeout=10):
-        x = Motor("pva://demo:gantry:x")
+        x = Motor(f"{protocol}://demo:gantry:x", name="x")
     engine(bps.mv(x, 12.5))
     assert server.tutti.position("gantry.x") == pytest.approx(12.5, abs=0.002)
     events: list[Any] = []
