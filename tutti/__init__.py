@@ -73,6 +73,7 @@ from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
+from orchestrator.model.templates.arriving import read_job
 from orchestrator.model.templates.template import Template, load_job
 
 __version__ = _version("tutti")
@@ -144,4 +145,5 @@ __all__ = [
     "WrongValue",
     "load_fleet",
     "load_job",
+    "read_job",
 ]

@@ -49,7 +49,6 @@ def serve(  # noqa: PLR0913
 
     What clients do, it does with its own rights: those of its identity's role. A move ends with this server.
     """
-    require_extra("epics", "p4p", "caproto")
     try:
         is_local = ip_address(interface).is_loopback
     except ValueError:
@@ -58,6 +57,7 @@ def serve(  # noqa: PLR0913
         )
     if not is_local and not i_know:
         exit_with_error(f"--interface {interface}: {OPEN}", BAD_INPUT, "give --i-know if that is so")
+    require_extra("epics", "p4p", "caproto")
     from integrations.epics.server import ServerSettings, serve_epics
 
     settings = ServerSettings(prefix, interface, pva_port, ca_port)

@@ -9,12 +9,15 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from p4p.nt import NTEnum, NTScalar
+from p4p.nt import NTEnum, NTScalar, NTTable
 from p4p.server import DynamicProvider, Server, StaticProvider
 from p4p.server.raw import SharedPV
 
 from integrations.epics.channels import Channel
 from integrations.epics.fields import Value
+from integrations.epics.fleet import QUEUE_COLUMNS, FleetRecord, Rows
+from integrations.epics.lanes import describe
+from tutti import Refusal, TuttiError
 
 NS_PER_S = 10**9
 _CODES = {"float": "d", "int": "i", "text": "s"}
@@ -111,15 +114,53 @@ class _Held:
         self._pvs.discard(value_pv)
 
 
+def make_queue_pv(record: FleetRecord) -> SharedPV:
+    """The queue as an NTTable, which follows it."""
+    table = NTTable([(name, "s") for name in QUEUE_COLUMNS])
+
+    def pack(rows: Rows) -> Any:
+        return table.wrap([dict(zip(QUEUE_COLUMNS, row, strict=True)) for row in rows], timestamp=time.time())
+
+    pv = SharedPV(initial=pack(record.queue))
+    record.on_queue.append(lambda rows: pv.post(pack(rows)))
+    return pv
+
+
+def _make_submit_pv(record: FleetRecord) -> SharedPV:
+    return SharedPV(initial=NTScalar("s").wrap("call it with the text of a job file"), handler=_SubmitHandler(record))
+
+
+class _SubmitHandler:
+    """An RPC with the argument `job`, the text of a job file; it answers the id of the job."""
+
+    def __init__(self, record: FleetRecord) -> None:
+        self._record = record
+        self._loop = asyncio.get_running_loop()
+
+    def rpc(self, _: SharedPV, operation: Any) -> None:
+        """A client calls; in a thread of p4p."""
+        asyncio.run_coroutine_threadsafe(self._submit(operation), self._loop)
+
+    async def _submit(self, operation: Any) -> None:
+        arguments = operation.value()
+        text = arguments.get("query.job", arguments.get("job"))
+        try:
+            if not isinstance(text, str):
+                raise Refusal("bad-value", "the argument `job` is missing", "give the text of a job file")
+            operation.done(NTScalar("s").wrap(await self._record.submit(text)))
+        except TuttiError as error:
+            operation.done(error=describe(error))
+
+
 @contextmanager
 def serve_pva(
-    channels: Sequence[Channel], more: dict[str, SharedPV], interface: str, port: int, udp_port: int
+    channels: Sequence[Channel], fleet: FleetRecord, prefix: str, interface: str, port: int
 ) -> Generator[int]:
-    """Serve channels while the context lasts; more: other PVs. port: of TCP, 0 for any; the context is the one that is
-    used. Raises `OSError`."""
+    """Serve channels, and the queue of a fleet, while the context lasts. port: of TCP, 0 for any; the context is
+    the one that is used. Raises `OSError`."""
     loop = asyncio.get_running_loop()
     static, held = StaticProvider("tutti"), _Held([channel for channel in channels if channel.is_held], loop)
-    pvs = dict(more)
+    pvs = {f"{prefix}QUEUE": make_queue_pv(fleet), f"{prefix}SUBMIT": _make_submit_pv(fleet)}
     for channel in channels:
         if not channel.is_held:
             pvs |= dict.fromkeys(channel.names, ValuePv(channel, loop, lambda _: None).pv)
@@ -129,7 +170,7 @@ def serve_pva(
     configuration = {
         "EPICS_PVAS_INTF_ADDR_LIST": interface,
         "EPICS_PVAS_SERVER_PORT": str(port),
-        "EPICS_PVAS_BROADCAST_PORT": str(udp_port),
+        "EPICS_PVAS_BROADCAST_PORT": str(port + 1),
         "EPICS_PVAS_AUTO_BEACON_ADDR_LIST": "NO" if interface == "127.0.0.1" else "YES",
     }
     with Server(providers=[static, dynamic], conf=configuration, useenv=False) as server:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from integrations.epics.axes import open_axes
 from integrations.epics.ca import serve_ca
-from integrations.epics.channels import make_channels
+from integrations.epics.channels import Channel, make_channels
+from integrations.epics.fleet import FLEET_FIELDS, open_fleet_record
 from integrations.epics.pva import serve_pva
 from tutti import Tutti
 from tutti.commands import ServerReady
@@ -26,12 +27,13 @@ class ServerSettings:
 async def serve_epics(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[ServerReady]:
     """Serve the fleet while the context lasts. Raises `Refusal`."""
     prefix = f"{tutti.keys.fleet}:" if settings.prefix is None else settings.prefix
-    async with open_axes(tutti) as axes:
-        records = [(axis.record, f"{prefix}{axis.record.axis.replace('.', ':')}") for axis in axes]
-        channels = [channel for record, name in records for channel in make_channels(record, name)]
-        with serve_pva(channels, {}, settings.interface, settings.pva_port, settings.pva_port + 1) as pva_port:
-            async with serve_ca(channels, settings.interface, settings.ca_port) as ca_port:
-                names = [name for _, name in records]
-                ports = f"PVAccess at {settings.interface}:{pva_port}, Channel Access at {settings.interface}:{ca_port}"
-                fields = {"records": names, "pva_port": pva_port, "ca_port": ca_port}
-                yield ServerReady([f"motor records: {', '.join(names)}", ports], fields)
+    async with open_axes(tutti) as axes, open_fleet_record(tutti) as fleet:
+        records = {f"{prefix}{axis.record.axis.replace('.', ':')}": axis.record for axis in axes}
+        channels = [channel for name, record in records.items() for channel in make_channels(record, name)]
+        channels += [Channel((f"{prefix}{key}",), fleet, key, field) for key, field in FLEET_FIELDS.items()]
+        place = settings.interface
+        with serve_pva(channels, fleet, prefix, place, settings.pva_port) as pva_port:
+            async with serve_ca(channels, place, settings.ca_port) as ca_port:
+                ports = f"PVAccess at {place}:{pva_port}, Channel Access at {place}:{ca_port}"
+                fields = {"records": list(records), "pva_port": pva_port, "ca_port": ca_port}
+                yield ServerReady([f"motor records: {', '.join(records)}", ports], fields)

@@ -37,6 +37,10 @@ def set_client_environment(pva_port: int, ca_port: int) -> None:
     )
 
 
+PVA_PORT, CA_PORT = free_ports(2)
+set_client_environment(PVA_PORT, CA_PORT)
+
+
 @contextmanager
 def serving(endpoint: str, settings: ServerSettings) -> Iterator[None]:
     """The server, in a thread with a loop of its own."""
