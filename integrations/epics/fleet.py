@@ -12,6 +12,7 @@ from tutti import ControllerState, Refusal, Tutti, TuttiError, read_job
 FLEET_FIELDS = {"ESTOP": Field("int", can_put=True), "RESET": Field("int", can_put=True), "STATE": Field("text")}
 QUEUE_COLUMNS = ("id", "name", "state", "by")
 REFRESH_S = 0.5
+RELEASE_S = 2.0
 MOST_JOBS = 100
 _ENDED = ("done", "failed", "cancelled", "aborted", "interrupted")
 
@@ -50,7 +51,7 @@ class FleetRecord(Published):
     async def refresh(self) -> None:
         """Read states and queue. Raises `Refusal`."""
         states = await self._tutti.status()
-        self._set("ESTOP", int(any(state.estop is not None for state in states.values())))
+        self._set("ESTOP", int(_is_latched(states)))
         self._set("STATE", _describe_fleet(states))
         jobs = [entry for entry in await self._tutti.list_jobs(MOST_JOBS) if entry.state not in _ENDED]
         queue: Rows = [(entry.id, entry.name, entry.state, entry.actor) for entry in jobs]
@@ -74,12 +75,20 @@ class FleetRecord(Published):
 
     async def _reset(self) -> str | None:
         refusals = [describe(refusal) for refusal in (await self._tutti.reset()).values() if refusal is not None]
+        with suppress(TimeoutError):
+            async with asyncio.timeout(RELEASE_S):
+                while not refusals and _is_latched(await self._tutti.status()):
+                    await asyncio.sleep(REFRESH_S / 10)
         return ", ".join(refusals) or None
+
+
+def _is_latched(states: Mapping[str, ControllerState]) -> bool:
+    return any(state.estop is not None for state in states.values())
 
 
 def _describe_fleet(states: Mapping[str, ControllerState]) -> str:
     modes = {state.mode for state in states.values()}
-    if any(state.estop is not None for state in states.values()):
+    if _is_latched(states):
         return "e-stop"
     for mode in ("offline", "fault"):
         if mode in modes:

@@ -157,7 +157,7 @@ class Lane:
                 targets.update(wanted)
                 refused = None
             except Refusal as error:
-                if error.code in ("not-running", "not-moving"):
+                if error.code in ("not-running", "not-moving", "ended"):
                     await asyncio.wait([ending], timeout=RETRY_S)
                 else:
                     targets.update(wanted)

@@ -2,8 +2,7 @@
 
 import asyncio
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import bluesky.plan_stubs as bps
@@ -12,7 +11,7 @@ import pytest
 from aioca import purge_channel_caches
 from bluesky import RunEngine
 from bluesky.utils import FailedStatus, RunEngineInterrupted
-from ecosystem.epics_server import CA_PORT, PVA_PORT, serving
+from ecosystem.epics_server import CA_PORT, PVA_PORT, serving, wait_until
 from ophyd_async.core import FlyMotorInfo
 from ophyd_async.epics.motor import Motor, MotorLimitsError
 
@@ -51,13 +50,6 @@ def run(engine: RunEngine, plan: Any) -> list[dict[str, float]]:
     events: list[dict[str, float]] = []
     engine(plan, lambda name, doc: events.append(doc["data"]) if name == "event" else None)
     return events
-
-
-def wait_until(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
-    end_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 @both_protocols
