@@ -23,17 +23,19 @@ class FleetAxis:
         self._info = info
         self._tasks: set[asyncio.Task[None]] = set()
         self._is_moving = False
+        self._further: float | None = None
         self._released = asyncio.Event()
         self._read = asyncio.Event()
         self.record = MotorRecord(info, first, velocity, self)
 
     def move(self, target: float, velocity: float) -> None:
         """As `AxisDriver.move`."""
-        if self._is_moving:
-            self._lane.redirect(self._info.name, target)
-            return
-        self._is_moving = True
-        self._begin(self._lane.move(self._info.name, target, min(1.0, velocity / self._info.velocity)))
+        speed = min(1.0, velocity / self._info.velocity)
+        if not self._is_moving:
+            self._is_moving = True
+            self._begin(self._move(target, speed))
+        elif not self._lane.redirect(self._info.name, target):
+            self._further = target  # the move is over, and its end is not known to the record yet
 
     def jog(self, velocity: float) -> None:
         """As `AxisDriver.jog`."""
@@ -75,11 +77,18 @@ class FleetAxis:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
+    async def _move(self, target: float, speed: float) -> str | None:
+        error = await self._lane.move(self._info.name, target, speed)
+        while error is None and self._further is not None:
+            target, self._further = self._further, None
+            error = await self._lane.move(self._info.name, target, speed)
+        return error
+
     async def _run(self, operation: Coroutine[None, None, str | None]) -> None:
         error = await operation
         if error is not None or self.record.reading.moving:
             await self._wait_for_rest()
-        self._is_moving = False
+        self._is_moving, self._further = False, None
         self.record.end(error)
 
     async def _wait_for_rest(self) -> None:

@@ -1,8 +1,8 @@
 """Jobs for the axes of one controller: one at a time, where its axes cannot be in two jobs."""
 
 import asyncio
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
 from tutti import Job, JobReport, Move, QueueTerms, Refusal, Step, Tutti, TuttiError
@@ -35,7 +35,9 @@ class Lane:
         self._lock = asyncio.Lock()
         self._changed = asyncio.Event()
         self._waiting: dict[str, _Wish] = {}
+        self._alone: dict[str, _Wish] = {}  # that were refused together, and are tried one by one
         self._moving: dict[str, _Wish] = {}
+        self._turns: set[str] = set()  # axes whose other operations wait for their turn
         self._running: list[asyncio.Task[None]] = []
         self._job_id = ""
         self._job_axes: list[str] = []
@@ -49,22 +51,24 @@ class Lane:
             self._running.append(asyncio.ensure_future(self._run_waiting()))
         return await wish.ended
 
-    def redirect(self, axis: str, target: float) -> None:
-        """Send an axis that is on a move, or waits for it, to another target."""
-        wish = self._waiting.get(axis) or self._moving.get(axis)
-        if wish is not None:
-            wish.target = target
-            self._changed.set()
+    def redirect(self, axis: str, target: float) -> bool:
+        """Send an axis that is on a move, or waits for it, to another target; return false if it is on none."""
+        wish = self._waiting.get(axis) or self._alone.get(axis) or self._moving.get(axis)
+        if wish is None:
+            return False
+        wish.target = target
+        self._changed.set()
+        return True
 
     async def run(self, axis: str, step: Step) -> str | None:
         """Run another step of an axis; return what went wrong. A stop ends it without an error."""
-        async with self._lock:
-            return await self._run_job([axis], step)
+        async with self._take_turn(axis) as is_stopped:
+            return None if is_stopped else await self._run_job([axis], step)
 
     async def jog(self, axis: str, velocity: float, released: asyncio.Event) -> str | None:
         """Jog an axis (its unit/s) until it is released; return what went wrong."""
         try:
-            async with self._lock, self._tutti.manual_control([axis], what="jog by EPICS") as manual:
+            async with self._take_turn(axis), self._tutti.manual_control([axis], what="jog by EPICS") as manual:
                 if not released.is_set():
                     await manual.jog({axis: velocity})
                 while not released.is_set():
@@ -78,55 +82,70 @@ class Lane:
 
     async def stop(self, axis: str) -> None:
         """Stop what this lane does with an axis; without that, the job that moves it."""
-        wish = self._waiting.pop(axis, None)
+        wish = self._waiting.pop(axis, None) or self._alone.pop(axis, None)
         if wish is not None:
             wish.ended.set_result(None)
-            return
-        job_id = self._job_id
-        if axis in self._job_axes:
+        elif axis in self._turns:
+            self._turns.discard(axis)
+        elif axis in self._job_axes:
             self._stopped = axis
+            await self._cancel(self._job_id)
         else:
-            state = (await self._tutti.status()).get(axis.partition(".")[0])
-            job_id = "" if state is None else state.job or ""
+            controller, _, name = axis.partition(".")
+            state = (await self._tutti.status()).get(controller)
+            if state is not None and state.axes[name].moving:
+                await self._cancel(state.job or "")
+
+    async def _cancel(self, job_id: str) -> None:
         if job_id:
-            with suppress(Refusal):  # it has ended
+            with suppress(TuttiError):  # it has ended
                 await self._tutti.cancel_job(job_id)
+
+    @asynccontextmanager
+    async def _take_turn(self, axis: str) -> AsyncGenerator[bool]:
+        """Wait until nothing else goes on; whether the axis was stopped meanwhile."""
+        self._turns.add(axis)
+        async with self._lock:
+            is_stopped = axis not in self._turns
+            self._turns.discard(axis)
+            yield is_stopped
 
     async def _run_waiting(self) -> None:
         await asyncio.sleep(self._gather_s)
         async with self._lock:
             wishes, self._waiting = self._waiting, {}
-            if wishes:
-                error, is_refused = await self._move(wishes)
-                if is_refused and len(wishes) > 1:  # perhaps one of them
-                    for axis, wish in wishes.items():
-                        wish.ended.set_result((await self._move({axis: wish}))[0])
-                for axis, wish in wishes.items():
-                    if not wish.ended.done():
-                        by_other = self._stopped and self._stopped != axis
-                        text = f"stopped with {self._stopped}: their controller moves them as one"
-                        wish.ended.set_result(text if by_other else error)
+            error = await self._move(wishes) if wishes else None
+            if error is not None and not self._job_id and len(wishes) > 1:  # refused, perhaps for one of them
+                self._alone = wishes
+                while self._alone:
+                    axis = next(iter(self._alone))
+                    wish = self._alone.pop(axis)
+                    wish.ended.set_result(await self._move({axis: wish}))
+            for axis, wish in wishes.items():
+                if not wish.ended.done():
+                    by_other = self._stopped not in ("", axis)
+                    text = f"stopped with {self._stopped}: their controller moves them as one"
+                    wish.ended.set_result(text if by_other else error)
 
-    async def _move(self, wishes: dict[str, _Wish]) -> tuple[str | None, bool]:
-        """Move axes until each is at its newest target. Returns what went wrong, and whether nothing was begun."""
-        self._moving, is_begun = wishes, False
+    async def _move(self, wishes: dict[str, _Wish]) -> str | None:
+        """Move axes until each is at its newest target; return what went wrong."""
+        self._moving = dict(wishes)
         while True:
             targets = {axis: wish.target for axis, wish in wishes.items()}
             speed = {axis: wish.speed for axis, wish in wishes.items()}
             error = await self._run_job(list(wishes), Move(to=targets, speed=speed, sync="none"), targets)
             if error is not None or self._stopped or targets == {axis: wish.target for axis, wish in wishes.items()}:
                 self._moving = {}
-                return error, error is not None and not is_begun and not self._job_id
-            is_begun = True
+                return error
 
     async def _run_job(self, axes: list[str], step: Step, targets: dict[str, float] | None = None) -> str | None:
-        """Run a job of one step; `targets` of a move, which become those of the moves that are asked for meanwhile."""
+        """Run a job of one step; `targets` of a move become those that are asked for meanwhile."""
         self._job_axes, self._job_id, self._stopped = axes, "", ""
         try:
             name = f"{step.kind} {', '.join(axes)} by EPICS"[:120]
             self._job_id = (await self._tutti.enqueue_job(Job(name, [step]), None, self._terms)).id
             if self._stopped:
-                await self._tutti.cancel_job(self._job_id)
+                await self._cancel(self._job_id)
             ending = asyncio.ensure_future(self._tutti.wait_for_job(self._job_id))
             refused = None if targets is None else await self._follow_targets(ending, targets)
             report = await ending
@@ -134,12 +153,11 @@ class Lane:
             return describe(error)
         finally:
             self._job_axes = []
-        if self._stopped == axes[0] and len(axes) == 1:
-            return None
         if report.state == "done":
+            self._stopped = ""
             self._on_done(report)
             return refused
-        return f"{report.name} is {report.state}: {report.reason}"
+        return None if self._stopped else f"{report.name} is {report.state}: {report.reason}"
 
     async def _follow_targets(self, ending: "asyncio.Future[JobReport]", targets: dict[str, float]) -> str | None:
         """Send the present job to newer targets until it ends; return why a target was refused."""

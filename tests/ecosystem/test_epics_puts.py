@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import socket
+import statistics
 import struct
 import subprocess
 import sys
@@ -146,10 +147,10 @@ def test_targets_at_1_khz_end_at_the_newest(client: Context, server: LiveTestbed
         thread.start()
     for thread in floods:
         thread.join()
-    move(client, X, 70)
     assert [put.result(30) for put in puts] == [None] * len(puts)
-    assert server.tutti.position("gantry.x") == pytest.approx(70, abs=0.002)
-    assert dmov.close() == [1, 0, 1]
+    wait_until(lambda: int(client.get(f"{X}.DMOV")) == 1)
+    assert server.tutti.position("gantry.x") == pytest.approx(float(client.get(f"{X}.VAL")), abs=0.002)
+    assert set(zip(dmov.values, dmov.close()[1:], strict=False)) == {(1, 0), (0, 1)}
 
 
 def test_what_is_no_position_is_refused_in_words(client: Context, server: LiveTestbed) -> None:
@@ -275,12 +276,12 @@ def test_home_set_and_offset(client: Context, server: LiveTestbed) -> None:
     assert float(client.get(f"{U}.DRBV")) == pytest.approx(2, abs=0.002)
     client.put(f"{U}.OFF", 0.0, wait=True)
     assert server.tutti.position("stage.u") == pytest.approx(2, abs=0.002)
-    client.put(f"{U}.HOMF", 1, wait=True, timeout=60)
-    assert int(client.get(f"{U}.HOMF")) == 0
     client.put(f"{U}.CNEN", "Disable", wait=True)
     with pytest.raises(RemoteError, match="enabled"):
         move(client, U, 3)
     client.put(f"{U}.CNEN", "Enable", wait=True)
+    client.put(f"{U}.HOMF", 1, wait=True, timeout=60)
+    assert int(client.get(f"{U}.HOMF")) == 0
     move(client, U, 3)
 
 
@@ -296,7 +297,12 @@ def test_the_queue_and_a_job_as_text(client: Context, server: LiveTestbed) -> No
     (row,) = [row for row in NTTable.unwrap(client.get("demo:QUEUE")) if row["id"] == job_id]
     assert (row["name"], row["by"]) == ("from-epics", "epics")
     server.tutti.job(job_id).result()
-    for text, words in (("steps: 7", "steps"), ("", "job"), (job.replace("dwell", "dance"), "dance"), ("{", "not YAML")):
+    for text, words in (
+        ("steps: 7", "steps"),
+        ("", "job"),
+        (job.replace("dwell", "dance"), "dance"),
+        ("{", "not YAML"),
+    ):
         with pytest.raises(RemoteError, match=words):
             submit(text)
     with pytest.raises(RemoteError, match="in a file"):
@@ -316,7 +322,8 @@ def test_puts_by_channel_access(client: Context, server: LiveTestbed) -> None:
             await caput(f"{X}.RBV", 3, wait=True, timeout=5)
         assert await caget(f"{X}.LVIO") == 1
         assert await caget(X) == 25
-        assert await caget("demo:STATE") == "idle"
+        while await caget("demo:STATE") != "idle":
+            await asyncio.sleep(0.1)
 
     async def main() -> None:
         try:
@@ -388,3 +395,17 @@ def test_a_killed_server_stops_its_axes(demo_fleet: LiveTestbed) -> None:
             ]
         )
     )
+
+
+def test_a_put_takes_no_longer_than_a_move_of_the_fleet(client: Context, server: LiveTestbed) -> None:
+    put_s, move_s = list[float](), list[float]()
+    for number in range(50):
+        for position, durations in ((30 + number % 2, put_s), (32 + number % 2, move_s)):
+            began_s = time.monotonic()
+            if durations is put_s:
+                move(client, X, position)
+            else:
+                server.tutti.move({"gantry.x": position})
+            durations.append(time.monotonic() - began_s)
+    ratio = statistics.median(put_s) / statistics.median(move_s)
+    assert ratio <= 1.1, (put_s, move_s)
