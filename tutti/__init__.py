@@ -28,6 +28,7 @@ from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
+from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
@@ -136,6 +137,7 @@ __all__ = [
     "StepRecording",
     "StepReport",
     "SubmittedJob",
+    "TaskOwner",
     "Template",
     "TimeInterval",
     "Tutti",
@@ -146,4 +148,5 @@ __all__ = [
     "load_fleet",
     "load_job",
     "read_job",
+    "running",
 ]

@@ -1,7 +1,7 @@
 """Motor records of the axes of a fleet: their drivers by jobs and manual control, their readings by its states."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Coroutine
+from collections.abc import AsyncGenerator, Awaitable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -9,7 +9,7 @@ from datetime import datetime
 from integrations.epics.lanes import GATHER_S, Lane
 from integrations.epics.readings import AxisReading
 from integrations.epics.record import MotorRecord
-from tutti import AxisInfo, Disable, Enable, Home, JobReport, SetPosition, StateReading, Tutti
+from tutti import AxisInfo, Disable, Enable, Home, JobReport, SetPosition, StateReading, TaskOwner, Tutti, running
 
 STALE_S = 3.0  # a controller publishes its state at least once a second
 REST_S = 5.0
@@ -21,7 +21,7 @@ class FleetAxis:
     def __init__(self, lane: Lane, info: AxisInfo, first: AxisReading, velocity: float) -> None:
         self._lane = lane
         self._info = info
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = TaskOwner()
         self._is_moving = False
         self._further: float | None = None
         self._released = asyncio.Event()
@@ -33,7 +33,7 @@ class FleetAxis:
         speed = min(1.0, velocity / self._info.velocity)
         if not self._is_moving:
             self._is_moving = True
-            self._begin(self._move(target, speed))
+            self._begin(self._move(self._lane.move(self._info.name, target, speed), speed))
         elif not self._lane.redirect(self._info.name, target):
             self._further = target  # the move is over, and its end is not known to the record yet
 
@@ -57,7 +57,7 @@ class FleetAxis:
     def stop(self) -> None:
         """As `AxisDriver.stop`."""
         self._released.set()
-        self._spawn(self._lane.stop(self._info.name))
+        self._tasks.spawn(self._lane.stop(self._info.name))
 
     def take(self, reading: AxisReading) -> None:
         """Take a newer reading."""
@@ -66,19 +66,13 @@ class FleetAxis:
 
     def close(self) -> None:
         """End what goes on; its jobs end with their session."""
-        for task in self._tasks:
-            task.cancel()
+        self._tasks.cancel_all()
 
     def _begin(self, operation: Coroutine[None, None, str | None]) -> None:
-        self._spawn(self._run(operation))
+        self._tasks.spawn(self._run(operation))
 
-    def _spawn(self, work: Coroutine[None, None, None]) -> None:
-        task = asyncio.ensure_future(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _move(self, target: float, speed: float) -> str | None:
-        error = await self._lane.move(self._info.name, target, speed)
+    async def _move(self, ending: Awaitable[str | None], speed: float) -> str | None:
+        error = await ending
         while error is None and self._further is not None:
             target, self._further = self._further, None
             error = await self._lane.move(self._info.name, target, speed)
@@ -112,50 +106,46 @@ async def open_axes(tutti: Tutti) -> AsyncGenerator[list[FleetAxis]]:
     axes: dict[str, FleetAxis] = {}
 
     def note_end(report: JobReport) -> None:
-        for name, read in report.steps[-1].positions.items():
-            reading = replace(axes[name].record.reading, position=read.position, moving=False, utc_s=None)
-            axes[name].take(replace(reading, fleet_ns=read.read.latest_ns))
+        for name, entry in report.steps[-1].positions.items():
+            reading = replace(axes[name].record.reading, position=entry.position, moving=False, utc_s=None)
+            axes[name].take(replace(reading, fleet_ns=entry.read.latest_ns))
 
     async with tutti.attend() as attendance:
         states = await tutti.status()
         for controller, config in fleet.controllers.items():
             info = await tutti.controller_info(controller)
-            shared = Lane(tutti, attendance.session, GATHER_S if len(config.axes) > 1 else 0.0, note_end)
+            common_lane = Lane(tutti, attendance.session, GATHER_S if len(config.axes) > 1 else 0.0, note_end)
             for name, axis_config in config.axes.items():
                 axis_now = states[controller].axes[name]
-                lane = Lane(tutti, attendance.session, 0.0, note_end) if info.independent_axes else shared
+                lane = Lane(tutti, attendance.session, 0.0, note_end) if info.independent_axes else common_lane
                 axis = f"{controller}.{name}"
                 first = AxisReading(axis_now.position, axis_now.commanded, float(axis_now.offset))
                 velocity = axis_config.limits.velocity * axis_config.manual_speed
                 axes[axis] = FleetAxis(lane, await tutti.axis(axis), first, velocity)
-        following = asyncio.ensure_future(_follow_states(tutti, axes))
-        try:
-            yield list(axes.values())
-        finally:
-            following.cancel()
-            for axis in axes.values():
-                axis.close()
+        async with running(_follow_states(tutti, axes)), running(_watch_age(axes)):
+            try:
+                yield list(axes.values())
+            finally:
+                for axis in axes.values():
+                    axis.close()
 
 
 async def _follow_states(tutti: Tutti, axes: dict[str, FleetAxis]) -> None:
-    """Give each axis its readings, and one that is offline to those of which none comes any more."""
-    states = tutti.states(list(axes))
-    loop = asyncio.get_running_loop()
-    read_s = dict.fromkeys(axes, loop.time())
-    coming = asyncio.ensure_future(anext(states))
-    try:
-        while True:
-            if (await asyncio.wait([coming], timeout=STALE_S / 3))[0]:
-                state = coming.result()
-                coming = asyncio.ensure_future(anext(states))
-                for name, reading in _make_readings(state).items():
-                    read_s[name] = loop.time()
-                    axes[name].take(reading)
-            for name, axis in axes.items():
-                if read_s[name] < loop.time() - STALE_S and axis.record.reading.online:
-                    axis.take(replace(axis.record.reading, online=False, moving=False, utc_s=None, fleet_ns=None))
-    finally:
-        coming.cancel()
+    async for state in tutti.states(list(axes)):
+        for name, reading in _make_readings(state).items():
+            axes[name].take(reading)
+
+
+async def _watch_age(axes: dict[str, FleetAxis]) -> None:
+    """Note an axis as offline when no reading of it comes any more."""
+    last_readings: dict[str, AxisReading] = {}
+    while True:
+        await asyncio.sleep(STALE_S)
+        for name, axis in axes.items():
+            reading = axis.record.reading
+            if last_readings.get(name) is reading and reading.online:
+                axis.take(replace(reading, online=False, moving=False, utc_s=None, fleet_ns=None))
+            last_readings[name] = reading
 
 
 def _make_readings(state: StateReading) -> dict[str, AxisReading]:

@@ -17,7 +17,7 @@ from caproto.asyncio.server import Context
 
 from integrations.epics.channels import Channel
 from integrations.epics.fields import Value
-from tutti import Refusal
+from tutti import Refusal, TaskOwner
 
 LONGEST_TEXT = 39  # bytes of a string of Channel Access
 _client: ContextVar[Any] = ContextVar("client")
@@ -41,16 +41,16 @@ class _ServedValue:
 
     async def write(self, value: Any, **_: Any) -> None:
         """Put the value of a client; it has ended when this returns. Raises `Refusal`, whose text the client gets."""
-        ended: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+        ending: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
 
         def end(error: str | None) -> None:
-            if not ended.done():
-                ended.set_result(error)
+            if not ending.done():
+                ending.set_result(error)
 
         raw = value[0] if isinstance(value, list | tuple) or hasattr(value, "tolist") else value
         self.holders.add(_client.get(None))
         self.served.record.put(self.served.key, raw, end)
-        if error := await ended:
+        if error := await ending:
             raise Refusal("put", error)
 
     async def publish_value(self, value: Value, stamp_s: float | None) -> None:
@@ -113,7 +113,7 @@ def _make_value(channel: Channel) -> Any:
 @asynccontextmanager
 async def serve_ca(channels: Sequence[Channel], interface: str, port: int) -> AsyncGenerator[int]:
     """Serve channels while the context lasts. port: of TCP and UDP; the context is that of TCP, which is another one
-    if this is in use. Raises `OSError`."""
+    if this is in use. Raises `Refusal`."""
     if interface == "127.0.0.1":  # caproto has no other way to keep its beacons from other computers
         os.environ |= {"EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO", "EPICS_CAS_BEACON_ADDR_LIST": interface}
     logging.getLogger("caproto").setLevel(logging.CRITICAL)  # it logs what clients put wrongly, with tracebacks
@@ -131,14 +131,14 @@ async def serve_ca(channels: Sequence[Channel], interface: str, port: int) -> As
 
     context: Any = _Context(pvs, [interface])
     context.ca_server_port = port
-    tasks = [asyncio.ensure_future(context.run()), asyncio.ensure_future(publish())]
+    tasks = TaskOwner()
+    serving = tasks.spawn(context.run())
+    tasks.spawn(publish())
     try:
         while not context.udp_socks:
-            if tasks[0].done():
-                tasks[0].result()
+            if serving.done():
+                raise Refusal("in-use", f"Channel Access cannot be served at {interface}:{port}", "choose another port")
             await asyncio.sleep(0.01)
         yield context.port
     finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await tasks.end_all()

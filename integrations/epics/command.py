@@ -14,17 +14,17 @@ from tutti.commands import (
 )
 
 OPEN = (
-    "PVAccess and Channel Access have no users here: whoever reaches this server moves the fleet with its rights. Put "
-    "a gateway with access rules before it, such as p4p's `pvagw`, and keep this server on loopback behind it"
+    "PVAccess and Channel Access have no users here: each client that reaches this server moves the fleet with its "
+    "rights. Put a gateway with access rules before it, such as p4p's `pvagw`, and keep this server on loopback"
 )
 
 
-@click.group()
+@click.group(epilog="Example: tutti epics serve --prefix LAB:")
 def epics() -> None:
     """Serve a fleet to clients of EPICS."""
 
 
-@epics.command()
+@epics.command(epilog="Example: tutti epics serve --connect tcp/127.0.0.1:7447 --prefix LAB:")
 @fleet_options
 @json_option
 @click.option("--prefix", help="What the names of all PVs begin with; the name of the fleet and a colon if left out.")

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager, suppress
 from integrations.epics.fields import Field
 from integrations.epics.lanes import describe
 from integrations.epics.values import Done, Published
-from tutti import ControllerState, Refusal, Tutti, TuttiError, read_job
+from tutti import ControllerState, Refusal, TaskOwner, Tutti, TuttiError, read_job, running
 
 FLEET_FIELDS = {"ESTOP": Field("int", can_put=True), "RESET": Field("int", can_put=True), "STATE": Field("text")}
 QUEUE_COLUMNS = ("id", "name", "state", "by")
@@ -28,7 +28,7 @@ class FleetRecord(Published):
         self.queue: Rows = []
         self.on_queue: list[Callable[[Rows], None]] = []
         self._tutti = tutti
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = TaskOwner()
 
     def put(self, name: str, raw: object, done: Done) -> None:
         """Put a value, as `MotorRecord.put` does."""
@@ -40,9 +40,7 @@ class FleetRecord(Published):
         if not value:
             done(None)
             return
-        task = asyncio.ensure_future(self._run(self._estop if name == "ESTOP" else self._reset, done))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._tasks.spawn(self._run(self._estop if name == "ESTOP" else self._reset, done))
 
     async def submit(self, text: str) -> str:
         """Submit the job in the text of a job file, and return its id. Raises `Refusal`, `FileError`."""
@@ -64,14 +62,14 @@ class FleetRecord(Published):
         try:
             error = await act()
             await self.refresh()
-        except TuttiError as refused:
-            error = describe(refused)
+        except TuttiError as failure:
+            error = describe(failure)
         done(error)
 
     async def _estop(self) -> str | None:
         latches = await self._tutti.estop("by a client of EPICS")
-        missing = ", ".join(name for name, is_latched in latches.items() if not is_latched) or "any controller"
-        return None if latches and all(latches.values()) else f"no e-stop is confirmed by {missing}; use the wired one"
+        names = ", ".join(name for name, is_latched in latches.items() if not is_latched) or "any controller"
+        return None if latches and all(latches.values()) else f"no e-stop is confirmed by {names}; use the wired one"
 
     async def _reset(self) -> str | None:
         refusals = [describe(refusal) for refusal in (await self._tutti.reset()).values() if refusal is not None]
@@ -107,8 +105,5 @@ async def open_fleet_record(tutti: Tutti) -> AsyncGenerator[FleetRecord]:
                 await record.refresh()
             await asyncio.sleep(REFRESH_S)
 
-    following = asyncio.ensure_future(follow())
-    try:
+    async with running(follow()):
         yield record
-    finally:
-        following.cancel()

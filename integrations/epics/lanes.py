@@ -5,7 +5,7 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
-from tutti import Job, JobReport, Move, QueueTerms, Refusal, Step, Tutti, TuttiError
+from tutti import Job, JobReport, Move, QueueTerms, Refusal, Step, TaskOwner, Tutti, TuttiError, running
 
 GATHER_S = 0.005  # moves that are put one after the other by one client are one job
 RETRY_S = 0.02  # between two attempts to send elsewhere a move that begins or ends just now
@@ -38,18 +38,17 @@ class Lane:
         self._alone: dict[str, _Wish] = {}  # that were refused together, and are tried one by one
         self._moving: dict[str, _Wish] = {}
         self._turns: set[str] = set()  # axes whose other operations wait for their turn
-        self._running: list[asyncio.Task[None]] = []
+        self._tasks = TaskOwner()
         self._job_id = ""
         self._job_axes: list[str] = []
         self._stopped = ""  # the axis whose stop ends the present job
 
-    async def move(self, axis: str, target: float, speed: float) -> str | None:
-        """Move an axis; return what went wrong. A stop ends it without an error."""
+    def move(self, axis: str, target: float, speed: float) -> "asyncio.Future[str | None]":
+        """Ask for a move of an axis; return what goes wrong, at its end. A stop ends it without an error."""
         wish = self._waiting[axis] = _Wish(target, speed)
         if len(self._waiting) == 1:
-            self._running = [task for task in self._running if not task.done()]
-            self._running.append(asyncio.ensure_future(self._run_waiting()))
-        return await wish.ended
+            self._tasks.spawn(self._run_waiting())
+        return wish.ended
 
     def redirect(self, axis: str, target: float) -> bool:
         """Send an axis that is on a move, or waits for it, to another target; return false if it is on none."""
@@ -146,9 +145,10 @@ class Lane:
             self._job_id = (await self._tutti.enqueue_job(Job(name, [step]), None, self._terms)).id
             if self._stopped:
                 await self._cancel(self._job_id)
-            ending = asyncio.ensure_future(self._tutti.wait_for_job(self._job_id))
-            refused = None if targets is None else await self._follow_targets(ending, targets)
-            report = await ending
+            async with running(self._tutti.wait_for_job(self._job_id)) as ending:
+                ending.add_done_callback(lambda _: self._changed.set())
+                refusal = None if targets is None else await self._follow_targets(ending, targets)
+                report = await ending
         except TuttiError as error:
             return describe(error)
         finally:
@@ -156,31 +156,31 @@ class Lane:
         if report.state == "done":
             self._stopped = ""
             self._on_done(report)
-            return refused
+            return refusal
         return None if self._stopped else f"{report.name} is {report.state}: {report.reason}"
 
-    async def _follow_targets(self, ending: "asyncio.Future[JobReport]", targets: dict[str, float]) -> str | None:
+    async def _follow_targets(self, ending: asyncio.Task[JobReport], targets: dict[str, float]) -> str | None:
         """Send the present job to newer targets until it ends; return why a target was refused."""
-        refused: str | None = None
+        refusal: str | None = None
         while not ending.done():
             self._changed.clear()
-            wanted = {axis: wish.target for axis, wish in self._moving.items()}
-            if wanted == targets or self._stopped:
-                changing = asyncio.ensure_future(self._changed.wait())
-                await asyncio.wait([ending, changing], return_when=asyncio.FIRST_COMPLETED)
-                changing.cancel()
+            if ending.done():
+                break
+            newest_targets = {axis: wish.target for axis, wish in self._moving.items()}
+            if newest_targets == targets or self._stopped:
+                await self._changed.wait()
                 continue
             try:
-                await self._tutti.retarget_job(self._job_id, wanted)
-                targets.update(wanted)
-                refused = None
+                await self._tutti.retarget_job(self._job_id, newest_targets)
+                targets.update(newest_targets)
+                refusal = None
             except Refusal as error:
                 if error.code in ("not-running", "not-moving", "ended"):
                     await asyncio.wait([ending], timeout=RETRY_S)
                 else:
-                    targets.update(wanted)
-                    refused = describe(error)
-        return refused
+                    targets.update(newest_targets)
+                    refusal = describe(error)
+        return refusal
 
 
 def describe(error: TuttiError) -> str:

@@ -4,9 +4,9 @@
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import asyncio
-import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import Any
 
 from p4p.nt import NTEnum, NTScalar, NTTable
@@ -53,12 +53,12 @@ class ValuePv:
 
     def _pack(self, value: Value, stamp_s: float | None) -> Any:
         alarm = self._channel.record.alarm
-        stamp_ns = time.time_ns() if stamp_s is None else round(stamp_s * NS_PER_S)
-        packed = self._type()
-        packed[self._place] = value
-        packed["alarm"] = {"severity": alarm.severity, "status": alarm.status, "message": alarm.text}
-        packed["timeStamp"] = {"secondsPastEpoch": stamp_ns // NS_PER_S, "nanoseconds": stamp_ns % NS_PER_S}
-        return packed
+        stamp_ns = round((stamp_s or datetime.now(UTC).timestamp()) * NS_PER_S)
+        message = self._type()
+        message[self._place] = value
+        message["alarm"] = {"severity": alarm.severity, "status": alarm.status, "message": alarm.text}
+        message["timeStamp"] = {"secondsPastEpoch": stamp_ns // NS_PER_S, "nanoseconds": stamp_ns % NS_PER_S}
+        return message
 
     # Called by p4p, in threads of its own
 
@@ -119,7 +119,7 @@ def make_queue_pv(record: FleetRecord) -> SharedPV:
     table = NTTable([(name, "s") for name in QUEUE_COLUMNS])
 
     def pack(rows: Rows) -> Any:
-        return table.wrap([dict(zip(QUEUE_COLUMNS, row, strict=True)) for row in rows], timestamp=time.time())
+        return table.wrap([dict(zip(QUEUE_COLUMNS, row, strict=True)) for row in rows], timestamp=datetime.now(UTC))
 
     pv = SharedPV(initial=pack(record.queue))
     record.on_queue.append(lambda rows: pv.post(pack(rows)))
@@ -159,14 +159,14 @@ def serve_pva(
     """Serve channels, and the queue of a fleet, while the context lasts. port: of TCP, 0 for any; the context is
     the one that is used. Raises `OSError`."""
     loop = asyncio.get_running_loop()
-    static, held = StaticProvider("tutti"), _Held([channel for channel in channels if channel.is_held], loop)
+    static, handler = StaticProvider("tutti"), _Held([channel for channel in channels if channel.is_held], loop)
     pvs = {f"{prefix}QUEUE": make_queue_pv(fleet), f"{prefix}SUBMIT": _make_submit_pv(fleet)}
     for channel in channels:
         if not channel.is_held:
             pvs |= dict.fromkeys(channel.names, ValuePv(channel, loop, lambda _: None).pv)
     for name, pv in pvs.items():
         static.add(name, pv)
-    dynamic = DynamicProvider("tutti-held", held)
+    dynamic = DynamicProvider("tutti-held", handler)
     configuration = {
         "EPICS_PVAS_INTF_ADDR_LIST": interface,
         "EPICS_PVAS_SERVER_PORT": str(port),

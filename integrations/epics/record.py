@@ -225,18 +225,18 @@ class MotorRecord(MotorValues):
     def end(self, error: str | None = None) -> None:
         """The present operation has ended, with the axis at rest. error: why it was not done; None also for one that
         was stopped."""
-        operation, stopped, following = self._operation, self._stopping, self._following
+        operation, way, following = self._operation, self._stopping, self._following
         self._operation, self._stopping, self._following = "", "", None
         if error is not None or following != self._begin_jog:
             for name in {"jog": JOGS, "home": HOMES}.get(operation, ()):
                 self._set(name, 0)
         if error is None and following is not None:
             following()
-        elif error is None and stopped == "pause":
+        elif error is None and way == "pause":
             self._is_pending = True
             self._settle()
         else:
-            if operation == "move" and error is None and not stopped:
+            if operation == "move" and error is None and not way:
                 self._set("SPMG", PAUSE if self.values["SPMG"] == MOVE else self.values["SPMG"])
             elif operation != "motor":
                 self._sync()
@@ -266,9 +266,9 @@ class MotorRecord(MotorValues):
         self._problem = error or ""
         self._update_alarm()
         self._set("DMOV", 1)
-        waiting, self._waiting = self._waiting, []
-        for done in waiting:
-            done(error)
+        puts, self._waiting = self._waiting, []
+        for end_put in puts:
+            end_put(error)
 
     def _require_rest(self, name: str) -> None:
         if self._operation or self._is_pending:

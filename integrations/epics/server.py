@@ -31,9 +31,9 @@ async def serve_epics(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[
         records = {f"{prefix}{axis.record.axis.replace('.', ':')}": axis.record for axis in axes}
         channels = [channel for name, record in records.items() for channel in make_channels(record, name)]
         channels += [Channel((f"{prefix}{key}",), fleet, key, field) for key, field in FLEET_FIELDS.items()]
-        place = settings.interface
-        with serve_pva(channels, fleet, prefix, place, settings.pva_port) as pva_port:
-            async with serve_ca(channels, place, settings.ca_port) as ca_port:
-                ports = f"PVAccess at {place}:{pva_port}, Channel Access at {place}:{ca_port}"
+        address = settings.interface
+        with serve_pva(channels, fleet, prefix, address, settings.pva_port) as pva_port:
+            async with serve_ca(channels, address, settings.ca_port) as ca_port:
+                ports = f"PVAccess at {address}:{pva_port}, Channel Access at {address}:{ca_port}"
                 fields = {"records": list(records), "pva_port": pva_port, "ca_port": ca_port}
                 yield ServerReady([f"motor records: {', '.join(records)}", ports], fields)
