@@ -74,9 +74,8 @@ def test_motors_of_one_controller_and_of_two_move(server: LiveTestbed, engine: R
 
 
 @pytest.mark.nightly
-@both_protocols
-def test_two_axes_of_one_controller_move_as_one_job(server: LiveTestbed, engine: RunEngine, protocol: str) -> None:
-    x, y = motors(engine, protocol, "gantry.x", "gantry.y")
+def test_two_axes_of_one_controller_move_as_one_job(server: LiveTestbed, engine: RunEngine) -> None:
+    x, y = motors(engine, "pva", "gantry.x", "gantry.y")
     run(engine, bps.mv(x, 20, y, 10))
     run(engine, bps.mv(x, 30, y, 20))
     assert "gantry.x, gantry.y" in server.tutti.list_jobs(1)[0].name
