@@ -9,7 +9,19 @@ from datetime import datetime
 from integrations.epics.lanes import GATHER_S, Lane
 from integrations.epics.readings import AxisReading
 from integrations.epics.record import MotorRecord
-from tutti import AxisInfo, Disable, Enable, Home, JobReport, SetPosition, StateReading, TaskOwner, Tutti, running
+from tutti import (
+    AxisInfo,
+    Disable,
+    Enable,
+    Home,
+    JobReport,
+    Refusal,
+    SetPosition,
+    StateReading,
+    TaskOwner,
+    Tutti,
+    running,
+)
 
 STALE_S = 3.0  # a controller publishes its state at least once a second
 REST_S = 5.0
@@ -115,6 +127,9 @@ async def open_axes(tutti: Tutti) -> AsyncGenerator[list[FleetAxis]]:
         for controller, config in fleet.controllers.items():
             info = await tutti.controller_info(controller)
             common_lane = Lane(tutti, attendance.session, GATHER_S if len(config.axes) > 1 else 0.0, note_end)
+            if controller not in states:
+                text = f"controller {controller} has no adapter now"
+                raise Refusal("absent", text, "begin when all controllers of the fleet have one", controller)
             for name, axis_config in config.axes.items():
                 axis_now = states[controller].axes[name]
                 lane = Lane(tutti, attendance.session, 0.0, note_end) if info.independent_axes else common_lane

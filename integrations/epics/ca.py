@@ -8,14 +8,21 @@ import asyncio
 import logging
 import os
 from collections.abc import AsyncGenerator, Sequence
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from contextvars import ContextVar
 from typing import Any
 
-from caproto import AccessRights, ChannelDouble, ChannelEnum, ChannelInteger, ChannelString
+from caproto import (
+    AccessRights,
+    CaprotoRuntimeError,
+    ChannelDouble,
+    ChannelEnum,
+    ChannelInteger,
+    ChannelString,
+)
 from caproto.asyncio.server import Context
 
-from integrations.epics.channels import Channel
+from integrations.epics.channels import Channel, refuse_address
 from integrations.epics.fields import Value
 from tutti import Refusal, TaskOwner
 
@@ -131,13 +138,18 @@ async def serve_ca(channels: Sequence[Channel], interface: str, port: int) -> As
 
     context: Any = _Context(pvs, [interface])
     context.ca_server_port = port
+
+    async def serve() -> None:
+        with suppress(CaprotoRuntimeError):  # no socket there: what waits below says so
+            await context.run()
+
     tasks = TaskOwner()
-    serving = tasks.spawn(context.run())
+    serving = tasks.spawn(serve())
     tasks.spawn(publish())
     try:
         while not context.udp_socks:
             if serving.done():
-                raise Refusal("in-use", f"Channel Access cannot be served at {interface}:{port}", "choose another port")
+                raise refuse_address("Channel Access", interface)
             await asyncio.sleep(0.01)
         yield context.port
     finally:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from integrations.epics.fields import FIELDS, Field, Value
 from integrations.epics.record import JOGS, MotorRecord
 from integrations.epics.values import Record
+from tutti import Refusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,3 +48,9 @@ def make_channels(record: MotorRecord, name: str) -> list[Channel]:
         )
         for key, field in FIELDS.items()
     ]
+
+
+def refuse_address(protocol: str, interface: str) -> Refusal:
+    """The refusal for an address at which a protocol cannot be served."""
+    text = f"{protocol} cannot be served at {interface}: it is no address of this computer, or all its ports are in use"
+    return Refusal("no-address", text, "choose another --interface")

@@ -13,7 +13,7 @@ from p4p.nt import NTEnum, NTScalar, NTTable
 from p4p.server import DynamicProvider, Server, StaticProvider
 from p4p.server.raw import SharedPV
 
-from integrations.epics.channels import Channel
+from integrations.epics.channels import Channel, refuse_address
 from integrations.epics.fields import Value
 from integrations.epics.fleet import QUEUE_COLUMNS, FleetRecord, Rows
 from integrations.epics.lanes import describe
@@ -157,7 +157,7 @@ def serve_pva(
     channels: Sequence[Channel], fleet: FleetRecord, prefix: str, interface: str, port: int
 ) -> Generator[int]:
     """Serve channels, and the queue of a fleet, while the context lasts. port: of TCP, 0 for any; the context is
-    the one that is used. Raises `OSError`."""
+    the one that is used. Raises `Refusal`."""
     loop = asyncio.get_running_loop()
     static, handler = StaticProvider("tutti"), _Held([channel for channel in channels if channel.is_held], loop)
     pvs = {f"{prefix}QUEUE": make_queue_pv(fleet), f"{prefix}SUBMIT": _make_submit_pv(fleet)}
@@ -173,5 +173,9 @@ def serve_pva(
         "EPICS_PVAS_BROADCAST_PORT": str(port + 1),
         "EPICS_PVAS_AUTO_BEACON_ADDR_LIST": "NO" if interface == "127.0.0.1" else "YES",
     }
-    with Server(providers=[static, dynamic], conf=configuration, useenv=False) as server:
+    try:
+        server = Server(providers=[static, dynamic], conf=configuration, useenv=False)
+    except RuntimeError:  # of pvxs, for whatever it cannot bind
+        raise refuse_address("PVAccess", interface) from None
+    with server:
         yield int(server.conf()["EPICS_PVAS_SERVER_PORT"])
