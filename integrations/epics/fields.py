@@ -11,6 +11,9 @@ from tutti import Refusal
 
 Value = float | int | str
 
+LARGEST = 1e12
+"""No axis of any unit has such a position."""
+
 STOP, PAUSE, MOVE, GO = range(4)
 """Choices of SPMG."""
 STATES = (
@@ -45,7 +48,7 @@ class Field:
             number = float(raw)  # pyright: ignore[reportArgumentType] - whatever a client sends
         except (TypeError, ValueError):
             number = math.nan
-        if not math.isfinite(number) or (self.kind != "float" and number != int(number)):
+        if not abs(number) <= LARGEST or (self.kind != "float" and number != int(number)):
             raise Refusal("bad-value", f"{name} cannot be {raw!r:.80}", f"write {self._describe()}")
         if self.choices and not 0 <= number < len(self.choices):
             raise Refusal("bad-value", f"{name} has no choice {raw!r:.80}", f"write {self._describe()}")

@@ -88,17 +88,22 @@ class Lane:
             self._turns.discard(axis)
         elif axis in self._job_axes:
             self._stopped = axis
-            await self._cancel(self._job_id)
+            await self._cancel(axis, self._job_id)
         else:
             controller, _, name = axis.partition(".")
             state = (await self._tutti.status()).get(controller)
             if state is not None and state.axes[name].moving:
-                await self._cancel(state.job or "")
+                await self._cancel(axis, state.job or "")
 
-    async def _cancel(self, job_id: str) -> None:
-        if job_id:
-            with suppress(TuttiError):  # it has ended
-                await self._tutti.cancel_job(job_id)
+    async def _cancel(self, axis: str, job_id: str) -> None:
+        """Cancel a job that moves an axis; if the coordinator does not answer, stop all controllers directly."""
+        if not job_id:
+            return
+        try:
+            await self._tutti.cancel_job(job_id)
+        except Refusal as error:
+            if error.code in ("no-coordinator", "no-answer", "several-servers"):
+                await self._tutti.stop(known=[axis.partition(".")[0]])
 
     @asynccontextmanager
     async def _take_turn(self, axis: str) -> AsyncGenerator[bool]:
@@ -144,7 +149,7 @@ class Lane:
             name = f"{step.kind} {', '.join(axes)} by EPICS"[:120]
             self._job_id = (await self._tutti.enqueue_job(Job(name, [step]), None, self._terms)).id
             if self._stopped:
-                await self._cancel(self._job_id)
+                await self._cancel(self._stopped, self._job_id)
             async with running(self._tutti.wait_for_job(self._job_id)) as ending:
                 ending.add_done_callback(lambda _: self._changed.set())
                 refusal = None if targets is None else await self._follow_targets(ending, targets)

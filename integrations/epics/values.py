@@ -11,6 +11,7 @@ Done = Callable[[str | None], None]
 """Ends a put, with the text of what went wrong."""
 Post = Callable[[Value, float | None], None]
 """Publishes a value. The time stamp is UTC in s; None: now."""
+MOST_STEPS = 2**31 - 1  # RVAL is LONG in motorRecord.dbd
 JOG_MARGIN_S = 1.0  # a jog keeps the way of this time from a soft limit: LVIO in motorRecord.html
 
 
@@ -101,7 +102,8 @@ class MotorValues(Published):
 
     def _set_target(self, target: float) -> None:
         dial = target - self._number("OFF")
-        for name, value in {"VAL": target, "DVAL": dial, "RVAL": round(dial / self._number("MRES"))}.items():
+        steps = min(max(round(dial / self._number("MRES")), -MOST_STEPS), MOST_STEPS)
+        for name, value in {"VAL": target, "DVAL": dial, "RVAL": steps}.items():
             self._set(name, value)
 
     def _sync(self) -> None:
