@@ -48,7 +48,7 @@ def client(server: LiveTestbed) -> Iterator[Context]:
 
 
 class Monitor:
-    """What a client is sent of one PV."""
+    """What a client is sent of DMOV."""
 
     def __init__(self, client: Context, name: str) -> None:
         self.values: list[float] = []
@@ -60,6 +60,8 @@ class Monitor:
             self.values.append(float(value))
 
     def close(self) -> list[float]:
+        """All of it, once DMOV is 1: the answer to a put may come before."""
+        wait_until(lambda: self.values[-1] == 1)
         self._subscription.close()
         return self.values
 
@@ -110,7 +112,6 @@ def test_dmov_pulses_once_for_each_put(client: Context) -> None:
     dmov = Monitor(client, f"{X}.DMOV")
     for target in (25, 25, 20):
         move(client, X, target)
-    wait_until(lambda: dmov.values[-1] == 1)
     assert dmov.close() == [1, 0, 1, 0, 1, 0, 1]
 
 
