@@ -16,6 +16,7 @@ from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
+from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
@@ -62,6 +63,7 @@ from orchestrator.model.steps.save_position import SavePosition
 from orchestrator.model.steps.scan import Scan
 from orchestrator.model.steps.set_position import SetPosition
 from orchestrator.model.steps.wait_armed import WaitArmed
+from orchestrator.model.templates.arriving import read_job
 from orchestrator.model.templates.template import Template, load_job
 
 __all__ = [
@@ -123,6 +125,7 @@ __all__ = [
     "StepRecording",
     "StepReport",
     "SubmittedJob",
+    "TaskOwner",
     "Template",
     "TimeInterval",
     "Tutti",
@@ -132,4 +135,6 @@ __all__ = [
     "WrongValue",
     "load_fleet",
     "load_job",
+    "read_job",
+    "running",
 ]

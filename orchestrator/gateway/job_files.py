@@ -24,6 +24,7 @@ from orchestrator.model.jobs.files import FileError, FileProblem, LoadedFile, re
 from orchestrator.model.jobs.forecast import JobForecast, StepProblem
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.parts import join_at_once
+from orchestrator.model.templates.arriving import refuse_files
 from orchestrator.model.templates.parameters import describe_parameter
 from orchestrator.model.templates.template import FilledJob, ParameterSetting, Template
 from orchestrator.plan.continuing.ended_job import EndedJob
@@ -133,7 +134,7 @@ class JobText:
 
     def _fill(self, template: Template) -> FilledJob:
         filled_job = template.fill_settings(_read_values(self.body.get("values", {})))
-        _refuse_files(filled_job)
+        refuse_files(filled_job)
         return filled_job
 
     def _read_file(self) -> LoadedFile:
@@ -173,18 +174,6 @@ def _read_values(values: object) -> dict[str, ParameterSetting]:
     if not all(isinstance(value, str) for value in given_values.values()):
         raise Refusal("bad-request", "`values` must be an object of texts", 'for example {"width": "20 mm"}')
     return {name: ParameterSetting(value, "the form", written=True) for name, value in given_values.items() if value}
-
-
-def _refuse_files(filled: FilledJob) -> None:
-    """A job from elsewhere must not name files of this machine. Raises `FileError`."""
-    problems = [
-        filled.problem(("steps", number), "points in a file, or in a scanspec: submit it with `tutti submit FILE`")
-        for number, written_step in enumerate(filled.job.steps)
-        for step in written_step.iterate_written()
-        if step.has_unread_points
-    ]
-    if problems:
-        raise FileError(problems)
 
 
 def _place_problem(problem: StepProblem) -> FileProblem:

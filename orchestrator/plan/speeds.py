@@ -42,7 +42,8 @@ def limit_speeds(fleet: Fleet, step: MotionOptions, moves: Sequence[AxisMove]) -
     distances = _find_virtual_distances(fleet, step, moves)
     if isinstance(speed, Mapping):
         moves = _limit_together(moves, _find_virtual_duration(fleet, speed, distances))
-        return _limit_named(fleet, step, {name: value for name, value in speed.items() if name not in distances}, moves)
+        speeds = {name: value for name, value in speed.items() if name not in distances}
+        return _limit_named(fleet, step, speeds, moves)
     units = {fleet.unit_of(name) for name in distances}
     if len(units) == 1 and len(distances) == len(step.named_axes):
         length = hypot(*distances.values())
@@ -131,7 +132,8 @@ def _limit_named(
     fleet: Fleet, step: MotionOptions, speeds: Mapping[str, float | str], moves: Sequence[AxisMove]
 ) -> list[AxisMove]:
     """The moves with the speeds of the axes that are named; the others keep their limits. One that stands at its target
-    already is not among the moves."""
+    already is not among the moves, nor is
+    one whose beginning a forecast does not know."""
     names = {move.axis for move in moves}.union(fleet.find_real_axes(step.named_axes))
     strangers = [name for name in speeds if name not in names]
     if strangers:

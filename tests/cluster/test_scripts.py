@@ -34,7 +34,7 @@ def test_a_script_moves_axes_and_reads_where_they_are() -> None:
         await tutti.move(by={"gantry.x": -5})
         assert (await tutti.axes())["gantry.x"].position == pytest.approx(15, abs=0.01)
         await tutti.set_position({"gantry.x": 0})
-        await tutti.run([Move(to={"gantry.x": 1}), Move(to={"gantry.x": 0})])
+        await tutti.run([Move(to={"gantry.x": 1}, speed={"gantry.x": "50 mm/s"}), Move(to={"gantry.x": 0})])
         assert await tutti.position("gantry.x") == pytest.approx(0, abs=0.01)
         await tutti.disable("stage")
         assert not (await tutti.axes())["stage.u"].enabled

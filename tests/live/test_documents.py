@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from children import wait_until
 from fleet import RunningFleet
-from pages import read_blocks
+from pages import ECOSYSTEM_PAGES, commands, programs
 
 from orchestrator.model.report import FINISHED_STATES
 
@@ -60,21 +60,6 @@ PAGES = [
 ]
 
 
-def commands(page: Path) -> list[str]:
-    """The lines of a page's `console` blocks that begin with a prompt, without it."""
-    lines = [line for block in read_blocks(page, "console") for line in block.splitlines()]
-    return [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
-
-
-def programs(page: Path) -> list[str]:
-    """The `python` blocks of a page that are whole programs, each as a command."""
-    return [
-        f"cd /tmp/; python - <<'PROGRAM'\n{block}PROGRAM\n"
-        for block in read_blocks(page, "python")
-        if block.startswith(("from ", "import "))
-    ]
-
-
 def find_gateway(fleet: RunningFleet) -> str:
     """Host and port under which the gateway serves."""
     return re.findall(r"page on http://([\d.:]+)/", fleet.output())[0]
@@ -92,7 +77,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
 def test_every_page_with_commands_is_run() -> None:
     pages = [*(ROOT / "docs" / "tutorial").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
     with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page) or programs(page)}
-    assert with_commands == {*FIRST_HALF, *SECOND_HALF}
+    assert with_commands == {*FIRST_HALF, *SECOND_HALF, *ECOSYSTEM_PAGES}
 
 
 def is_idle(fleet: RunningFleet) -> bool:

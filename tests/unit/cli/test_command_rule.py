@@ -83,6 +83,8 @@ def test_a_wrong_option_is_bad_input_in_both_forms(name: str) -> None:
         (["fleet", "check", "/nowhere/x.yaml"], "/nowhere/x.yaml"),
         (["up", "/nowhere/x.yaml"], "/nowhere/x.yaml"),
         (["sim", "check", "shrc203", "/nowhere"], "/nowhere"),
+        (["epics", "serve", "--interface", "0.0.0.0"], "have no users"),
+        (["epics", "serve", "--interface", "lab-pc"], "lab-pc is not an address"),
     ],
 )
 def test_bad_input_needs_no_fleet(words: list[str], said: str) -> None:
