@@ -36,8 +36,8 @@ steps:
 schema: tutti.job/1
 name: wait
 steps:
-  - {do: dwell, time: 1 s}
-  - {do: dwell, time: 60 s}
+  - {do: dwell, duration: 1 s}
+  - {do: dwell, duration: 60 s}
 """,
 }
 
@@ -57,14 +57,14 @@ def free_port() -> int:
 
 
 def start_server(endpoint: str, templates: Path, port: int) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "orchestrator.cli.entry", "opcua", "serve", "--connect", endpoint]
+    command = [sys.executable, "-c", "from orchestrator.cli.entry import main; main()", "opcua", "serve", "--connect", endpoint]
     command += ["--templates", str(templates), "--port", str(port), "--json"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
 def read_url(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
-    return json.loads(process.stdout.readline())["url"]
+    return json.loads("".join(iter(process.stdout.readline, "}\n")) + "}")["url"]
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +72,12 @@ def served(demo_fleet: LiveTestbed, tmp_path_factory: pytest.TempPathFactory) ->
     folder = tmp_path_factory.mktemp("templates")
     for name, text in TEMPLATES.items():
         (folder / name).write_text(text)
-    process = start_server(demo_fleet.endpoint, folder, free_port())
-    try:
-        yield Served(read_url(process), folder, demo_fleet, process)
-    finally:
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+    with start_server(demo_fleet.endpoint, folder, free_port()) as process:
+        try:
+            yield Served(read_url(process), folder, demo_fleet, process)
+        finally:
+            process.send_signal(signal.SIGINT)
+            assert process.wait(20) == 0
 
 
 class Plant:
