@@ -31,9 +31,7 @@ def opcua() -> None:
 )
 @click.option("--interface", default="127.0.0.1", show_default=True, help="The address at which it serves.")
 @click.option("--port", default=4840, show_default=True, type=click.IntRange(1, 65535), help="Of OPC UA, TCP.")
-def serve(
-    connect: str, fleet: str | None, templates: Path, interface: str, port: int, *, as_json: bool
-) -> None:
+def serve(connect: str, fleet: str | None, templates: Path, interface: str, port: int, *, as_json: bool) -> None:
     """Serve job orders (OPC 10031-4), axes and e-stop, until Ctrl-C.
 
     What clients do, it does with its own rights: those of its identity's role. Jobs that it has submitted go on without

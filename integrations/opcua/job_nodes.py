@@ -38,9 +38,7 @@ class JobNodes:
         server, receiver = self._server, self._receiver
         orders = await self._add(parent, "JobOrders", RECEIVER)
         responses = await self._add(parent, "JobResponses", PROVIDER)
-        await orders.write_attribute(
-            ua.AttributeIds.EventNotifier, ua.DataValue(ua.Variant(1, ua.VariantType.Byte))
-        )
+        await orders.write_attribute(ua.AttributeIds.EventNotifier, ua.DataValue(ua.Variant(1, ua.VariantType.Byte)))
         for name, node in (("JobOrderList", orders), ("WorkMaster", orders), ("JobOrderResponseList", responses)):
             self._nodes[name] = await node.get_child(f"{self._isa}:{name}")
         most = await orders.get_child(f"{self._isa}:MaxDownloadableJobOrders")
@@ -49,6 +47,9 @@ class JobNodes:
         await self._nodes["WorkMaster"].write_value(make_array(make_work_masters(receiver.templates)))
         status_type = server.get_node(ua.NodeId(STATUS_EVENT, self._isa))
         self._status_event = await server.get_event_generator(status_type, orders)
+        # The type has no values of which the library could take these types.
+        fields = dict.fromkeys(("JobOrder", "JobState", "JobResponse"), ua.VariantType.ExtensionObject)
+        self._status_event.event.data_types.update(fields)
         self._refusal_event = await server.get_event_generator(emitting_node=orders)
         self._refusal_event.event.Severity = SEVERITY
         await self._link_all(orders, responses)
@@ -109,9 +110,7 @@ class JobNodes:
                 await act(*values)
             except TuttiError as error:
                 await self._tell_refusal(name, error)
-                if isinstance(error, NotAllowed):
-                    return ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
-                return [make_status(find_status(error))]
+                return answer_refusal(error)
             return [make_status(NO_ERROR)]
 
         method = await node.get_child(f"{self._isa}:{name}")
@@ -157,3 +156,11 @@ class JobNodes:
 def make_status(bits: int) -> Any:
     """A ReturnStatus."""
     return ua.Variant(bits, ua.VariantType.UInt64)
+
+
+def answer_refusal(error: TuttiError) -> Any:
+    """The answer of a method to what was not done: a ReturnStatus; a bad status if the role of this server's identity
+    does not allow it."""
+    if isinstance(error, NotAllowed):
+        return ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
+    return [make_status(find_status(error))]

@@ -26,9 +26,12 @@ def is_structure(name: str) -> Check:
 
 def are_structures(name: str) -> Check:
     """Whether an argument is an array of the structure with this name."""
-    return lambda variant: (
-        isinstance(variant.Value, list) and all(isinstance(each, getattr(ua, name)) for each in variant.Value)
-    )
+
+    def check(variant: Any) -> bool:
+        values: Any = variant.Value
+        return isinstance(values, list) and all(isinstance(value, getattr(ua, name)) for value in values)
+
+    return check
 
 
 def make_method(checks: Sequence[Check], act: Callable[..., Awaitable[list[Any]]]) -> Callable[..., Awaitable[Any]]:

@@ -58,9 +58,7 @@ class OrderRequest:
         job = templates[master].fill({parameter.name: parameter.written for parameter in self.parameters})
         used = {**job.parameters_used, ORDER_KEY: self.id, MASTER_KEY: master}
         begins = self.start if self.start is not None and self.start > now else None
-        terms = QueueTerms(
-            priority=self.priority or 0, at=None if begins is None else begins.isoformat(), missed="run"
-        )
+        terms = QueueTerms(priority=self.priority or 0, at=None if begins is None else begins.isoformat(), missed="run")
         return job.model_copy(update={"parameters_used": used}), terms
 
     @classmethod

@@ -53,7 +53,7 @@ class OrderReceiver:
             except TuttiError:
                 await self._tutti.cancel_job(new.job_id)
                 raise
-            new.comment, new.state = comment, old.state
+            new.comment = comment
             self.orders[request.id] = new
             if old.state.number == 2:
                 await self._tutti.release_jobs(new.job_id)
@@ -173,7 +173,8 @@ class OrderReceiver:
 
     async def _submit(self, request: OrderRequest, *, held: bool) -> Order:
         job, terms = request.make_job(self.templates, datetime.now(UTC))
-        return Order(request, await self._tutti.submit(job, terms=terms.model_copy(update={"held": held})))
+        submitted_job = await self._tutti.submit(job, terms=terms.model_copy(update={"held": held}))
+        return Order(request, submitted_job.id)
 
     async def _withdraw(self, order: Order) -> None:
         """Cancel the job of an order that has not begun. It is held before, so that it does not begin meanwhile."""

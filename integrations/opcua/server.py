@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from asyncua import Server
+from asyncua.server import Server
 
 from integrations.opcua.axis_nodes import AxisNodes, follow_axes
 from integrations.opcua.fleet_nodes import FleetNodes, follow_fleet
@@ -37,6 +37,7 @@ class ServerSettings:
 async def serve_opcua(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[ServerReady]:
     """Serve the fleet while the context lasts. Raises `Refusal`."""
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # what clients do wrong is answered to them
+    logging.getLogger("asyncua.server.address_space").setLevel(logging.ERROR)  # what a method of ours did wrong
     receiver = OrderReceiver(tutti, load_work_masters(settings.templates))
     fleet = tutti.keys.fleet
     server: Any = await _make_server(settings, f"urn:tutti:{fleet}")

@@ -15,8 +15,10 @@ from tutti import Refusal, Template
 
 ua: Any = _ua
 UNECE = "http://www.opcfoundation.org/UA/units/un/cefact"
-UNITS = {"m": "MTR", "cm": "CMT", "mm": "MMT", "um": "4H", "nm": "C45", "in": "INH", "deg": "DD", "arcmin": "D61"}
-UNITS |= {"arcsec": "D62", "rad": "C81", "mrad": "C25", "rev": "M44", "eV": "A53", "keV": "B29"}
+UNITS = {
+    **{"m": "MTR", "cm": "CMT", "mm": "MMT", "um": "4H", "nm": "C45", "in": "INH", "deg": "DD", "arcmin": "D61"},
+    **{"arcsec": "D62", "rad": "C81", "mrad": "C25", "rev": "M44", "eV": "A53", "keV": "B29"},
+}
 """UNECE Recommendation 20; `counts` has no code."""
 REQUIREMENTS = ("PersonnelRequirements", "EquipmentRequirements", "PhysicalAssetRequirements", "MaterialRequirements")
 
@@ -35,16 +37,19 @@ def read_unit(information: Any) -> str:
 
 def read_text(texts: Any) -> str:
     """The first of the texts in several languages."""
-    return next((text.Text for text in texts or [] if text.Text), "")
+    written: list[Any] = texts or []
+    return next((text.Text for text in written if text.Text), "")
 
 
 def read_request(order: Any) -> OrderRequest:
     """What a client orders. Raises `Refusal`, code `bad-order`."""
     start = order.StartTime
+    masters: list[Any] = order.WorkMasterID or []
+    parameters: list[Any] = order.JobOrderParameters or []
     return OrderRequest(
         order.JobOrderID or "",
-        tuple(master.ID or "" for master in order.WorkMasterID or []),
-        tuple(_read_parameter(parameter) for parameter in order.JobOrderParameters or []),
+        tuple(master.ID or "" for master in masters),
+        tuple(_read_parameter(parameter) for parameter in parameters),
         order.Priority,
         None if start is None else start.replace(tzinfo=start.tzinfo or UTC),
         read_text(order.Description),
