@@ -22,7 +22,7 @@ class AxisNodes:
         self._server = server
         self._own = own
         self._nodes: dict[str, dict[str, Any]] = {}
-        self._written: dict[Any, tuple[Any, Any]] = {}
+        self._written: dict[Any, object] = {}
         self._heard_s: dict[str, float] = {}
 
     async def build(self, parent: Any, units: dict[str, str]) -> None:
@@ -71,8 +71,9 @@ class AxisNodes:
             await self._server.write_attribute_value(node, data)
 
     async def _write_changed(self, axis: str, name: str, value: Any, when: datetime) -> None:
-        if self._written.get(self._nodes[axis][name]) != (value,):
-            self._written[self._nodes[axis][name]] = (value,)
+        node = self._nodes[axis][name]
+        if node not in self._written or self._written[node] != value:
+            self._written[node] = value
             await self._write(axis, name, value, when)
 
     async def _write(self, axis: str, name: str, value: Any, when: datetime) -> None:

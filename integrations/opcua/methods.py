@@ -28,8 +28,8 @@ def are_structures(name: str) -> Check:
     """Whether an argument is an array of the structure with this name."""
 
     def check(variant: Any) -> bool:
-        values: Any = variant.Value
-        return isinstance(values, list) and all(isinstance(value, getattr(ua, name)) for value in values)
+        values: list[Any] = variant.Value if variant.is_array and variant.Value is not None else [None]
+        return all(isinstance(value, getattr(ua, name)) for value in values)
 
     return check
 

@@ -30,8 +30,8 @@ class OrderParameter:
 
 @dataclass(frozen=True, slots=True)
 class OrderRequest:
-    """What a client orders. start: not before, with its offset from UTC. unmet: kinds of requirements that it states, of which
-    nothing is known here."""
+    """What a client orders. start: not before, with its offset from UTC. unmet: kinds of requirements that it states,
+    of which nothing is known here."""
 
     id: str
     work_masters: tuple[str, ...] = ()
@@ -42,8 +42,8 @@ class OrderRequest:
     unmet: tuple[str, ...] = ()
 
     def make_job(self, templates: Mapping[str, Template], now: datetime) -> tuple[Job, QueueTerms]:
-        """The job, and its terms in the queue but `held`; a start that is over is as soon as possible. Raises `Refusal`, code `bad-order`, and `FileError` with
-        every wrong parameter."""
+        """The job, and its terms in the queue but `held`; a start that is over is as soon as possible. Raises
+        `Refusal`, code `bad-order`, and `FileError` with every wrong parameter."""
         if not 1 <= len(self.id) <= MAX_ID or not self.id.isprintable():
             raise Refusal("bad-order", "the JobOrderID is no name", f"write 1 to {MAX_ID} printable characters")
         if self.unmet:

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from asyncua.server import Server
+from asyncua.server.server import Server
 
 from integrations.opcua.axis_nodes import AxisNodes, follow_axes
 from integrations.opcua.fleet_nodes import FleetNodes, follow_fleet
 from integrations.opcua.job_nodes import JobNodes
+from integrations.opcua.peers import TrustedPeers
 from integrations.opcua.receiver import OrderReceiver, keep_current
 from integrations.opcua.types import ua
 from integrations.opcua.work_masters import load_work_masters
@@ -26,11 +27,13 @@ MAX_CONNECTIONS = 100
 
 @dataclass(frozen=True, slots=True)
 class ServerSettings:
-    """templates: the folder of the work masters. interface: an address of this computer."""
+    """templates: the folder of the work masters. interface: an address of this computer. certificates: the folder that
+    `tutti keys add-opcua` has made; None: nothing is signed or encrypted."""
 
     templates: Path
     interface: str = "127.0.0.1"
     port: int = 4840
+    certificates: Path | None = None
 
 
 @asynccontextmanager
@@ -65,12 +68,17 @@ async def serve_opcua(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[
 
 
 async def _make_server(settings: ServerSettings, uri: str) -> Any:
-    server: Any = Server()
+    peers = None if settings.certificates is None else TrustedPeers(settings.certificates)
+    server: Any = Server(user_manager=peers)
     await server.init()
     await server.set_application_uri(uri)
     server.set_server_name("Tutti")
     server.set_endpoint(f"opc.tcp://{settings.interface}:{settings.port}/tutti/")
-    server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    server.set_identity_tokens([ua.AnonymousIdentityToken])
+    if peers is None:
+        server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    else:
+        await peers.secure(server)
     internal = server.iserver
     internal.allow_remote_admin = False  # no user name gives rights to change the nodes
     internal.max_subscriptions, internal.max_connections = MAX_SUBSCRIPTIONS, MAX_CONNECTIONS

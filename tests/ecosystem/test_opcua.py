@@ -15,8 +15,20 @@ from typing import Any
 
 import pytest
 from asyncua import Client, ua
+from asyncua.crypto.cert_gen import (
+    dump_private_key_as_pem,
+    generate_private_key,
+    generate_self_signed_app_certificate,
+)
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509 import GeneralName, UniformResourceIdentifier
+from cryptography.x509.oid import ExtendedKeyUsageOID
 
-from tutti import Refusal
+from integrations.opcua.job_nodes import answer_refusal
+from integrations.opcua.server import ServerSettings, serve_opcua
+from orchestrator.keys.opcua import add_opcua
+from tutti import NotAllowed, Refusal, Tutti
 from tutti.testing import LiveTestbed
 
 ua_any: Any = ua
@@ -192,7 +204,7 @@ def test_orders_wait_until_they_are_started(served: Served) -> None:
             assert found.JobOrderID == "later"
             assert await mes.call_by_state(4) == []
             shown = served.fleet.tutti.show_job(found.JobResponseID).job
-            assert shown is not None and shown.parameters_used["way"] == "3.0 mm"
+            assert shown is not None and shown.parameters_used["way"] == "3 mm"
             assert await mes.act("Cancel", "later") == 1 << 3
             assert await mes.act("Clear", "later") == 1
 
@@ -362,6 +374,54 @@ def test_orders_go_on_without_the_server_and_are_there_again(served: Served) -> 
         asyncio.run(go_on(read_url(process)))
         process.send_signal(signal.SIGTERM)
         assert process.wait(20) == 0
+
+
+def test_only_known_certificates_open_a_session(demo_fleet: LiveTestbed, served: Served, tmp_path: Path) -> None:
+    """In this process, against the same fleet: what is asked is who may connect."""
+    made = add_opcua(tmp_path / "server", "demo", datetime.now(UTC), 1, ("127.0.0.1",))
+    assert made > datetime.now(UTC)
+    known, stranger = make_client_key(tmp_path, "known"), make_client_key(tmp_path, "stranger")
+    (tmp_path / "server/trusted/known.der").write_bytes(known[0].read_bytes())
+    settings = ServerSettings(served.templates, port=free_port(), certificates=tmp_path / "server")
+
+    async def look(url: str, key: tuple[Path, Path] | None) -> bool:
+        client = Client(url)
+        client.application_uri = "urn:plant"
+        if key is not None:
+            server = tmp_path / "server/cert.der"
+            await client.set_security(SecurityPolicyBasic256Sha256, *key, server_certificate=server)
+        try:
+            async with client:
+                return await client.get_namespace_index("urn:tutti:demo") > 0
+        except ua.UaError:
+            return False
+
+    async def check() -> None:
+        async with Tutti(demo_fleet.endpoint, actor="opcua") as tutti, serve_opcua(tutti, settings) as ready:
+            url = ready.fields["url"]
+            assert [await look(url, key) for key in (None, stranger, known)] == [False, False, True]
+            (tmp_path / "server/trusted/known.der").unlink()
+            assert not await look(url, known)
+
+    asyncio.run(check())
+
+
+def make_client_key(folder: Path, name: str) -> tuple[Path, Path]:
+    key = generate_private_key()
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
+    names: list[GeneralName] = [UniformResourceIdentifier("urn:plant")]
+    certificate = generate_self_signed_app_certificate(key, name, {"countryName": "DE"}, names, uses, 1)
+    paths = folder / f"{name}.der", folder / f"{name}.pem"
+    paths[0].write_bytes(certificate.public_bytes(Encoding.DER))
+    paths[1].write_bytes(dump_private_key_as_pem(key))
+    return paths
+
+
+def test_a_right_that_the_server_lacks_is_an_access_denied() -> None:
+    refused = NotAllowed("no-coordinator", "not allowed as viewer-anna.1: its role may not do `submit`")
+    assert answer_refusal(refused) == ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
+    (status,) = answer_refusal(Refusal("not-queued", "it runs"))
+    assert (status.Value, status.VariantType) == (1 << 3, ua.VariantType.UInt64)
 
 
 class Receiver:
