@@ -12,7 +12,22 @@ from tutti import StateReading, Tutti
 
 SILENT_S = 5.0
 """States are published at least once a second; without one for this long the adapter or the router is away."""
+KINDS = {
+    **dict.fromkeys(("Position", "Velocity"), ua.VariantType.Double),
+    **dict.fromkeys(("Referenced", "Moving"), ua.VariantType.Boolean),
+    "Reason": ua.VariantType.String,
+}
 VALUES = {"Position": 0.0, "Velocity": 0.0, "Referenced": False, "Moving": False, "Reason": ""}
+
+
+class FinalValue(ua.DataValue):
+    """A value that nothing changes. The library makes a deep copy of each value for each subscription, which is most of
+    its work; here it keeps the value itself."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, _: Any) -> "FinalValue":
+        return self
 
 
 class AxisNodes:
@@ -77,7 +92,7 @@ class AxisNodes:
             await self._write(axis, name, value, when)
 
     async def _write(self, axis: str, name: str, value: Any, when: datetime) -> None:
-        data = ua.DataValue(ua.Variant(value), SourceTimestamp=when)
+        data = FinalValue(ua.Variant(value, KINDS[name]), SourceTimestamp=when)
         await self._server.write_attribute_value(self._nodes[axis][name], data)
 
 
