@@ -1,4 +1,4 @@
-"""A server with 64 axes whose states come ten times a second; it prints the share of a core that it took."""
+"""A server with 64 axes whose states come ten times a second; it writes the share of a core that it took."""
 
 import asyncio
 import sys
@@ -33,6 +33,11 @@ def read(controller: int, number: int) -> StateReading:
     return StateReading(f"c{controller}", "moving", axes, None, datetime.now(UTC).isoformat(), 0)
 
 
+def tell(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
 async def main(port: int) -> None:
     server: Any = Server()
     await server.init()
@@ -41,14 +46,14 @@ async def main(port: int) -> None:
     controllers = range(AXES // PER_CONTROLLER)
     await nodes.build(server.nodes.objects, {axis: "mm" for c in controllers for axis in read(c, 0).axes})
     async with server:
-        print("ready", flush=True)
+        tell("ready")
         await asyncio.get_running_loop().run_in_executor(None, sys.stdin.readline)
         begin_s, begin_cpu_s = time.monotonic(), time.process_time()
         for number in range(HZ * SECONDS):
             for controller in controllers:
                 await nodes.show(read(controller, number))
             await asyncio.sleep(max(0.0, begin_s + (number + 1) / HZ - time.monotonic()))
-        print((time.process_time() - begin_cpu_s) / (time.monotonic() - begin_s), flush=True)
+        tell(str((time.process_time() - begin_cpu_s) / (time.monotonic() - begin_s)))
 
 
 if __name__ == "__main__":
