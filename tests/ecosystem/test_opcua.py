@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -24,6 +26,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509 import GeneralName, UniformResourceIdentifier
 from cryptography.x509.oid import ExtendedKeyUsageOID
+from pages import read_blocks
 
 from integrations.opcua.job_nodes import answer_refusal
 from integrations.opcua.server import ServerSettings, serve_opcua
@@ -36,16 +39,9 @@ LIMIT_S = 30.0
 NO_TEXTS = ua.Variant([], ua.VariantType.LocalizedText, is_array=True)
 STATUS_EVENT = 1006  # ISA95JobOrderStatusEventType
 ISA = "http://opcfoundation.org/UA/ISA95-JOBCONTROL_V2/"
+PAGE = Path(__file__).parents[2] / "docs/how-to/serve-opcua.md"
 TEMPLATES = {
-    "shift.template.job.yaml": """
-schema: tutti.job/1
-name: shift
-parameters:
-  way: {type: quantity, unit: mm, default: 1 mm, min: 0.1 mm, max: 40 mm}
-steps:
-  - {do: move, by: {gantry.x: "${way}", stage.u: "0.1 mm"}}
-  - {do: move, by: {gantry.x: "-${way}", stage.u: "-0.1 mm"}}
-""",
+    "shift.template.job.yaml": read_blocks(PAGE, "yaml")[0],
     "wait.job.yaml": """
 schema: tutti.job/1
 name: wait
@@ -70,17 +66,13 @@ def free_port() -> int:
 
 
 def start_server(endpoint: str, templates: Path, port: int) -> subprocess.Popen[str]:
-    command = [
-        sys.executable,
-        "-c",
-        "from orchestrator.cli.entry import main; main()",
-        "opcua",
-        "serve",
-        "--connect",
-        endpoint,
-    ]
-    command += ["--templates", str(templates), "--port", str(port), "--json"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    """What the page starts, at another port and with its output for programs."""
+    program, *arguments = shlex.split(read_blocks(PAGE, "console")[0].removeprefix("$ "))
+    assert program == "tutti"
+    command = [sys.executable, "-c", "from orchestrator.cli.entry import main; main()", *arguments]
+    command += ["--connect", endpoint, "--port", str(port), "--json"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=templates.parent, env=environment)
 
 
 def read_url(process: subprocess.Popen[str]) -> str:
@@ -90,7 +82,8 @@ def read_url(process: subprocess.Popen[str]) -> str:
 
 @pytest.fixture(scope="module")
 def served(demo_fleet: LiveTestbed, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    folder = tmp_path_factory.mktemp("templates")
+    folder = tmp_path_factory.mktemp("served") / "orders"
+    folder.mkdir()
     for name, text in TEMPLATES.items():
         (folder / name).write_text(text)
     with start_server(demo_fleet.endpoint, folder, free_port()) as process:
@@ -182,6 +175,15 @@ def test_an_order_moves_the_fleet(served: Served) -> None:
             assert "order 1" not in await mes.states()
 
     asyncio.run(check())
+
+
+@pytest.mark.nightly
+def test_the_client_of_the_page_orders_a_job(served: Served) -> None:
+    (block,) = read_blocks(PAGE, "python")
+    command = [sys.executable, "-c", block.replace("opc.tcp://127.0.0.1:4840/tutti/", served.url)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    assert "Verdict" in run.stdout and "StartSkewAtMost" in run.stdout
 
 
 def test_orders_wait_until_they_are_started(served: Served) -> None:
@@ -376,6 +378,7 @@ def test_orders_go_on_without_the_server_and_are_there_again(served: Served) -> 
         assert process.wait(20) == 0
 
 
+@pytest.mark.nightly
 def test_only_known_certificates_open_a_session(demo_fleet: LiveTestbed, served: Served, tmp_path: Path) -> None:
     """In this process, against the same fleet: what is asked is who may connect."""
     made = add_opcua(tmp_path / "server", "demo", datetime.now(UTC), 1, ("127.0.0.1",))
