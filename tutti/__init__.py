@@ -28,6 +28,7 @@ from orchestrator.client.ready import ReadyToBegin
 from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
+from orchestrator.clock.owner import running
 from orchestrator.model.errors import ControllerFault, NotAllowed, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
@@ -145,4 +146,5 @@ __all__ = [
     "WrongValue",
     "load_fleet",
     "load_job",
+    "running",
 ]

@@ -8,7 +8,7 @@ from typing import Any
 
 from integrations.opcua.reasons import find_axis_reason
 from integrations.opcua.types import make_unit, ua
-from tutti import StateReading, Tutti
+from tutti import StateReading, Tutti, running
 
 SILENT_S = 5.0
 """States are published at least once a second; without one for this long the adapter or the router is away."""
@@ -54,7 +54,7 @@ class AxisNodes:
     async def show(self, reading: StateReading) -> None:
         """Write a reading; its instant is the source time stamp."""
         now_s = asyncio.get_running_loop().time()
-        when = datetime.fromisoformat(reading.utc)
+        instant = datetime.fromisoformat(reading.utc)
         for axis, state in reading.axes.items():
             if axis not in self._nodes:
                 continue
@@ -63,10 +63,10 @@ class AxisNodes:
                 await self._write_absent(axis, find_axis_reason(reading.mode, state))
                 continue
             for name, value in (("Position", state.position), ("Velocity", state.velocity)):
-                await self._write(axis, name, value, when)
-            await self._write_changed(axis, "Referenced", state.referenced, when)
-            await self._write_changed(axis, "Moving", state.moving, when)
-            await self._write_changed(axis, "Reason", find_axis_reason(reading.mode, state), when)
+                await self._write(axis, name, value, instant)
+            await self._write_changed(axis, "Referenced", state.referenced, instant)
+            await self._write_changed(axis, "Moving", state.moving, instant)
+            await self._write_changed(axis, "Reason", find_axis_reason(reading.mode, state), instant)
 
     async def drop_silent(self) -> None:
         """Mark the axes of which nothing was read for `SILENT_S`."""
@@ -109,9 +109,5 @@ async def follow_axes(tutti: Tutti, nodes: AxisNodes) -> AsyncGenerator[None]:
             await asyncio.sleep(1.0)
             await nodes.drop_silent()
 
-    tasks = [asyncio.ensure_future(follow()), asyncio.ensure_future(watch())]
-    try:
+    async with running(follow()), running(watch()):
         yield
-    finally:
-        for task in tasks:
-            task.cancel()

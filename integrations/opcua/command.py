@@ -15,7 +15,7 @@ from tutti.commands import (
 )
 
 
-@click.group()
+@click.group(epilog="Example: tutti opcua serve --templates orders")
 def opcua() -> None:
     """Serve a fleet to clients of OPC UA."""
 
@@ -58,7 +58,7 @@ def serve(  # noqa: PLR0913
             f"--interface: {interface} is not an address", BAD_INPUT, "write one of this computer's, e.g. 127.0.0.1"
         )
     if not is_local and certificates is None:
-        text = f"--interface {interface}: without certificates whoever reaches it moves the fleet"
+        text = f"--interface {interface}: without certificates every client that reaches it moves the fleet"
         exit_with_error(text, BAD_INPUT, "make them: `tutti keys add-opcua`; give --certificates")
     require_extra("opcua", "asyncua")
     from integrations.opcua.server import ServerSettings, serve_opcua

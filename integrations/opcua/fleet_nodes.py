@@ -10,7 +10,7 @@ from integrations.opcua.reasons import describe_fleet, is_latched
 from integrations.opcua.receiver import REFRESH_S, OrderReceiver
 from integrations.opcua.states import describe
 from integrations.opcua.types import ua
-from tutti import ControllerState, NotAllowed, Tutti, TuttiError
+from tutti import ControllerState, NotAllowed, Tutti, TuttiError, running
 
 VALUES = {"State": "idle", "EStopLatched": False, "QueueStopped": False, "QueueReason": "", "JobsWaiting": 0}
 RELEASE_S = 2.0
@@ -57,9 +57,9 @@ class FleetNodes:
     async def _estop(self, reason: str | None) -> Any:
         async def act() -> str:
             latches = await self._tutti.estop(f"by a client of OPC UA: {reason}" if reason else "by a client of OPC UA")
-            missing = ", ".join(name for name, latched in latches.items() if not latched) or "any controller"
+            other_names = ", ".join(name for name, is_set in latches.items() if not is_set) or "any controller"
             is_confirmed = bool(latches) and all(latches.values())
-            return "" if is_confirmed else f"no e-stop is confirmed by {missing}; use the wired one"
+            return "" if is_confirmed else f"no e-stop is confirmed by {other_names}; use the wired one"
 
         return await self._answer(act)
 
@@ -103,8 +103,5 @@ async def follow_fleet(nodes: FleetNodes) -> AsyncGenerator[None]:
                 await nodes.refresh()
             await asyncio.sleep(REFRESH_S)
 
-    following = asyncio.ensure_future(follow())
-    try:
+    async with running(follow()):
         yield
-    finally:
-        following.cancel()

@@ -67,8 +67,8 @@ class JobNodes:
     async def _link_all(self, orders: Any, responses: Any) -> None:
         receiver = self._receiver
         an_order = (is_structure("ISA95JobOrderDataType"), are_texts)
-        for name, held in (("Store", True), ("StoreAndStart", False)):
-            await self._link(orders, name, an_order, self._make_store(held=held))
+        for name, is_held in (("Store", True), ("StoreAndStart", False)):
+            await self._link(orders, name, an_order, self._make_store(held=is_held))
 
         async def update(order: Any, comment: Any) -> None:
             await receiver.update(read_request(order), read_text(comment))
@@ -130,7 +130,7 @@ class JobNodes:
         fitting = [order for order in self._receiver.orders.values() if matches(order.state, tops[0], substates)]
         return [make_array([make_response(order, self._isa) for order in fitting]), make_status(NO_ERROR)]
 
-    # What clients are told
+    # What clients can follow
 
     async def _tell_refusal(self, method: str, error: TuttiError) -> None:
         text = f"{method}: {describe(error)}"
@@ -148,9 +148,9 @@ class JobNodes:
 
     async def _write_lists(self) -> None:
         orders = list(self._receiver.orders.values())
-        begun = [make_response(order, self._isa) for order in orders if order.state.has_begun]
+        responses = [make_response(order, self._isa) for order in orders if order.state.has_begun]
         await self._nodes["JobOrderList"].write_value(make_list(orders, self._isa))
-        await self._nodes["JobOrderResponseList"].write_value(make_array(begun))
+        await self._nodes["JobOrderResponseList"].write_value(make_array(responses))
 
 
 def make_status(bits: int) -> Any:

@@ -95,15 +95,17 @@ class Order:
         results: dict[str, bool | int | float | str] = {"JobID": self.job_id}
         results |= {"Reason": self.reason} if self.reason else {}
         results |= {"Comment": self.comment} if self.comment else {}
-        report = self.report
-        if report is None:
-            return results
-        results |= {"Verdict": report.verdict or "none"}
-        results |= {"VerdictReason": report.verdict_reason} if report.verdict_reason else {}
-        skews_ns = [step.narrowest_skew.at_most_ns for step in report.steps if step.narrowest_skew is not None]
-        scans = [step.scan for step in report.steps if step.scan is not None]
-        skews_ns += [scan.start_skew_worst_ns for scan in scans if scan.start_skew_worst_ns is not None]
-        results |= {"StartSkewAtMost": max(skews_ns) / 1e9} if skews_ns else {}
-        if scans:
-            results |= {"PointsDone": sum(scan.done for scan in scans), "Points": sum(scan.points for scan in scans)}
-        return results
+        return results if self.report is None else results | list_figures(self.report)
+
+
+def list_figures(report: JobReport) -> dict[str, bool | int | float | str]:
+    """What a job did: its verdict, an upper bound of its start skews in seconds, and the points of its scans."""
+    figures: dict[str, bool | int | float | str] = {"Verdict": report.verdict or "none"}
+    figures |= {"VerdictReason": report.verdict_reason} if report.verdict_reason else {}
+    skews_ns = [step.narrowest_skew.at_most_ns for step in report.steps if step.narrowest_skew is not None]
+    scans = [step.scan for step in report.steps if step.scan is not None]
+    skews_ns += [scan.start_skew_worst_ns for scan in scans if scan.start_skew_worst_ns is not None]
+    figures |= {"StartSkewAtMost": max(skews_ns) / 1e9} if skews_ns else {}
+    if scans:
+        figures |= {"PointsDone": sum(scan.done for scan in scans), "Points": sum(scan.points for scan in scans)}
+    return figures

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from integrations.opcua.orders import Order, OrderRequest
 from integrations.opcua.states import ABORTED, ENDED, INTERRUPTED, OrderState, find_state
-from tutti import JobQueue, JobReport, Refusal, Template, Tutti, TuttiError
+from tutti import JobQueue, JobReport, Refusal, Template, Tutti, TuttiError, running
 
 MAX_ORDERS = 100
 LISTED_JOBS = 500
@@ -121,10 +121,10 @@ class OrderReceiver:
 
     async def restore(self) -> None:
         """Find the orders among the jobs of the fleet, as after a start of this server."""
-        listed = await self._tutti.list_jobs(LISTED_JOBS)
-        for entry in reversed([entry for entry in listed if entry.actor == self._tutti.actor]):
-            shown = await self._tutti.job(entry.id).show()
-            request = None if shown.job is None else OrderRequest.of(shown.job, entry.terms)
+        queue = await self._tutti.list_jobs(LISTED_JOBS)
+        for entry in reversed([entry for entry in queue if entry.actor == self._tutti.actor]):
+            job_shown = await self._tutti.job(entry.id).show()
+            request = None if job_shown.job is None else OrderRequest.of(job_shown.job, entry.terms)
             if request is not None:
                 self.orders[request.id] = Order(request, entry.id)
         for order_id in list(self.orders)[:-MAX_ORDERS]:
@@ -136,16 +136,16 @@ class OrderReceiver:
         """Read the queue, and the orders that have changed there. Raises `Refusal`."""
         async with self._lock:
             self.queue = await self._tutti.list_jobs(LISTED_JOBS)
-            known = {entry.id: (entry.state, entry.reason, entry.held_by, entry.ready) for entry in self.queue}
+            entries = {entry.id: (entry.state, entry.reason, entry.held_by, entry.ready) for entry in self.queue}
             for order in list(self.orders.values()):
-                now = known.get(order.job_id)
-                if not order.state.is_ended and (now is None or now != order.known):
-                    order.known = now
+                entry_now = entries.get(order.job_id)
+                if not order.state.is_ended and (entry_now is None or entry_now != order.known):
+                    order.known = entry_now
                     await self._update(order)
 
     async def _update(self, order: Order) -> None:
-        shown = await self._tutti.job(order.job_id).show()
-        entry, transitions = shown.entry, shown.transitions
+        job_shown = await self._tutti.job(order.job_id).show()
+        entry, transitions = job_shown.entry, job_shown.transitions
         if entry is None:
             return
         for transition in transitions[order.seen :]:
@@ -153,7 +153,7 @@ class OrderReceiver:
                 order.began_utc = transition.utc
             if transition.state != "queued":
                 order.reason = transition.reason
-                await self._enter(order, find_state(transition.state), shown.report)
+                await self._enter(order, find_state(transition.state), job_shown.report)
         order.seen = len(transitions)
         if entry.state == "queued":
             order.reason = entry.reason
@@ -198,11 +198,11 @@ class OrderReceiver:
         """Forget the oldest order that has ended if there are too many. Raises `Refusal` if none has."""
         if len(self.orders) < MAX_ORDERS:
             return
-        ended = next((order_id for order_id, order in self.orders.items() if order.state.is_ended), None)
-        if ended is None:
+        ended_id = next((order_id for order_id, order in self.orders.items() if order.state.is_ended), None)
+        if ended_id is None:
             text = f"{MAX_ORDERS} job orders wait or run already"
             raise Refusal("too-many-orders", text, "cancel some, or wait until one has ended")
-        del self.orders[ended]
+        del self.orders[ended_id]
 
     async def _drop(self, order_id: str) -> None:
         del self.orders[order_id]
@@ -223,8 +223,5 @@ async def keep_current(receiver: OrderReceiver) -> AsyncGenerator[None]:
                 await receiver.refresh()
             await asyncio.sleep(REFRESH_S)
 
-    following = asyncio.ensure_future(follow())
-    try:
+    async with running(follow()):
         yield
-    finally:
-        following.cancel()

@@ -48,10 +48,10 @@ async def serve_opcua(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[
     isa = await server.get_namespace_index(ISA_NAMESPACE)
     root = await server.nodes.objects.add_object(own, fleet)
     axes, jobs = AxisNodes(server, own), JobNodes(server, receiver, own, isa)
-    whole = FleetNodes(server, tutti, receiver, own)
+    fleet_nodes = FleetNodes(server, tutti, receiver, own)
     await axes.build(root, {name: str(unit) for name, unit in (await tutti.list_names()).axes.items()})
     await jobs.build(root)
-    await whole.build(root)
+    await fleet_nodes.build(root)
     await receiver.restore()
     try:
         await server.start()
@@ -59,7 +59,7 @@ async def serve_opcua(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[
         remedy = "choose another `--port`, or an address of this computer"
         raise Refusal("no-port", f"{settings.interface}:{settings.port} cannot be served: {error}", remedy) from None
     try:
-        async with keep_current(receiver), follow_axes(tutti, axes), follow_fleet(whole):
+        async with keep_current(receiver), follow_axes(tutti, axes), follow_fleet(fleet_nodes):
             url = server.endpoint.geturl()
             lines = [f"OPC UA at {url}", f"work masters: {', '.join(receiver.templates)}"]
             yield ServerReady(lines, {"url": url, "work_masters": list(receiver.templates)})

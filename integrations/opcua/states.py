@@ -81,6 +81,8 @@ def describe(error: TuttiError) -> str:
     return f"{error}; {remedy}" if remedy else str(error)
 
 
-def matches(state: OrderState, number: int, substates: Iterable[int]) -> bool:
+def matches(state: OrderState, state_number: int, substates: Iterable[int]) -> bool:
     """Whether an order in `state` is meant by the number of a state and the numbers of substates."""
-    return state.number == number and all(wanted == state.substate_number for wanted in substates)
+    return state.number == state_number and all(
+        substate_number == state.substate_number for substate_number in substates
+    )

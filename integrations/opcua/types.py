@@ -37,8 +37,8 @@ def read_unit(information: Any) -> str:
 
 def read_text(texts: Any) -> str:
     """The first of the texts in several languages."""
-    written: list[Any] = texts or []
-    return next((text.Text for text in written if text.Text), "")
+    entries: list[Any] = texts or []
+    return next((text.Text for text in entries if text.Text), "")
 
 
 def read_request(order: Any) -> OrderRequest:
@@ -73,7 +73,7 @@ def make_order(request: OrderRequest) -> Any:
         WorkMasterID=[ua.ISA95WorkMasterDataType(ID=name) for name in request.work_masters],
         StartTime=request.start,
         Priority=request.priority,
-        JobOrderParameters=[make_parameter(each.name, each.value, each.unit) for each in request.parameters],
+        JobOrderParameters=[make_parameter(entry.name, entry.value, entry.unit) for entry in request.parameters],
     )
 
 

@@ -30,5 +30,5 @@ def choose_work_master(templates: Mapping[str, Template], names: tuple[str, ...]
     for name in names:
         if name in templates:
             return name
-    asked = f"the work master {', '.join(names)} is unknown" if names else "the job order names no work master"
-    raise Refusal("bad-order", asked, f"name one of: {', '.join(templates)}")
+    text = f"the work master {', '.join(names)} is unknown" if names else "the job order names no work master"
+    raise Refusal("bad-order", text, f"name one of: {', '.join(templates)}")

@@ -131,12 +131,12 @@ def add_opcua(name: str, addresses: tuple[str, ...], folder: Path, lifetime_s: f
     with expected_errors():
         _check_name(name)
         fleet = read_register(folder).fleet
-        place = key_folder.identity(f"opcua-{name}")
-        expires = make_certificate(place, fleet, datetime.now(UTC), lifetime_s / DAY_S, _own_addresses(addresses))
+        identity = key_folder.identity(f"opcua-{name}")
+        expires = make_certificate(identity, fleet, datetime.now(UTC), lifetime_s / DAY_S, _own_addresses(addresses))
     uri = find_application_uri(fleet)
-    value = {"identity": str(place), "application_uri": uri, "expires_utc": f"{expires:%Y-%m-%dT%H:%M:%SZ}"}
-    words = f"{uri}, until {expires:%Y-%m-%d}, is in {place}; give its cert.der to clients, and put theirs in "
-    print_result(value, f"{words}{place / 'trusted'}", as_json=as_json)
+    value = {"identity": str(identity), "application_uri": uri, "expires_utc": f"{expires:%Y-%m-%dT%H:%M:%SZ}"}
+    words = f"{uri}, until {expires:%Y-%m-%d}, is in {identity}; give its cert.der to clients, and put theirs in "
+    print_result(value, f"{words}{identity / 'trusted'}", as_json=as_json)
 
 
 @keys.command("add-coordinator", epilog="Example: tutti keys add-coordinator --keys keys")

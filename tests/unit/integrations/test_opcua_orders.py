@@ -228,7 +228,10 @@ def test_an_axis_has_a_reason_why_it_does_not_move(mode: str, change: dict[str, 
 
 @pytest.mark.parametrize(
     ("interface", "words"),
-    [("192.0.2.1", "without certificates whoever reaches it moves the fleet"), ("lab", "lab is not an address")],
+    [
+        ("192.0.2.1", "without certificates every client that reaches it moves the fleet"),
+        ("lab", "lab is not an address"),
+    ],
 )
 def test_a_server_for_others_needs_certificates(tmp_path: Path, interface: str, words: str) -> None:
     result = CliRunner().invoke(opcua, ["serve", "--templates", str(tmp_path), "--interface", interface])
