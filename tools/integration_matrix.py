@@ -15,6 +15,7 @@ LOCK = ROOT / "requirements/ecosystem.lock"
 ROWS = (
     ("Bluesky", "use-bluesky", "bluesky", ("bluesky", "ophyd-async", "event-model", "scanspec", "bluesky-queueserver")),
     ("EPICS", "serve-epics", "epics", ("p4p", "caproto", "aioca", "ophyd-async")),
+    ("OPC UA", "serve-opcua", "opcua", ("asyncua",)),
     ("useq-schema", "run-a-microscope-sequence", "useq", ("useq-schema",)),
     ("MQTT", "publish-by-mqtt", "mqtt", ("aiomqtt", "paho-mqtt")),
 )

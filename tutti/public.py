@@ -17,7 +17,7 @@ from orchestrator.client.results import FleetStates, JobQueue, JobResult
 from orchestrator.client.states import StateReading
 from orchestrator.client.steps import JobFailed
 from orchestrator.clock.owner import TaskOwner, running
-from orchestrator.model.errors import ControllerFault, Refusal, TuttiError
+from orchestrator.model.errors import ControllerFault, NotAllowed, Refusal, TuttiError
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
 from orchestrator.model.jobs.forecast import JobForecast
@@ -104,6 +104,7 @@ __all__ = [
     "LiveJob",
     "ManualControl",
     "Move",
+    "NotAllowed",
     "PointRecord",
     "PositionEntry",
     "Probe",

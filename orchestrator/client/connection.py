@@ -25,7 +25,7 @@ from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
 from orchestrator.bus.service_verbs import NOT_LEADER
 from orchestrator.client.slow_starts import explain_absence
 from orchestrator.model.base import Model
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import NotAllowed, Refusal
 from orchestrator.model.messages import Reply, Request
 from orchestrator.model.problems import first_error_text
 
@@ -182,7 +182,7 @@ class FleetConnection:
         else:
             text = "not even the router answers it"
             remedy = f"see `tutti keys ls`: does {name} count, and may its role look? Else copy its folder again"
-        return Refusal(absent.code, f"not allowed as {name}: {text}", remedy, absent.controller)
+        return NotAllowed(absent.code, f"not allowed as {name}: {text}", remedy, absent.controller)
 
     async def _is_answered(self, expression: str) -> bool:
         try:

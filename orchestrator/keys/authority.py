@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     NoEncryption,
@@ -64,7 +64,7 @@ class Authority:
         uses = [ExtendedKeyUsageOID.CLIENT_AUTH]
         if addresses:
             uses.append(ExtendedKeyUsageOID.SERVER_AUTH)
-            names = x509.SubjectAlternativeName([_parse_address(address) for address in addresses])
+            names = x509.SubjectAlternativeName([parse_address(address) for address in addresses])
             builder = builder.add_extension(names, critical=False)
         builder = builder.add_extension(x509.ExtendedKeyUsage(uses), critical=False)
         builder = builder.add_extension(_make_usage(authority=False), critical=True)
@@ -72,7 +72,7 @@ class Authority:
         builder = builder.add_extension(issuer, critical=False)
         signed_certificate = builder.sign(self._key, hashes.SHA256())
         return IssuedKey(
-            signed_certificate.public_bytes(Encoding.PEM), _encode_key(key), signed_certificate.not_valid_after_utc
+            signed_certificate.public_bytes(Encoding.PEM), encode_key(key), signed_certificate.not_valid_after_utc
         )
 
 
@@ -85,7 +85,7 @@ def make_authority(fleet: str, now: datetime, days: float = AUTHORITY_DAYS) -> t
     builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
     builder = builder.add_extension(_make_usage(authority=True), critical=True)
     builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
-    return Authority(builder.sign(key, hashes.SHA256()), key), _encode_key(key)
+    return Authority(builder.sign(key, hashes.SHA256()), key), encode_key(key)
 
 
 def load_authority(certificate: bytes, key: bytes) -> Authority:
@@ -127,8 +127,8 @@ def _make_usage(*, authority: bool) -> x509.KeyUsage:
     )
 
 
-def _parse_address(text: str) -> x509.GeneralName:
-    """An IP address, or the name of a computer."""
+def parse_address(text: str) -> x509.GeneralName:
+    """An IP address, or the name of a computer. Raises `Refusal`, code `bad-address`."""
     try:
         return x509.IPAddress(ipaddress.ip_address(text))
     except ValueError:
@@ -140,5 +140,6 @@ def _parse_address(text: str) -> x509.GeneralName:
     return x509.DNSName(text)
 
 
-def _encode_key(key: ec.EllipticCurvePrivateKey) -> bytes:
+def encode_key(key: ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey) -> bytes:
+    """A private key as PEM."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())

@@ -47,6 +47,10 @@ class Refusal(TuttiError):
         return Refusal, (self.code, self.text, self.remedy, self.controller)
 
 
+class NotAllowed(Refusal):
+    """A request that the role of this connection's identity may not make."""
+
+
 class NoName(TuttiError, ValueError):
     """A text that cannot be the name of a part of a fleet, and so the name of none."""
 

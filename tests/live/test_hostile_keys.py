@@ -22,7 +22,7 @@ from orchestrator.bus.limits import MAX_BYTES_QUEUED, MAX_COORDINATOR_MESSAGE_BY
 from orchestrator.clock.live import raw_ns
 from orchestrator.keys.authority import load_authority
 from orchestrator.keys.folder import AUTHORITY_KEY_FILE
-from orchestrator.model.errors import Refusal
+from orchestrator.model.errors import NotAllowed, Refusal
 from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.jobs.job import Job
 
@@ -76,11 +76,11 @@ def settle(session: zenoh.Session) -> None:
 def test_a_name_that_does_not_count_is_told_apart_from_an_absent_coordinator(keyed: KeyedFleet) -> None:
     """An older generation, a revoked name, one that the table does not have; then a role that may not."""
     for name, folder in keyed.rightless.items():
-        with pytest.raises(Refusal, match=rf"^not allowed as {name}: not even the router answers it") as caught:
+        with pytest.raises(NotAllowed, match=rf"^not allowed as {name}: not even the router answers it") as caught:
             keyed.ask_as(folder, lambda tutti: tutti.list_jobs())
         assert f"does {name} count" in caught.value.remedy
     job = Job.model_validate_json(keyed.file(READY).read_text())
-    with pytest.raises(Refusal, match=r"^not allowed as viewer-anna\.2: its role may not do `submit`"):
+    with pytest.raises(NotAllowed, match=r"^not allowed as viewer-anna\.2: its role may not do `submit`"):
         keyed.ask_as(keyed.identity("viewer"), lambda tutti: tutti.submit(job))
     stopped = keyed.ask_as(keyed.identity("recorder"), lambda tutti: tutti.stop())
     assert {str(each) for each in stopped.values()} == {"not allowed as recorder-anna.1: its role may not do `stop`"}

@@ -111,6 +111,34 @@ def add_gateway(name: str, addresses: tuple[str, ...], folder: Path, lifetime_s:
     _add("gateway", name, folder, lifetime_s, addresses=(*(addresses or (name,)), *_LOOPBACK), as_json=as_json)
 
 
+@keys.command("add-opcua", epilog="Example: tutti keys add-opcua --keys keys --address lab-pc")
+@click.argument("name", default="server")
+@_addresses_option
+@keys_option
+@_lifetime_option(397)
+@json_option
+def add_opcua(name: str, addresses: tuple[str, ...], folder: Path, lifetime_s: float, *, as_json: bool) -> None:
+    """Make the certificate of an OPC UA server, which clients reach under --address: `tutti opcua serve
+    --certificates`.
+
+    It is self-signed, RSA. Clients get the file cert.der; those that may connect have theirs in the folder `trusted`.
+    """
+    key_folder = _open(folder)
+    from orchestrator.keys.opcua import add_opcua as make_certificate
+    from orchestrator.keys.opcua import find_application_uri
+    from orchestrator.keys.register import read_register
+
+    with expected_errors():
+        _check_name(name)
+        fleet = read_register(folder).fleet
+        identity = key_folder.identity(f"opcua-{name}")
+        expires = make_certificate(identity, fleet, datetime.now(UTC), lifetime_s / DAY_S, _own_addresses(addresses))
+    uri = find_application_uri(fleet)
+    value = {"identity": str(identity), "application_uri": uri, "expires_utc": f"{expires:%Y-%m-%dT%H:%M:%SZ}"}
+    words = f"{uri}, until {expires:%Y-%m-%d}, is in {identity}; give its cert.der to clients, and put theirs in "
+    print_result(value, f"{words}{identity / 'trusted'}", as_json=as_json)
+
+
 @keys.command("add-coordinator", epilog="Example: tutti keys add-coordinator --keys keys")
 @click.argument("name", default="main")
 @keys_option
