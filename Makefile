@@ -175,10 +175,10 @@ ecosystem: $(ECOSYSTEM)/.stamp
 # Clients that are not ours drive the demo fleet by our integrations. Each needs its library: one environment has them all.
 test-ecosystem: $(ECOSYSTEM)/.stamp
 	$(ECOSYSTEM)/bin/basedpyright -p tests/ecosystem
-	TUTTI_ECOSYSTEM=1 PYTHONDONTWRITEBYTECODE= $(ECOSYSTEM)/bin/pytest -m "not nightly" tests/ecosystem $(SLOWEST)
+	TUTTI_ECOSYSTEM=1 PYTHONDONTWRITEBYTECODE= $(ECOSYSTEM)/bin/pytest -o filterwarnings=default -m "not nightly" tests/ecosystem $(SLOWEST)
 
 test-ecosystem-nightly: $(ECOSYSTEM)/.stamp
-	TUTTI_ECOSYSTEM=1 $(ECOSYSTEM)/bin/pytest -m nightly --timeout 3600 tests/ecosystem $(SLOWEST)
+	TUTTI_ECOSYSTEM=1 $(ECOSYSTEM)/bin/pytest -o filterwarnings=default -m nightly --timeout 3600 tests/ecosystem $(SLOWEST)
 	$(ECOSYSTEM)/bin/python tools/integration_matrix.py
 
 check: $(DEV)/.stamp

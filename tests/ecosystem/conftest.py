@@ -40,3 +40,16 @@ def demo_fleet() -> Iterator[LiveTestbed]:
         fleet.tutti.enable()
         fleet.tutti.home()
         yield fleet
+
+
+@pytest.fixture(autouse=True)
+def ready_fleet(request: pytest.FixtureRequest) -> None:
+    """The queue is started, and all axes are referenced, whatever a test before has stopped."""
+    if "demo_fleet" not in request.fixturenames:
+        return
+    tutti = request.getfixturevalue("demo_fleet").tutti
+    tutti.start_queue()
+    lost_axes = [name for name, axis in tutti.axes().items() if not axis.referenced]
+    if lost_axes:
+        tutti.enable(wait=True)
+        tutti.home(*lost_axes)
