@@ -5,7 +5,10 @@ import textwrap
 from pathlib import Path
 
 ECOSYSTEM_PAGES = ("how-to/serve-epics.md",)
-"""Pages whose blocks need clients of other projects: `tests/ecosystem` runs them."""
+"""Pages whose blocks need clients of other projects: `tests/ecosystem/test_pages.py` runs them."""
+
+OWN_PAGES = ("how-to/run-a-microscope-sequence.md", "how-to/serve-opcua.md", "how-to/use-bluesky.md")
+"""Such pages that the test of their integration runs."""
 
 
 def read_blocks(page: Path, *languages: str) -> list[str]:

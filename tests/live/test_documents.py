@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from children import wait_until
 from fleet import RunningFleet
-from pages import ECOSYSTEM_PAGES, commands, programs
+from pages import ECOSYSTEM_PAGES, OWN_PAGES, commands, programs
 
 from orchestrator.model.report import FINISHED_STATES
 
@@ -77,7 +77,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFleet]:
 def test_every_page_with_commands_is_run() -> None:
     pages = [*(ROOT / "docs" / "tutorial").glob("*.md"), *(ROOT / "docs" / "how-to").glob("*.md")]
     with_commands = {str(page.relative_to(ROOT / "docs")) for page in pages if commands(page) or programs(page)}
-    assert with_commands == {*FIRST_HALF, *SECOND_HALF, *ECOSYSTEM_PAGES}
+    assert with_commands == {*FIRST_HALF, *SECOND_HALF, *ECOSYSTEM_PAGES, *OWN_PAGES}
 
 
 def is_idle(fleet: RunningFleet) -> bool:
