@@ -164,9 +164,9 @@ class RunningFleet:
         path.write_text(json.dumps({"schema": "tutti.job/1", "name": name, "max_start_skew": "50 ms", "steps": steps}))
         return path
 
-    def ask(self, act: Callable[[Tutti], Coroutine[Any, Any, T]]) -> T:
+    def ask(self, act: Callable[[Tutti], Coroutine[Any, Any, T]], limit_s: float = LIMIT_S) -> T:
         async def main() -> T:
-            async with asyncio.timeout(LIMIT_S), Tutti(self.endpoint, "demo", "test") as tutti:
+            async with asyncio.timeout(limit_s), Tutti(self.endpoint, "demo", "test") as tutti:
                 return await act(tutti)
 
         return asyncio.run(main())
