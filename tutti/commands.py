@@ -22,6 +22,7 @@ from orchestrator.cli.base.common import (
 )
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.extras import require_extra
+from orchestrator.cli.base.interfaces import interface_option, is_loopback
 
 if TYPE_CHECKING:
     from orchestrator.cli.base.serving import ServerReady, serve_fleet
@@ -36,6 +37,8 @@ __all__ = [
     "console",
     "exit_with_error",
     "fleet_options",
+    "interface_option",
+    "is_loopback",
     "json_option",
     "print_json",
     "print_result",

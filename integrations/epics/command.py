@@ -1,16 +1,15 @@
 """`tutti epics serve`: a fleet for clients of EPICS."""
 
-from ipaddress import ip_address
-
 import click
 
 from tutti.commands import (
     BAD_INPUT,
     exit_with_error,
     fleet_options,
+    interface_option,
+    is_loopback,
     json_option,
     require_extra,
-    serve_fleet,
 )
 
 OPEN = (
@@ -28,7 +27,7 @@ def epics() -> None:
 @fleet_options
 @json_option
 @click.option("--prefix", help="What the names of all PVs begin with; the name of the fleet and a colon if left out.")
-@click.option("--interface", default="127.0.0.1", show_default=True, help="The address at which it serves.")
+@interface_option
 @click.option("--i-know", is_flag=True, help="Serve at an address beyond loopback.")
 @click.option(
     "--pva-port", default=5075, show_default=True, help="Of PVAccess, TCP; its searches use the next one, UDP."
@@ -49,16 +48,11 @@ def serve(  # noqa: PLR0913
 
     What clients do, it does with its own rights: those of its identity's role. A move ends with this server.
     """
-    try:
-        is_local = ip_address(interface).is_loopback
-    except ValueError:
-        exit_with_error(
-            f"--interface: {interface} is not an address", BAD_INPUT, "write one of this computer's, e.g. 127.0.0.1"
-        )
-    if not is_local and not i_know:
+    if not is_loopback(interface) and not i_know:
         exit_with_error(f"--interface {interface}: {OPEN}", BAD_INPUT, "give --i-know if that is so")
     require_extra("epics", "p4p", "caproto")
     from integrations.epics.server import ServerSettings, serve_epics
+    from tutti.commands import serve_fleet
 
     settings = ServerSettings(prefix, interface, pva_port, ca_port)
     serve_fleet(connect, fleet, "epics", lambda tutti: serve_epics(tutti, settings), as_json=as_json)

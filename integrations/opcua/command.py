@@ -1,6 +1,5 @@
 """`tutti opcua serve`: a fleet for clients of OPC UA."""
 
-from ipaddress import ip_address
 from pathlib import Path
 
 import click
@@ -9,9 +8,10 @@ from tutti.commands import (
     BAD_INPUT,
     exit_with_error,
     fleet_options,
+    interface_option,
+    is_loopback,
     json_option,
     require_extra,
-    serve_fleet,
 )
 
 
@@ -29,7 +29,7 @@ def opcua() -> None:
     required=True,
     help="The folder of the job files, each a work master.",
 )
-@click.option("--interface", default="127.0.0.1", show_default=True, help="The address at which it serves.")
+@interface_option
 @click.option("--port", default=4840, show_default=True, type=click.IntRange(1, 65535), help="Of OPC UA, TCP.")
 @click.option(
     "--certificates",
@@ -51,17 +51,12 @@ def serve(  # noqa: PLR0913
     What clients do, it does with its own rights: those of its identity's role. Jobs that it has submitted go on without
     it.
     """
-    try:
-        is_local = ip_address(interface).is_loopback
-    except ValueError:
-        exit_with_error(
-            f"--interface: {interface} is not an address", BAD_INPUT, "write one of this computer's, e.g. 127.0.0.1"
-        )
-    if not is_local and certificates is None:
+    if not is_loopback(interface) and certificates is None:
         text = f"--interface {interface}: without certificates every client that reaches it moves the fleet"
         exit_with_error(text, BAD_INPUT, "make them: `tutti keys add-opcua`; give --certificates")
     require_extra("opcua", "asyncua")
     from integrations.opcua.server import ServerSettings, serve_opcua
+    from tutti.commands import serve_fleet
 
     settings = ServerSettings(templates, interface, port, certificates)
     serve_fleet(connect, fleet, "opcua", lambda tutti: serve_opcua(tutti, settings), as_json=as_json)

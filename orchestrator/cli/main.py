@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.base.plugin_commands import find_plugin_commands, load_plugin_command
+from orchestrator.cli.base.plugin_commands import PluginGroup
 from orchestrator.cli.base.root import RootGroup
 
 # command: (module, one line of help); grouped as the help shows them.
@@ -76,17 +76,20 @@ tutti up lab.fleet.yaml --sim
 
 
 class _LazyGroup(RootGroup):
-    """Lists its commands by name and imports the one that is called. What packages add is looked for last."""
+    """Lists its commands by name and imports the one that is called."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return [*_COMMANDS, *(name for name in find_plugin_commands() if name not in _COMMANDS)]
+        return list(_COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in _COMMANDS:
-            entry = find_plugin_commands().get(cmd_name)
-            return None if entry is None else load_plugin_command(entry)
+            return None
         command: click.Command = getattr(import_module(f"orchestrator.cli.{_COMMANDS[cmd_name][0]}"), cmd_name)
         return command
+
+
+class _TuttiGroup(PluginGroup, _LazyGroup):
+    """All commands of `tutti`."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -102,16 +105,15 @@ class _LazyGroup(RootGroup):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
-        added_commands = {name: entry for name, entry in find_plugin_commands().items() if name not in _COMMANDS}
-        if added_commands:
+        added_names = [name for name in self.list_commands(ctx) if name not in _COMMANDS]
+        commands = [(name, self.get_command(ctx, name)) for name in added_names]
+        if commands:
             with formatter.section("Integrations"):
-                rows = [
-                    (name, load_plugin_command(entry).get_short_help_str()) for name, entry in added_commands.items()
-                ]
+                rows = [(name, "" if command is None else command.get_short_help_str()) for name, command in commands]
                 formatter.write_dl(rows)
 
 
-@click.command(cls=_LazyGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(cls=_TuttiGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="tutti")
 @click.option(
     "--identity",

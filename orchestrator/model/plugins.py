@@ -78,13 +78,13 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
     if not points:
         raise UnknownPlugin(f"no {kind} {name[:80]!r}; {_KNOWN[group]}: {', '.join(plugin_names(group))}")
     if len(points) > 1:
-        packages = " and ".join(sorted(_package_of(point) for point in points))
+        packages = " and ".join(sorted(package_of(point) for point in points))
         raise PluginError(
             f"{len(points)} packages provide the {kind} {name}: {packages}",
             "uninstall all but one of them",
         )
     (entry,) = points
-    origin = f"the {kind} {name} of package {_package_of(entry)} (entry point {entry.value})"
+    origin = f"the {kind} {name} of package {package_of(entry)} (entry point {entry.value})"
     try:
         plugin: Any = entry.load()
     except (Exception, SystemExit) as error:
@@ -92,13 +92,13 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
         raise PluginError(
             f"{origin} cannot be imported: {reason}", "repair or uninstall this package; `tutti adapter ls` lists all"
         ) from None
-    _require_version(plugin, group, origin, _package_of(entry))
+    _require_version(plugin, group, origin, package_of(entry))
     missing_members = [member for member in members if not hasattr(plugin, member)]
     if missing_members:
         raise PluginError(f"{origin} has no {', '.join(missing_members)}", "see the contract in `tutti.adapter`")
     version = getattr(plugin, "api_version", 1)
     if version < _VERSIONS[group]:
-        remedy = f"install a newer release of {_package_of(entry).partition(' ')[0]}"
+        remedy = f"install a newer release of {package_of(entry).partition(' ')[0]}"
         text = f"{origin} was written for version {version} of the contract (api_version)"
         warnings.warn(f"{text}; the next release of Tutti does not load it: {remedy}", FutureWarning, stacklevel=2)
     return plugin
@@ -113,7 +113,7 @@ def list_plugins(group: PluginGroup, members: Sequence[str]) -> list[PluginListi
             load_plugin(group, entry.name, members)
         except PluginError as error:
             problem = str(error)
-        plugins.append(PluginListing(group, entry.name, _package_of(entry), entry.value, problem))
+        plugins.append(PluginListing(group, entry.name, package_of(entry), entry.value, problem))
     return plugins
 
 
@@ -132,6 +132,6 @@ def _require_version(plugin: Any, group: PluginGroup, place: str, package: str) 
         )
 
 
-def _package_of(entry: EntryPoint) -> str:
+def package_of(entry: EntryPoint) -> str:
     """Return name and version of the package that provides an entry point."""
     return "unknown" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"

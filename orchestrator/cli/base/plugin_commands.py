@@ -8,7 +8,7 @@ from importlib.metadata import EntryPoint, entry_points
 
 import click
 
-from orchestrator.model.plugins import PluginError
+from orchestrator.model.plugins import PluginError, package_of
 
 GROUP = "tutti.commands"
 
@@ -28,23 +28,20 @@ def load_plugin_command(entry: EntryPoint) -> click.Command:
     try:
         command: click.Command = entry.load()
     except Exception as error:
-        package = "unknown" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
-        text = (
-            f"the command `tutti {entry.name}` of package {package} cannot be imported: {type(error).__name__}: {error}"
-        )
+        origin = f"the command `tutti {entry.name}` of package {package_of(entry)}"
+        text = f"{origin} cannot be imported: {type(error).__name__}: {error}"
         raise PluginError(text, "repair or uninstall this package") from None
     return command
 
 
 class PluginGroup(click.Group):
-    """A group to which packages may add commands."""
+    """A group to which packages may add commands; they are looked for after its own."""
 
     plugin_words: tuple[str, ...] = ()
     """The words of the group behind `tutti`."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        own_names = super().list_commands(ctx)
-        return [*own_names, *(name for name in find_plugin_commands(*self.plugin_words) if name not in own_names)]
+        return list(dict.fromkeys([*super().list_commands(ctx), *find_plugin_commands(*self.plugin_words)]))
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         command = super().get_command(ctx, cmd_name)
