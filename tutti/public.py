@@ -24,12 +24,14 @@ from orchestrator.model.jobs.forecast import JobForecast
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.rest import JobRest
 from orchestrator.model.jobs.restart import FirstMotion, StartPreview
+from orchestrator.model.names import controller_of
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.axis_info import AxisInfo
 from orchestrator.model.operation.statistics import StatisticsRead
 from orchestrator.model.positions.entries import PositionEntry
 from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import (
+    FINISHED_STATES,
     JobProgress,
     JobReport,
     JobTransition,
@@ -67,6 +69,7 @@ from orchestrator.model.templates.arriving import read_job
 from orchestrator.model.templates.template import Template, load_job
 
 __all__ = [
+    "FINISHED_STATES",
     "AlarmRecord",
     "ArmedMove",
     "AxisInfo",
@@ -134,6 +137,7 @@ __all__ = [
     "WaitArmed",
     "WaitInput",
     "WrongValue",
+    "controller_of",
     "load_fleet",
     "load_job",
     "read_job",

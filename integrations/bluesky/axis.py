@@ -35,7 +35,7 @@ class OutOfLimits(TuttiError, ValueError):
 
 @dataclass
 class AxisFlight:
-    """A flight at constant speed. armed: the move that waits; begun: once it has started."""
+    """A flight at constant speed. context: keeps its live job. armed: the move that waits. ramp_s: to its speed."""
 
     context: AsyncExitStack
     armed: ArmedMove

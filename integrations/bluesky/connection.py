@@ -33,7 +33,7 @@ class TuttiConnection:
         """The connected client; the first call connects. Raises `RouterUnreachable`, and `Refusal` with code `no-fleet`
         or `which-fleet`."""
         if self._opening is None or (self._opening.done() and self._opening.exception() is not None):
-            self._opening = asyncio.create_task(self._tutti.open())
+            self._opening = asyncio.get_running_loop().create_task(self._tutti.open())
         return await asyncio.shield(self._opening)
 
     async def close(self) -> None:

@@ -49,15 +49,13 @@ class FlightInfo(ConfinedModel):
 
 @dataclass(eq=False)
 class Flight:
-    """A flight that is prepared. job: its id; ended: its rows are all written, or why they are not."""
+    """A flight that is prepared. writing: of its rows, once it has begun."""
 
     context: AsyncExitStack
     job: SubmittedJob
     frames: int
     file: RowFile
-    provider: StreamResourceDataProvider
-    ended: "asyncio.Task[None] | None" = None
-    t0_ns: int = 0
+    writing: "asyncio.Task[None] | None" = None
 
 
 @dataclass(eq=False)
@@ -84,23 +82,24 @@ class FlightLogic(FlyableLogic[FlightInfo, Flight]):
             context.push_async_callback(cancel_job, job)
             await wait_until_armed(job)
             await connection.reader.wait_for_first(tutti, axes[0])
-            file, provider = self.flyer.open_file(axes)
+            file = self.flyer.open_file(axes)
             context.callback(file.close)
             frames = prod(value.spec.shape())
-            self.flight = Flight(context.pop_all(), job, frames, file, provider)
+            self.flight = Flight(context.pop_all(), job, frames, file)
         return self.flight
 
     async def on_kickoff(self, ctx: Flight) -> Flight:
         """Start the flight; return when its start is agreed. Raises `Refusal`."""
-        ctx.t0_ns = await ctx.job.go()
-        ctx.ended = asyncio.create_task(self._write_rows(await self.flyer.connection.open(), ctx))
+        await ctx.job.go()
+        tutti = await self.flyer.connection.open()
+        ctx.writing = asyncio.get_running_loop().create_task(self._write_rows(tutti, ctx))
         return ctx
 
     async def on_complete(self, ctx: Flight) -> None:
         """Wait until it is flown and its rows are written. Raises `JobFailed`."""
-        assert ctx.ended is not None
+        assert ctx.writing is not None
         try:
-            await asyncio.shield(ctx.ended)
+            await asyncio.shield(ctx.writing)
             report = await ctx.job.result()
             if report.state != "done":
                 raise JobFailed(report)
@@ -113,14 +112,14 @@ class FlightLogic(FlyableLogic[FlightInfo, Flight]):
         if flight is None:
             return
         await flight.context.aclose()
-        if flight.ended is not None:
-            flight.ended.cancel()
+        if flight.writing is not None:
+            flight.writing.cancel()
 
     async def _write_rows(self, tutti: Tutti, flight: Flight) -> None:
         async with aclosing(tutti.follow_point_batches(flight.job)) as batches:
             async for records in batches:
                 await asyncio.to_thread(flight.file.add_rows, records)
-                self.flyer.show_written(flight.file.rows)
+                self.flyer.set_written(flight.file.rows)
 
 
 class TuttiFlyer(StandardFlyable[FlightInfo, Flight]):
@@ -129,7 +128,7 @@ class TuttiFlyer(StandardFlyable[FlightInfo, Flight]):
     def __init__(self, connection: TuttiConnection, path_provider: PathProvider, name: str = "") -> None:
         self.connection = connection
         self._path_provider = path_provider
-        self.collections_written, self._set_written = soft_signal_r_and_setter(int, 0)
+        self.collections_written, self.set_written = soft_signal_r_and_setter(int, 0)
         self._provider: StreamResourceDataProvider | None = None
         super().__init__(name=name)
 
@@ -140,23 +139,19 @@ class TuttiFlyer(StandardFlyable[FlightInfo, Flight]):
 
     # Documents
 
-    def open_file(self, axes: list[str]) -> tuple[RowFile, StreamResourceDataProvider]:
-        """The file of a flight, and what makes its documents. Raises `OSError`."""
+    def open_file(self, axes: list[str]) -> RowFile:
+        """The file of a flight, of which documents are made from now on. Raises `OSError`."""
         info = self._path_provider(self.name)
         file = RowFile(Path(info.directory_path) / f"{info.filename}.h5", axes, self.connection.reader.find_utc_s)
-        self._set_written(0)
+        self.set_written(0)
         uri = f"{info.directory_uri}{info.filename}.h5"
         resources = file.list_resources(self.name)
         self._provider = StreamResourceDataProvider(uri, resources, "application/x-hdf5", self.collections_written)
-        return file, self._provider
-
-    def show_written(self, rows: int) -> None:
-        """So many rows are in the file."""
-        self._set_written(rows)
+        return file
 
     @property
     def hints(self) -> Hints:
-        """What a plot shows without being asked: the axes."""
+        """Nothing is plotted without being asked for: a stream has no events."""
         return Hints(fields=[])
 
     async def describe_collect(self) -> dict[str, DataKey]:

@@ -6,11 +6,11 @@ axes until they are unstaged, else until nothing was asked for during `IDLE_S`.
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
-from contextlib import suppress
+from collections.abc import AsyncGenerator, Awaitable, Callable, Iterable
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
-from tutti import JobFailed, LiveJob, Refusal, StepReport, Tutti, TuttiError
+from tutti import JobFailed, LiveJob, Refusal, StepReport, TaskOwner, Tutti, TuttiError, controller_of
 
 GATHER_S = 0.005
 """Between the first call of a plan stub and the last one are some 0.3 ms an axis."""
@@ -58,7 +58,7 @@ class FleetMoves:
         self._gathering: _Batch | None = None
         self._turn = asyncio.Lock()
         self._freed = asyncio.Condition()
-        self._closing: set[asyncio.Task[None]] = set()
+        self._endings = TaskOwner()
 
     # Staging
 
@@ -103,21 +103,26 @@ class FleetMoves:
                 self._gathering = None
             return await self._run_batch(batch)
 
-        self._gathering = batch = _Batch(asyncio.create_task(run()))
-        batch.task.add_done_callback(
-            lambda task: task.cancelled() or task.exception()
-        )  # each caller has it, or has gone
+        self._gathering = batch = _Batch(asyncio.get_running_loop().create_task(run()))
+        # Each caller has what it raises, or has gone.
+        batch.task.add_done_callback(lambda task: task.cancelled() or task.exception())
         return batch
 
     async def _run_batch(self, batch: _Batch) -> StepReport:
-        async with _Use(self, batch.targets) as live:
+        async with self.use_live(batch.targets) as live:
             return await live.move(dict(batch.targets), speed=dict(batch.speeds))
 
     # Live jobs
 
-    def use_live(self, axes: Iterable[str]) -> "_Use":
-        """The live job of axes, kept while the context lasts. Raises `Refusal` and `JobFailed` when entered."""
-        return _Use(self, axes)
+    @asynccontextmanager
+    async def use_live(self, axes: Iterable[str]) -> AsyncGenerator[LiveJob]:
+        """The live job that holds the controllers of axes, begun if there is none, and kept while the context lasts.
+        Raises `Refusal` and `JobFailed` when entered."""
+        session = await self._take_session({controller_of(axis) for axis in axes})
+        try:
+            yield session.live
+        finally:
+            await self._give_back(session)
 
     async def release(self, axes: Iterable[str]) -> None:
         """End the live jobs that hold the controllers of axes, once nothing moves in them: for a job of its own."""
@@ -133,10 +138,7 @@ class FleetMoves:
             self._forget(session)
             await session.live.cancel()
 
-    async def take_session(self, axes: Iterable[str]) -> _Session:
-        """The live job that holds the controllers of axes, begun if there is none. Raises `Refusal`, `JobFailed`."""
-        axis_names = list(axes)
-        controllers = {controller_of(axis) for axis in axis_names}
+    async def _take_session(self, controllers: set[str]) -> _Session:
         async with self._turn:
             for session in list(self._sessions):
                 if not session.is_open:  # by a stop, an e-stop, a fault; the next move begins another one
@@ -149,8 +151,7 @@ class FleetMoves:
                 fitting.timer.cancel()
             return fitting
 
-    async def give_back(self, session: _Session) -> None:
-        """A move or a flight of a live job has ended."""
+    async def _give_back(self, session: _Session) -> None:
         session.users -= 1
         if session.users == 0 and not self._is_staged(session):
             session.timer = asyncio.get_running_loop().call_later(IDLE_S, self._end_idle, session)
@@ -178,9 +179,7 @@ class FleetMoves:
 
     def _end_idle(self, session: _Session) -> None:
         if session.users == 0 and session in self._sessions:
-            task = asyncio.get_running_loop().create_task(self._end(session))
-            self._closing.add(task)
-            task.add_done_callback(self._closing.discard)
+            self._endings.spawn(self._end(session))
 
     async def _end(self, session: _Session) -> None:
         self._forget(session)
@@ -192,25 +191,3 @@ class FleetMoves:
             session.timer.cancel()
         with suppress(ValueError):
             self._sessions.remove(session)
-
-
-class _Use:
-    """The use of a live job; a context."""
-
-    def __init__(self, moves: FleetMoves, axes: Iterable[str]) -> None:
-        self._moves = moves
-        self._axes = list(axes)
-        self._session: _Session | None = None
-
-    async def __aenter__(self) -> LiveJob:
-        self._session = await self._moves.take_session(self._axes)
-        return self._session.live
-
-    async def __aexit__(self, *_: object) -> None:
-        if self._session is not None:
-            await self._moves.give_back(self._session)
-
-
-def controller_of(axis: str) -> str:
-    """The controller of `controller.axis`, or the group of a virtual axis."""
-    return axis.partition(".")[0]

@@ -8,7 +8,7 @@ from datetime import datetime
 from bluesky.protocols import Reading
 from ophyd_async.core import SignalR, SoftSignalBackend
 
-from tutti import ReadPosition, Refusal, StateReading, Tutti
+from tutti import ReadPosition, Refusal, StateReading, TaskOwner, Tutti, controller_of
 
 NS_PER_S = 1_000_000_000
 INVALID = 3  # alarm severity of a reading that is old: the controller is offline
@@ -59,7 +59,8 @@ class PlaceReader:
     def __init__(self) -> None:
         self._listeners: dict[str, list[Callable[[PlaceReading], None]]] = {}
         self._newest: dict[str, PlaceReading] = {}
-        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._tasks = TaskOwner()
+        self._followed = set[str]()
         self._first: dict[str, asyncio.Event] = {}
         self._utc_offset_ns = 0
         """UTC minus fleet time, by the reading that came last."""
@@ -73,10 +74,11 @@ class PlaceReader:
 
     async def wait_for_first(self, tutti: Tutti, axis: str) -> None:
         """Follow an axis, and wait until it was read once."""
-        controller = axis.partition(".")[0]
+        controller = controller_of(axis)
         first_event = self._first.setdefault(axis, asyncio.Event())
-        if controller not in self._tasks:
-            self._tasks[controller] = asyncio.create_task(self._follow_controller(tutti, controller))
+        if controller not in self._followed:
+            self._followed.add(controller)
+            self._tasks.spawn(self._follow_controller(tutti, controller))
         await first_event.wait()
 
     def find_utc_s(self, fleet_ns: int) -> float:
@@ -92,12 +94,11 @@ class PlaceReader:
 
     def close(self) -> None:
         """End the subscriptions."""
-        tasks, self._tasks = self._tasks, {}
-        for task in tasks.values():
-            task.cancel()
+        self._followed.clear()
+        self._tasks.cancel_all()
 
     async def _follow_controller(self, tutti: Tutti, controller: str) -> None:
-        axes = [name for name in (await tutti.list_names()).axes if name.partition(".")[0] == controller]
+        axes = [name for name in (await tutti.list_names()).axes if controller_of(name) == controller]
         try:
             async for state in tutti.states(axes):
                 self._take_state(state)

@@ -1,20 +1,17 @@
 """The record of a whole fleet: e-stop, reset, state and queue. It knows no protocol."""
 
-import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager
 
 from integrations.epics.fields import Field
-from integrations.epics.lanes import describe
 from integrations.epics.values import Done, Published
-from tutti import ControllerState, Refusal, TaskOwner, Tutti, TuttiError, read_job, running
+from integrations.whole_fleet import describe, describe_fleet, estop_fleet, is_latched, refreshing, reset_fleet
+from tutti import FINISHED_STATES, Refusal, TaskOwner, Tutti, TuttiError, read_job
 
 FLEET_FIELDS = {"ESTOP": Field("int", can_put=True), "RESET": Field("int", can_put=True), "STATE": Field("text")}
 QUEUE_COLUMNS = ("id", "name", "state", "by")
 REFRESH_S = 0.5
-RELEASE_S = 2.0
 MOST_JOBS = 100
-_ENDED = ("done", "failed", "cancelled", "aborted", "interrupted")
 
 Rows = list[tuple[str, ...]]
 
@@ -49,9 +46,9 @@ class FleetRecord(Published):
     async def refresh(self) -> None:
         """Read states and queue. Raises `Refusal`."""
         states = await self._tutti.status()
-        self._set("ESTOP", int(_is_latched(states)))
-        self._set("STATE", _describe_fleet(states))
-        jobs = [entry for entry in await self._tutti.list_jobs(MOST_JOBS) if entry.state not in _ENDED]
+        self._set("ESTOP", int(is_latched(states)))
+        self._set("STATE", describe_fleet(states))
+        jobs = [entry for entry in await self._tutti.list_jobs(MOST_JOBS) if entry.state not in FINISHED_STATES]
         queue: Rows = [(entry.id, entry.name, entry.state, entry.actor) for entry in jobs]
         if queue != self.queue:
             self.queue = queue
@@ -67,43 +64,15 @@ class FleetRecord(Published):
         done(error)
 
     async def _estop(self) -> str | None:
-        latches = await self._tutti.estop("by a client of EPICS")
-        names = ", ".join(name for name, is_latched in latches.items() if not is_latched) or "any controller"
-        return None if latches and all(latches.values()) else f"no e-stop is confirmed by {names}; use the wired one"
+        return await estop_fleet(self._tutti, "by a client of EPICS") or None
 
     async def _reset(self) -> str | None:
-        refusals = [describe(refusal) for refusal in (await self._tutti.reset()).values() if refusal is not None]
-        with suppress(TimeoutError):
-            async with asyncio.timeout(RELEASE_S):
-                while not refusals and _is_latched(await self._tutti.status()):
-                    await asyncio.sleep(REFRESH_S / 10)
-        return ", ".join(refusals) or None
-
-
-def _is_latched(states: Mapping[str, ControllerState]) -> bool:
-    return any(state.estop is not None for state in states.values())
-
-
-def _describe_fleet(states: Mapping[str, ControllerState]) -> str:
-    modes = {state.mode for state in states.values()}
-    if _is_latched(states):
-        return "e-stop"
-    for mode in ("offline", "fault"):
-        if mode in modes:
-            return mode
-    return "moving" if modes - {"idle"} else "idle"
+        return ", ".join(map(describe, await reset_fleet(self._tutti))) or None
 
 
 @asynccontextmanager
 async def open_fleet_record(tutti: Tutti) -> AsyncGenerator[FleetRecord]:
     """The record of the fleet, which is kept up to date while the context lasts."""
     record = FleetRecord(tutti)
-
-    async def follow() -> None:
-        while True:
-            with suppress(TuttiError):  # the coordinator is away: what is known stays
-                await record.refresh()
-            await asyncio.sleep(REFRESH_S)
-
-    async with running(follow()):
+    async with refreshing(record.refresh, REFRESH_S):
         yield record

@@ -5,7 +5,8 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 
-from tutti import Job, JobReport, Move, QueueTerms, Refusal, Step, TaskOwner, Tutti, TuttiError, running
+from integrations.whole_fleet import describe
+from tutti import Job, JobReport, Move, QueueTerms, Refusal, Step, TaskOwner, Tutti, TuttiError, controller_of, running
 
 GATHER_S = 0.005  # moves that are put one after the other by one client are one job
 RETRY_S = 0.02  # between two attempts to send elsewhere a move that begins or ends just now
@@ -103,7 +104,7 @@ class Lane:
             await self._tutti.cancel_job(job_id)
         except Refusal as error:
             if error.code in ("no-coordinator", "no-answer", "several-servers"):
-                await self._tutti.stop(known=[axis.partition(".")[0]])
+                await self._tutti.stop(known=[controller_of(axis)])
 
     @asynccontextmanager
     async def _take_turn(self, axis: str) -> AsyncGenerator[bool]:
@@ -186,8 +187,3 @@ class Lane:
                     targets.update(newest_targets)
                     refusal = describe(error)
         return refusal
-
-
-def describe(error: TuttiError) -> str:
-    """An error in one line, with its remedy."""
-    return f"{error.text}; {error.remedy}" if isinstance(error, Refusal) and error.remedy else str(error)

@@ -16,7 +16,7 @@ from p4p.server.raw import SharedPV
 from integrations.epics.channels import Channel, refuse_address
 from integrations.epics.fields import Value
 from integrations.epics.fleet import QUEUE_COLUMNS, FleetRecord, Rows
-from integrations.epics.lanes import describe
+from integrations.whole_fleet import describe
 from tutti import Refusal, TuttiError
 
 NS_PER_S = 10**9

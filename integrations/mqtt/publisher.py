@@ -3,7 +3,7 @@
 import asyncio
 import logging
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from ssl import SSLContext
@@ -11,7 +11,7 @@ from ssl import SSLContext
 from aiomqtt import Client, MqttError, Will
 
 from integrations.mqtt.topics import Publication, TopicForm
-from tutti import Refusal, StateReading, Tutti
+from tutti import Refusal, StateReading, Tutti, running
 
 RETRY_S = 2.0  # until the broker is tried again
 LOG = logging.getLogger(__name__)
@@ -44,20 +44,16 @@ class StatePublisher:
         """Publish while the context lasts, once the broker is connected. Raises `Refusal`, code `no-broker`, if it does
         not answer at first."""
         connected_event = asyncio.Event()
-        following = asyncio.create_task(self._follow())
-        publishing = asyncio.create_task(self._publish(connected_event))
-        connecting = asyncio.create_task(connected_event.wait())
-        try:
-            await asyncio.wait([connecting, publishing], return_when=asyncio.FIRST_COMPLETED)
+        async with running(self._follow()), running(self._publish(connected_event)) as publishing:
+            async with running(connected_event.wait()) as connecting:
+                await asyncio.wait([connecting, publishing], return_when=asyncio.FIRST_COMPLETED)
             if publishing.done():
                 publishing.result()
-            yield
-        finally:
-            for task in (following, publishing, connecting):
-                task.cancel()
-            for task in (following, publishing):
-                with suppress(asyncio.CancelledError, Refusal):
-                    await task
+            try:
+                yield
+            finally:  # its last message is sent before the connection is closed
+                publishing.cancel()
+                await asyncio.wait([publishing])
 
     async def _follow(self) -> None:
         async for reading in self._tutti.states():

@@ -38,7 +38,7 @@ class AxisNodes:
         self._own = own
         self._nodes: dict[str, dict[str, Any]] = {}
         self._written: dict[Any, object] = {}
-        self._heard_s: dict[str, float] = {}
+        self._read_s: dict[str, float] = {}
 
     async def build(self, parent: Any, units: dict[str, str]) -> None:
         """Add the axes, each with its unit. A value is bad until it is read."""
@@ -58,7 +58,7 @@ class AxisNodes:
         for axis, state in reading.axes.items():
             if axis not in self._nodes:
                 continue
-            self._heard_s[axis] = now_s
+            self._read_s[axis] = now_s
             if reading.mode == "offline":
                 await self._write_absent(axis, find_axis_reason(reading.mode, state))
                 continue
@@ -71,8 +71,8 @@ class AxisNodes:
     async def drop_silent(self) -> None:
         """Mark the axes of which nothing was read for `SILENT_S`."""
         oldest_s = asyncio.get_running_loop().time() - SILENT_S
-        for axis in [axis for axis, heard_s in self._heard_s.items() if heard_s < oldest_s]:
-            del self._heard_s[axis]
+        for axis in [axis for axis, read_s in self._read_s.items() if read_s < oldest_s]:
+            del self._read_s[axis]
             await self._write_absent(axis, "no state of its controller arrives")
 
     async def _write_absent(self, axis: str, reason: str) -> None:

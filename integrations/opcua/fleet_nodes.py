@@ -1,19 +1,15 @@
 """The object Fleet: e-stop, reset, and the state of the queue."""
 
-import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from integrations.opcua.methods import is_text, make_method
-from integrations.opcua.reasons import describe_fleet, is_latched
-from integrations.opcua.receiver import REFRESH_S, OrderReceiver
-from integrations.opcua.states import describe
+from integrations.opcua.receiver import OrderReceiver
 from integrations.opcua.types import ua
-from tutti import ControllerState, NotAllowed, Tutti, TuttiError, running
+from integrations.whole_fleet import describe, describe_fleet, estop_fleet, is_latched, reset_fleet
+from tutti import ControllerState, NotAllowed, Tutti, TuttiError
 
 VALUES = {"State": "idle", "EStopLatched": False, "QueueStopped": False, "QueueReason": "", "JobsWaiting": 0}
-RELEASE_S = 2.0
 
 
 class FleetNodes:
@@ -56,23 +52,17 @@ class FleetNodes:
 
     async def _estop(self, reason: str | None) -> Any:
         async def act() -> str:
-            latches = await self._tutti.estop(f"by a client of OPC UA: {reason}" if reason else "by a client of OPC UA")
-            other_names = ", ".join(name for name, is_set in latches.items() if not is_set) or "any controller"
-            is_confirmed = bool(latches) and all(latches.values())
-            return "" if is_confirmed else f"no e-stop is confirmed by {other_names}; use the wired one"
+            words = "by a client of OPC UA"
+            return await estop_fleet(self._tutti, f"{words}: {reason}" if reason else words)
 
         return await self._answer(act)
 
     async def _reset(self) -> Any:
         async def act() -> str:
-            refusals = [refusal for refusal in (await self._tutti.reset()).values() if refusal is not None]
+            refusals = await reset_fleet(self._tutti)
             for refusal in refusals:
                 if isinstance(refusal, NotAllowed):
                     raise refusal
-            with suppress(TimeoutError):
-                async with asyncio.timeout(RELEASE_S):
-                    while not refusals and is_latched(await self._tutti.status()):
-                        await asyncio.sleep(REFRESH_S / 10)
             return ", ".join(describe(refusal) for refusal in refusals)
 
         return await self._answer(act)
@@ -91,17 +81,3 @@ class FleetNodes:
 def make_argument(name: str, kind: Any) -> Any:
     """An argument of a method."""
     return ua.Argument(Name=name, DataType=ua.NodeId(kind.value), ValueRank=-1)
-
-
-@asynccontextmanager
-async def follow_fleet(nodes: FleetNodes) -> AsyncGenerator[None]:
-    """Show the state of the fleet while the context lasts."""
-
-    async def follow() -> None:
-        while True:
-            with suppress(TuttiError):  # the coordinator is away: what is known stays
-                await nodes.refresh()
-            await asyncio.sleep(REFRESH_S)
-
-    async with running(follow()):
-        yield

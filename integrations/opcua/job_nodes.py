@@ -6,7 +6,7 @@ from typing import Any
 from integrations.opcua.methods import Check, are_structures, are_texts, is_structure, is_text, make_method
 from integrations.opcua.orders import Order
 from integrations.opcua.receiver import MAX_ORDERS, OrderReceiver
-from integrations.opcua.states import INVALID_REQUEST, NO_ERROR, UNKNOWN_ORDER, describe, find_status, matches
+from integrations.opcua.states import INVALID_REQUEST, NO_ERROR, UNKNOWN_ORDER, find_status, matches
 from integrations.opcua.types import (
     make_array,
     make_list,
@@ -17,6 +17,7 @@ from integrations.opcua.types import (
     read_text,
     ua,
 )
+from integrations.whole_fleet import describe
 from tutti import NotAllowed, TuttiError
 
 RECEIVER, PROVIDER, STATUS_EVENT = 1008, 1003, 1006

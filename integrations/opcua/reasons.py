@@ -1,8 +1,6 @@
-"""Why an axis, or the fleet, does not move. It knows no protocol library."""
+"""Why an axis does not move. It knows no protocol library."""
 
-from collections.abc import Mapping
-
-from tutti import AxisState, ControllerState
+from tutti import AxisState
 
 
 def find_axis_reason(mode: str, state: AxisState) -> str:
@@ -18,19 +16,3 @@ def find_axis_reason(mode: str, state: AxisState) -> str:
     if not state.referenced:
         return "it is not referenced; home it"
     return "" if state.limit == "none" else f"it stands at a limit switch: {state.limit}"
-
-
-def is_latched(states: Mapping[str, ControllerState]) -> bool:
-    """Whether an e-stop is latched anywhere."""
-    return any(state.estop is not None for state in states.values())
-
-
-def describe_fleet(states: Mapping[str, ControllerState]) -> str:
-    """`e-stop`, `offline`, `fault`, `moving` or `idle`: the first that is true of any controller."""
-    modes = {state.mode for state in states.values()}
-    if is_latched(states):
-        return "e-stop"
-    for mode in ("offline", "fault"):
-        if mode in modes:
-            return mode
-    return "moving" if modes - {"idle"} else "idle"

@@ -1,13 +1,12 @@
 """The receiver of job orders: its methods, as requests to a fleet. It knows no protocol library."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
 
 from integrations.opcua.orders import Order, OrderRequest
 from integrations.opcua.states import ABORTED, ENDED, INTERRUPTED, OrderState, find_state
-from tutti import JobQueue, JobReport, Refusal, Template, Tutti, TuttiError, running
+from tutti import JobQueue, JobReport, Refusal, Template, Tutti, TuttiError
 
 MAX_ORDERS = 100
 LISTED_JOBS = 500
@@ -160,7 +159,7 @@ class OrderReceiver:
             await self._enter(order, find_state("queued", entry.reason, held=bool(entry.held_by), ready=entry.ready))
         if order.is_stopping and order.state == INTERRUPTED:
             await self._tutti.cancel_job(order.job_id)
-        await self._tell_list()
+        await self._note_list()
 
     async def _enter(self, order: Order, state: OrderState, report: JobReport | None = None) -> None:
         if state == ABORTED and order.is_stopping and not order.is_aborting:
@@ -206,22 +205,8 @@ class OrderReceiver:
 
     async def _drop(self, order_id: str) -> None:
         del self.orders[order_id]
-        await self._tell_list()
+        await self._note_list()
 
-    async def _tell_list(self) -> None:
+    async def _note_list(self) -> None:
         for listener in self.on_list:
             await listener()
-
-
-@asynccontextmanager
-async def keep_current(receiver: OrderReceiver) -> AsyncGenerator[None]:
-    """Follow the orders while the context lasts. While the coordinator is away, what is known stays."""
-
-    async def follow() -> None:
-        while True:
-            with suppress(TuttiError):
-                await receiver.refresh()
-            await asyncio.sleep(REFRESH_S)
-
-    async with running(follow()):
-        yield

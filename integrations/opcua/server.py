@@ -10,12 +10,13 @@ from typing import Any
 from asyncua.server.server import Server
 
 from integrations.opcua.axis_nodes import AxisNodes, follow_axes
-from integrations.opcua.fleet_nodes import FleetNodes, follow_fleet
+from integrations.opcua.fleet_nodes import FleetNodes
 from integrations.opcua.job_nodes import JobNodes
 from integrations.opcua.peers import TrustedPeers
-from integrations.opcua.receiver import OrderReceiver, keep_current
+from integrations.opcua.receiver import REFRESH_S, OrderReceiver
 from integrations.opcua.types import ua
 from integrations.opcua.work_masters import load_work_masters
+from integrations.whole_fleet import refreshing
 from tutti import Refusal, Tutti
 from tutti.commands import ServerReady
 
@@ -59,7 +60,11 @@ async def serve_opcua(tutti: Tutti, settings: ServerSettings) -> AsyncGenerator[
         remedy = "choose another `--port`, or an address of this computer"
         raise Refusal("no-port", f"{settings.interface}:{settings.port} cannot be served: {error}", remedy) from None
     try:
-        async with keep_current(receiver), follow_axes(tutti, axes), follow_fleet(fleet_nodes):
+        async with (
+            refreshing(receiver.refresh, REFRESH_S),
+            follow_axes(tutti, axes),
+            refreshing(fleet_nodes.refresh, REFRESH_S),
+        ):
             url = server.endpoint.geturl()
             lines = [f"OPC UA at {url}", f"work masters: {', '.join(receiver.templates)}"]
             yield ServerReady(lines, {"url": url, "work_masters": list(receiver.templates)})

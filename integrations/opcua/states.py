@@ -6,7 +6,7 @@ Source: the nodeset (StateNumber of each state) and the specification, 6.2.1, 6.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from tutti import Refusal, TuttiError
+from tutti import FINISHED_STATES, Refusal, TuttiError
 
 NO_ERROR = 1 << 0
 UNKNOWN_ORDER = 1 << 1
@@ -64,8 +64,7 @@ def find_state(state: str, reason: str = "", *, held: bool = False, ready: bool 
             return HELD
         return READY if reason in ("", "submitted") else WAITING
     by_state = {"paused": INTERRUPTED, "done": ENDED}
-    ended_badly = ("failed", "cancelled", "aborted", "interrupted")
-    return ABORTED if state in ended_badly else by_state.get(state, RUNNING)
+    return by_state.get(state, ABORTED if state in FINISHED_STATES else RUNNING)
 
 
 def find_status(error: TuttiError) -> int:
@@ -73,12 +72,6 @@ def find_status(error: TuttiError) -> int:
     if isinstance(error, Refusal):
         return _STATUS_OF_CODE.get(error.code, NOT_ACCEPTED)
     return INVALID_REQUEST  # a template with wrong values
-
-
-def describe(error: TuttiError) -> str:
-    """An error with what to do about it, in one text."""
-    remedy = error.remedy if isinstance(error, Refusal) else ""
-    return f"{error}; {remedy}" if remedy else str(error)
 
 
 def matches(state: OrderState, state_number: int, substates: Iterable[int]) -> bool:

@@ -8,9 +8,10 @@ import pytest
 from cluster.worlds import EXAMPLES
 
 from integrations.opcua.orders import OrderParameter, OrderRequest
-from integrations.opcua.receiver import MAX_ORDERS, OrderReceiver, keep_current
+from integrations.opcua.receiver import MAX_ORDERS, REFRESH_S, OrderReceiver
 from integrations.opcua.states import ABORTED, ENDED, HELD
 from integrations.opcua.work_masters import load_work_masters
+from integrations.whole_fleet import refreshing
 from tutti import Refusal, Tutti
 from tutti.testing import virtual_fleet
 
@@ -34,7 +35,7 @@ def run(folder: Path, main: Main) -> None:
 
     async def serve(tutti: Tutti) -> None:
         receiver = OrderReceiver(tutti, load_work_masters(folder))
-        async with keep_current(receiver):
+        async with refreshing(receiver.refresh, REFRESH_S):
             await main(tutti, receiver)
 
     with virtual_fleet(EXAMPLES / "demo.fleet.yaml") as fleet:

@@ -22,12 +22,12 @@ from integrations.opcua.states import (
     RUNNING,
     WAITING,
     OrderState,
-    describe,
     find_state,
     find_status,
     matches,
 )
 from integrations.opcua.work_masters import load_work_masters
+from integrations.whole_fleet import describe
 from tutti import AxisState, FileError, Refusal, Template
 
 NOW = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
