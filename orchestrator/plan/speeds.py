@@ -132,8 +132,7 @@ def _limit_named(
     fleet: Fleet, step: MotionOptions, speeds: Mapping[str, float | str], moves: Sequence[AxisMove]
 ) -> list[AxisMove]:
     """The moves with the speeds of the axes that are named; the others keep their limits. One that stands at its target
-    already is not among the moves, nor is
-    one whose beginning a forecast does not know."""
+    already is not among the moves, nor is one whose beginning a forecast does not know."""
     names = {move.axis for move in moves}.union(fleet.find_real_axes(step.named_axes))
     strangers = [name for name in speeds if name not in names]
     if strangers:

@@ -3,7 +3,6 @@
 import asyncio
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from socket import AF_INET, SOCK_STREAM, socket
@@ -73,10 +72,3 @@ def serving(endpoint: str, settings: ServerSettings) -> Iterator[None]:
             ends[0]()
             thread.join(20)
     assert not failures, failures
-
-
-def wait_until(condition: Callable[[], bool], limit_s: float = 20.0) -> None:
-    end_s = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)

@@ -15,6 +15,7 @@ import h5py
 import pytest
 from bluesky import RunEngine
 from bluesky.utils import FailedStatus, RunEngineInterrupted
+from ecosystem.waits import wait_until
 from ophyd_async.core import FlyMotorInfo, StaticFilenameProvider, StaticPathProvider, init_devices
 from pages import read_blocks
 from scanspec.specs import Fly, Linspace
@@ -59,9 +60,7 @@ class Lab:
         return asyncio.run_coroutine_threadsafe(coroutine, self.engine.loop).result(20)
 
     def wait_for_rest(self) -> None:
-        until = time.monotonic() + 20
-        while any(axis.moving for axis in self.fleet.tutti.axes().values()):
-            assert time.monotonic() < until
+        wait_until(lambda: not any(axis.moving for axis in self.fleet.tutti.axes().values()))
 
     def close(self) -> None:
         self.call(self.connection.close())
@@ -212,13 +211,15 @@ def test_an_estop_ends_a_plan_with_its_reason(lab: Lab) -> None:
 
 def enable_until_accepted(fleet: LiveTestbed) -> None:
     """Enable all axes: the coordinator may learn of a reset some ms after the program that has asked for it."""
-    until = time.monotonic() + 20
-    while True:
+
+    def is_accepted() -> bool:
         try:
             fleet.tutti.enable()
-            return
         except Refusal:
-            assert time.monotonic() < until
+            return False
+        return True
+
+    wait_until(is_accepted)
 
 
 @pytest.mark.parametrize(
@@ -246,9 +247,7 @@ def test_a_program_that_is_killed_before_its_kickoff_leaves_nothing_loaded(lab: 
     assert child.stdout is not None and child.stdout.readline() == "prepared\n"
     child.kill()
     child.wait()
-    until = time.monotonic() + 20
-    while any(entry.state in ("running", "armed") for entry in lab.fleet.tutti.list_jobs()):
-        assert time.monotonic() < until
+    wait_until(lambda: not any(entry.state in ("running", "armed") for entry in lab.fleet.tutti.list_jobs()))
     lab.run(bps.mv(lab.x, 50))
 
 

@@ -11,7 +11,8 @@ import pytest
 from aioca import purge_channel_caches
 from bluesky import RunEngine
 from bluesky.utils import FailedStatus, RunEngineInterrupted
-from ecosystem.epics_server import CA_PORT, PVA_PORT, serving, wait_until
+from ecosystem.epics_server import CA_PORT, PVA_PORT, serving
+from ecosystem.waits import wait_until
 from ophyd_async.core import FlyMotorInfo
 from ophyd_async.epics.motor import Motor, MotorLimitsError
 

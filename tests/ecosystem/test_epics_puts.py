@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 from aioca import CANothing, caget, caput, purge_channel_caches
-from ecosystem.epics_server import CA_PORT, PVA_PORT, free_ports, serving, wait_until
+from ecosystem.epics_server import CA_PORT, PVA_PORT, free_ports, serving
+from ecosystem.waits import wait_until
 from epicscorelibs.ca.cadef import CAException
 from p4p.client.thread import Context, RemoteError
 from p4p.nt import NTURI, NTTable
@@ -341,7 +342,7 @@ def test_a_flood_of_searches_delays_no_move(client: Context, server: LiveTestbed
     end_event = threading.Event()
 
     def flood() -> None:
-        name = b"nobody:has:this\0"
+        name = b"absent:pv:name\0"
         search = struct.pack(">HHHHII", 6, len(name), 5, 13, 1, 1) + name
         garbage = os.urandom(60)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:

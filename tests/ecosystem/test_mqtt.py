@@ -7,28 +7,21 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import paho.mqtt.client as paho
 import pytest
 from click.testing import CliRunner
+from ecosystem.waits import LIMIT_S, wait_until
 
 from orchestrator.cli.main import main
+from orchestrator.runtime.live.fleet import find_free_port
 from tutti.testing import LiveTestbed
 
 BROKER = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 CALL = "from orchestrator.cli.entry import main; main()"
-LIMIT_S = 30.0
-
-
-def wait_for(condition: Callable[[], Any]) -> Any:
-    until = time.monotonic() + LIMIT_S
-    while not (value := condition()):
-        assert time.monotonic() < until
-    return value
 
 
 @pytest.fixture
@@ -36,14 +29,12 @@ def broker(tmp_path: Path) -> Iterator[int]:
     """The port of a broker of this test."""
     if BROKER is None:
         pytest.skip("the system's package mosquitto is not installed")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = find_free_port()
     config = tmp_path / "mosquitto.conf"
     config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
     process = subprocess.Popen([BROKER, "-c", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        wait_for(lambda: is_open(port))
+        wait_until(lambda: is_open(port))
         yield port
     finally:
         process.kill()
@@ -92,13 +83,13 @@ def test_states_are_published_and_the_broker_says_when_they_end(demo_fleet: Live
     process = serve(demo_fleet, broker)
     listener = Listener(broker, "tutti/#")
     try:
-        wait_for(lambda: listener.messages.get("tutti/demo/gantry/x"))
+        wait_until(lambda: listener.messages.get("tutti/demo/gantry/x"))
         assert listener.messages["tutti/demo/status"] == {"status": "online"}
         target = 7.0 if demo_fleet.tutti.position("gantry.x") > 8 else 9.0
         demo_fleet.tutti.move({"gantry.x": target})
-        wait_for(lambda: abs(listener.messages["tutti/demo/gantry/x"]["position"] - target) < 0.002)
+        wait_until(lambda: abs(listener.messages["tutti/demo/gantry/x"]["position"] - target) < 0.002)
         process.kill()
-        wait_for(lambda: listener.messages["tutti/demo/status"] == {"status": "offline"})
+        wait_until(lambda: listener.messages["tutti/demo/status"] == {"status": "offline"})
     finally:
         process.kill()
         process.communicate()
@@ -110,11 +101,13 @@ def test_births_and_deaths_of_sparkplug(demo_fleet: LiveTestbed, broker: int) ->
     listener = Listener(broker, "spBv1.0/#")
     process = serve(demo_fleet, broker, "--sparkplug", "lab")
     try:
-        birth = wait_for(lambda: listener.messages.get("spBv1.0/lab/DBIRTH/demo/gantry"))
+        wait_until(lambda: "spBv1.0/lab/DBIRTH/demo/gantry" in listener.messages)
+        birth = listener.messages["spBv1.0/lab/DBIRTH/demo/gantry"]
         assert "x/position" in {metric["name"] for metric in birth["metrics"]}
         process.send_signal(signal.SIGTERM)
         assert process.wait(LIMIT_S) == 0
-        death = wait_for(lambda: listener.messages.get("spBv1.0/lab/NDEATH/demo"))
+        wait_until(lambda: "spBv1.0/lab/NDEATH/demo" in listener.messages)
+        death = listener.messages["spBv1.0/lab/NDEATH/demo"]
         assert death["metrics"] == listener.messages["spBv1.0/lab/NBIRTH/demo"]["metrics"][:1]
     finally:
         process.kill()

@@ -12,7 +12,6 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from socket import AF_INET, SOCK_STREAM, socket
 from typing import Any
 
 import pytest
@@ -31,6 +30,7 @@ from pages import read_blocks
 from integrations.opcua.job_nodes import answer_refusal
 from integrations.opcua.server import ServerSettings, serve_opcua
 from orchestrator.keys.opcua import add_opcua
+from orchestrator.runtime.live.fleet import find_free_port
 from tutti import NotAllowed, Refusal, Tutti
 from tutti.testing import LiveTestbed
 
@@ -59,12 +59,6 @@ class Served:
     process: subprocess.Popen[str]
 
 
-def free_port() -> int:
-    with socket(AF_INET, SOCK_STREAM) as open_socket:
-        open_socket.bind(("127.0.0.1", 0))
-        return open_socket.getsockname()[1]
-
-
 def start_server(endpoint: str, templates: Path, port: int) -> subprocess.Popen[str]:
     """What the page starts, at another port and with its output for programs."""
     program, *arguments = shlex.split(read_blocks(PAGE, "console")[0].removeprefix("$ "))
@@ -86,7 +80,7 @@ def served(demo_fleet: LiveTestbed, tmp_path_factory: pytest.TempPathFactory) ->
     folder.mkdir()
     for name, text in TEMPLATES.items():
         (folder / name).write_text(text)
-    with start_server(demo_fleet.endpoint, folder, free_port()) as process:
+    with start_server(demo_fleet.endpoint, folder, find_free_port()) as process:
         try:
             yield Served(read_url(process), folder, demo_fleet, process)
         finally:
@@ -367,7 +361,7 @@ def test_orders_go_on_without_the_server_and_are_there_again(served: Served) -> 
             await mes.wait_for("long", "Aborted")
             assert await mes.act("Clear", "long") == 1
 
-    port = free_port()
+    port = find_free_port()
     with start_server(served.fleet.endpoint, served.templates, port) as process:
         asyncio.run(order(read_url(process)))
         process.kill()
@@ -380,12 +374,12 @@ def test_orders_go_on_without_the_server_and_are_there_again(served: Served) -> 
 
 @pytest.mark.nightly
 def test_only_known_certificates_open_a_session(demo_fleet: LiveTestbed, served: Served, tmp_path: Path) -> None:
-    """In this process, against the same fleet: what is asked is who may connect."""
+    """In this process, against the same fleet: which clients may connect."""
     made = add_opcua(tmp_path / "server", "demo", datetime.now(UTC), 1, ("127.0.0.1",))
     assert made > datetime.now(UTC)
     known, stranger = make_client_key(tmp_path, "known"), make_client_key(tmp_path, "stranger")
     (tmp_path / "server/trusted/known.der").write_bytes(known[0].read_bytes())
-    settings = ServerSettings(served.templates, port=free_port(), certificates=tmp_path / "server")
+    settings = ServerSettings(served.templates, port=find_free_port(), certificates=tmp_path / "server")
 
     async def look(url: str, key: tuple[Path, Path] | None) -> bool:
         client = Client(url)

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from asyncua import Client, ua
 from ecosystem.opcua_load import AXES, HZ, SECONDS
-from ecosystem.test_opcua import free_port
+
+from orchestrator.runtime.live.fleet import find_free_port
 
 MOST = 0.10  # of a core
 
@@ -24,7 +25,7 @@ class Counter:
 
 @pytest.mark.nightly
 def test_64_axes_ten_times_a_second_take_a_tenth_of_a_core() -> None:
-    port = free_port()
+    port = find_free_port()
     command = [sys.executable, str(Path(__file__).with_name("opcua_load.py")), str(port)]
 
     async def follow(process: subprocess.Popen[str], counter: Counter) -> float:
