@@ -21,7 +21,8 @@ from pages import read_blocks
 from scanspec.specs import Fly, Linspace
 
 from integrations.bluesky import FlightInfo, TuttiAxis, TuttiConnection, TuttiFlyer
-from tutti import Refusal
+from integrations.bluesky.flyer import make_scan
+from tutti import Job, Refusal
 from tutti.testing import LiveTestbed
 
 ROOT = Path(__file__).parents[2]
@@ -118,19 +119,23 @@ def test_an_axis_flies_at_constant_speed(lab: Lab) -> None:
     assert lab.fleet.tutti.position("gantry.x") > 60
 
 
+def fly_scan(flyer: TuttiFlyer, info: FlightInfo) -> Any:
+    """Fly a scan; returns how long its flight took from kickoff to the last row, in s."""
+    yield from bps.open_run()
+    yield from bps.prepare(flyer, info, wait=True)
+    yield from bps.declare_stream(flyer, name="flight", collect=True)
+    begin_s = time.monotonic()
+    yield from bps.kickoff(flyer, wait=True)
+    yield from bps.collect_while_completing([flyer], [flyer], flush_period=0.1, stream_name="flight")
+    duration_s = time.monotonic() - begin_s
+    yield from bps.close_run()
+    return duration_s
+
+
 def test_a_scan_flies_and_its_rows_are_a_stream(lab: Lab, tmp_path: Path) -> None:
     spec = Fly(0.02 @ (Linspace(lab.x, 50, 51, 3) * ~Linspace(lab.y, 20, 30, 21)))
     flyer = lab.make_flyer(tmp_path)
-
-    def fly() -> Any:
-        yield from bps.open_run()
-        yield from bps.prepare(flyer, FlightInfo(spec=spec, trigger={"output": "gantry.lamp"}), wait=True)
-        yield from bps.declare_stream(flyer, name="flight", collect=True)
-        yield from bps.kickoff(flyer, wait=True)
-        yield from bps.collect_while_completing([flyer], [flyer], flush_period=0.3, stream_name="flight")
-        yield from bps.close_run()
-
-    lab.run(fly())
+    lab.run(fly_scan(flyer, FlightInfo(spec=spec, trigger={"output": "gantry.lamp"})))
     resources = {d["data_key"]: d for name, d in lab.documents if name == "stream_resource"}
     datums = [d for name, d in lab.documents if name == "stream_datum"]
     assert max(datum["indices"]["stop"] for datum in datums) == 63
@@ -138,6 +143,22 @@ def test_a_scan_flies_and_its_rows_are_a_stream(lab: Lab, tmp_path: Path) -> Non
         column = file[resources["flyer-gantry_y"]["parameters"]["dataset"]]
         assert column.shape == (63,) and abs(column[1] - 20.5) < 0.02 and all(file["good"][:] == 1)
         assert 0 < file["t_hi"][0] - file["t_lo"][0] < 0.02 and abs(file["t_lo"][0] - time.time()) < 60
+
+
+@pytest.mark.nightly
+def test_a_flown_grid_takes_as_long_as_its_path(lab: Lab, tmp_path: Path) -> None:
+    spec = Fly(0.02 @ (Linspace(lab.x, 50, 51, 20) * ~Linspace(lab.y, 20, 30, 20)))
+    info = FlightInfo(spec=spec, trigger={"output": "gantry.lamp"})
+    flyer = lab.make_flyer(tmp_path)
+    durations = []
+
+    def fly() -> Any:
+        durations.append((yield from fly_scan(flyer, info)))
+
+    lab.run(fly())
+    [step] = lab.fleet.tutti.dry_run(Job("grid", [make_scan(info)[0]])).steps
+    assert step.path is not None
+    assert durations[0] < 1.05 * step.path.duration_s
 
 
 @pytest.mark.parametrize("position", [1e4, float("nan")])
