@@ -131,7 +131,9 @@ class HostGuardian:
         self._log = log
         self._starts = starts
         # Created before they are needed: their imports could fail, or take time.
-        self._lines = stops_by_line(controllers)
+        # A controller in the process of its adapter has ended with that.
+        outside = {name: config for name, config in controllers.items() if config.link.kind != "process"}
+        self._lines = stops_by_line(outside)
         self._ended = False
         self._woken = asyncio.Event()
         self.checks = 0

@@ -24,7 +24,7 @@ from adapters.controller.state.store import FileStore
 from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import apply_make_defaults, find_controller_problems
 from adapters.host.timed_writer import ProcessTimedWriter
-from adapters.link.open import make_link_opener
+from adapters.link.open import make_controller_opener
 from orchestrator.bus.expiry import find_session_certificate
 from orchestrator.bus.identity import BadIdentity
 from orchestrator.bus.keys import FleetKeys
@@ -183,7 +183,7 @@ async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> 
             keys=FleetKeys(fleet.fleet),
             clock=clock,
             timed_writer=firer,
-            open_link=lambda _, config: make_link_opener(config.link_to_open, clock),
+            open_link=lambda _, config: make_controller_opener(config, clock),
             store=lambda controller: FileStore(chosen.state / f"{controller}.json"),
             runs=ThreadExecutor("memory"),
             sink=sink,

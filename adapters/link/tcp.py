@@ -8,7 +8,7 @@ import socket
 from adapters.link.descriptor import DescriptorLink, OpenDescriptor
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import Link, LinkRefused
-from orchestrator.model.fleet import TcpLink, UdpLink
+from orchestrator.model.links import TcpLink, UdpLink
 
 CONNECT_TIMEOUT_S = 2.0
 

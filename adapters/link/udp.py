@@ -7,7 +7,7 @@ from adapters.link.descriptor import DescriptorLink, OpenDescriptor
 from adapters.link.tcp import connection_error_text
 from orchestrator.clock.base import Clock
 from orchestrator.link.base import Link, LinkRefused
-from orchestrator.model.fleet import UdpLink
+from orchestrator.model.links import UdpLink
 
 RESOLVE_TIMEOUT_S = 2.0
 

@@ -20,7 +20,8 @@ from orchestrator.bench.fleet import run_measured_fleet
 from orchestrator.bench.spread import DurationSpread, make_spread
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link
-from orchestrator.model.fleet import Fleet, TcpLink
+from orchestrator.model.fleet import Fleet
+from orchestrator.model.links import TcpLink
 from orchestrator.runtime.simulated_fleets import make_smc4000
 
 CONTROLLERS = 16

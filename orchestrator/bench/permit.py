@@ -14,7 +14,8 @@ from orchestrator.bench.fleet import run_measured_fleet, run_steps, submit_steps
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.truth import TruthLog
 from orchestrator.clock.live import raw_ns
-from orchestrator.model.fleet import Controller, Fleet, Permit, TcpLink
+from orchestrator.model.fleet import Controller, Fleet, Permit
+from orchestrator.model.links import TcpLink
 
 CONTROLLERS = 8
 PERMIT = "door-closed"

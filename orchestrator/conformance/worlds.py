@@ -16,6 +16,7 @@ from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.conformance.findings import NotApplicable, require
 from orchestrator.conformance.together import Together
 from orchestrator.link.base import LinkClosed, LinkRefused
+from orchestrator.link.direct import DirectWire
 from orchestrator.link.memory import LAN, MemoryWire, can_wire, serial_wire
 from orchestrator.model.errors import ControllerFault, Refusal
 from orchestrator.model.fleet import Axis, CanBusLink, Controller, SerialLink
@@ -289,7 +290,8 @@ def build_unit(chosen: Case, name: str, around: Surroundings) -> Unit:
     if config.link.kind == "tcp" and chosen.port == "serial":
         # A bridge forwards bytes as quickly as its serial side takes them.
         model = replace(LAN, char_ns=10 * NS_PER_S // 38400)
-    wire = MemoryWire(
+    make_wire = DirectWire if config.link.kind == "process" else MemoryWire
+    wire = make_wire(
         clock=clock,
         model=model,
         far=line.endpoint,

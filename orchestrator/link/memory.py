@@ -15,7 +15,7 @@ from typing import Protocol
 
 from orchestrator.clock.base import Clock, sleep_until_ns
 from orchestrator.clock.virtual import VirtualClock
-from orchestrator.link.base import LinkClosed, LinkRefused, ReceivedBytes
+from orchestrator.link.base import Link, LinkClosed, LinkRefused, ReceivedBytes
 from orchestrator.link.supply import NEVER_NS, PowerSupply
 
 PIECE_CHARACTERS = 62  # characters of a serial line that are received together, as many as a USB adapter's packet holds
@@ -30,6 +30,14 @@ class FarConnection(Protocol):
     def receive_bytes(self, data: bytes) -> None: ...
 
     def close(self) -> None: ...
+
+
+class WireLink(Link, Protocol):
+    """A link in memory."""
+
+    def hang_up(self) -> None:
+        """Close at once; the kernel does this for a process that died."""
+        ...
 
 
 class LinkAcceptor(Protocol):
@@ -98,7 +106,7 @@ class MemoryWire:
     refuse: bool = False
     to_far: Callable[[bytes], bytes] | None = None
     to_near: Callable[[bytes], bytes] | None = None
-    links: "list[MemoryLink]" = field(default_factory=list["MemoryLink"])
+    links: "list[WireLink]" = field(default_factory=list["WireLink"])
     closed_ns: int = 0
     late_ns: list[int] = field(default_factory=list[int])
     draw: Random = field(init=False)
@@ -107,7 +115,7 @@ class MemoryWire:
     def __post_init__(self) -> None:
         self.draw = Random(self.seed)
 
-    async def open_link(self, clock: Clock | None = None) -> "MemoryLink":
+    async def open_link(self, clock: Clock | None = None) -> "WireLink":
         """Open a link from the calling process. Raises `LinkRefused`. clock: that of its computer, for time stamps;
         None: virtual time."""
         if self.refuse:

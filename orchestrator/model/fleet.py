@@ -25,7 +25,13 @@ from orchestrator.model.base import Id, Model, Rational, UnknownName
 from orchestrator.model.compensation import Backlash, Correction, Play
 from orchestrator.model.fleet_names import DefinedNames, collect_names, find_reference_problems
 from orchestrator.model.frame import FrameSpec
-from orchestrator.model.links import LINE_SETTINGS, CanBusLink, Link, SerialLink, TcpLink, UdpLink
+from orchestrator.model.links import (
+    LINE_SETTINGS,
+    AnyLink,
+    CanBusLink,
+    Link,
+    SerialLink,
+)
 from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNumber, UnitNumber
 from orchestrator.model.pairs.fields import explain_pair_field
@@ -479,7 +485,7 @@ class Controller(Model):
         return _address_of(self) is not None
 
     @property
-    def link_to_open(self) -> TcpLink | UdpLink | SerialLink | CanBusLink:
+    def link_to_open(self) -> AnyLink:
         """The link to open: that of the controller, or of the simulator that replaces it."""
         return self.simulate.link or self.link
 

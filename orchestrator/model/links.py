@@ -89,4 +89,17 @@ class CanBusLink(Model):
         return f"can {self.channel}"
 
 
-Link = Annotated[TcpLink | UdpLink | SerialLink | CanBusLink, Field(discriminator="kind")]
+class InProcessLink(Model):
+    """A simulated controller in the process of its adapter, of a model that can be there; for benchmarks and tests."""
+
+    kind: Literal["process"]
+    device: str = Field(min_length=1, max_length=64, description="A name that no other controller of the file has.")
+
+    @property
+    def endpoint(self) -> str:
+        """The device; two controllers cannot share it."""
+        return f"process {self.device}"
+
+
+AnyLink = TcpLink | UdpLink | SerialLink | CanBusLink | InProcessLink
+Link = Annotated[AnyLink, Field(discriminator="kind")]

@@ -24,6 +24,9 @@ SIMULATOR_API_VERSION = 1
 KINEMATICS_API_VERSION = 1
 """The same for kinematics of virtual axes."""
 
+UNLISTED = ".unlisted"
+"""Ends the name of a group whose plug-ins are found by name, and are in no list: those of benchmarks and tests."""
+
 PluginGroup = Literal["tutti.adapters", "tutti.simulators", "tutti.kinematics"]
 _KINDS = {"tutti.adapters": "adapter", "tutti.simulators": "simulator", "tutti.kinematics": "kinematics"}
 _VERSIONS = {
@@ -74,7 +77,8 @@ def load_plugin(group: PluginGroup, name: str, members: Sequence[str]) -> Any:
     Raises `UnknownPlugin` with the known names, `PluginError`.
     """
     kind = _KINDS[group]
-    points = [entry for entry in entry_points(group=group) if entry.name == name]
+    groups = (group, f"{group}{UNLISTED}")
+    points = [entry for its_group in groups for entry in entry_points(group=its_group) if entry.name == name]
     if not points:
         raise UnknownPlugin(f"no {kind} {name[:80]!r}; {_KNOWN[group]}: {', '.join(plugin_names(group))}")
     if len(points) > 1:

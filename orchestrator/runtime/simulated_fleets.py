@@ -153,3 +153,27 @@ def make_sync_fleet(name: str, seed: int, **limits: float) -> Fleet:
         axes = {"x": {**axis, "limits": {**axis["limits"], **limits}}}
         controllers[controller] = {**config, "axes": axes, "simulate": {**config["simulate"], **crystal}}
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "sync", **plain, "controllers": controllers})
+
+
+def make_light(number: int, host: str, axes: int = 4) -> dict[str, Any]:
+    """Return a light controller of several axes."""
+    limits = {"velocity": 200, "acceleration": 1000}
+    axis = {"unit": "mm", "scale": 1000, "limits": limits, "homing": {"speed": 40}}
+    names = ("x", "y", "z", "w")[:axes]
+    return {
+        "adapter": "light",
+        "host": host,
+        "link": {"kind": "process", "device": f"light-{number}"},
+        "axes": {name: {**axis, "motors": [str(motor)]} for motor, name in enumerate(names, 1)},
+    }
+
+
+def make_light_fleet(count: int, hosts: int, seed: int = 1) -> Fleet:
+    """Return a fleet of light controllers on several hosts, with crystals drawn by `seed`."""
+    draw = Random(f"light {seed}")
+    controllers: dict[str, Any] = {}
+    for number in range(count):
+        crystal = {"offset_s": draw.uniform(0, 600), "drift_ppm": draw.uniform(-DRIFT_PPM, DRIFT_PPM)}
+        config = make_light(number, f"h{number * hosts // count}")
+        controllers[f"c{number}"] = {**config, "simulate": crystal}
+    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "light", "controllers": controllers})

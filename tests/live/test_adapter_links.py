@@ -13,7 +13,7 @@ from children import LIMIT_S, Children, tell
 from adapters.link.open import make_link_opener
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link, LinkClosed, LinkRefused
-from orchestrator.model.fleet import SerialLink, TcpLink
+from orchestrator.model.links import SerialLink, TcpLink
 
 pytestmark = pytest.mark.live
 

@@ -16,7 +16,7 @@ from adapters.link.open import make_link_opener
 from orchestrator.clock.base import NS_PER_MS
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link, LinkClosed
-from orchestrator.model.fleet import TcpLink
+from orchestrator.model.links import TcpLink
 
 pytestmark = pytest.mark.live
 

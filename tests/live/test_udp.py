@@ -8,7 +8,7 @@ from children import LIMIT_S, Children
 from adapters.link.open import make_link_opener
 from orchestrator.clock.live import LiveClock, raw_ns
 from orchestrator.link.base import Link, LinkClosed
-from orchestrator.model.fleet import UdpLink
+from orchestrator.model.links import UdpLink
 
 pytestmark = pytest.mark.live
 

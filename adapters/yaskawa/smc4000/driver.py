@@ -67,7 +67,8 @@ from adapters.yaskawa.wire.session import pack_operands
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Controller, DigitalInput, SerialLink, UdpLink
+from orchestrator.model.fleet import Controller, DigitalInput, SerialLink
+from orchestrator.model.links import UdpLink
 from orchestrator.model.messages import StartOptions
 from orchestrator.model.plugins import API_VERSION
 from orchestrator.model.profile import Profile

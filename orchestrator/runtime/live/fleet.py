@@ -28,6 +28,7 @@ from orchestrator.keys.places import find_identity_folder
 from orchestrator.model.errors import Refusal
 from orchestrator.model.files.private_files import open_for_append, open_private_file, replace_private_file
 from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, group_by_link
+from orchestrator.model.links import InProcessLink
 from orchestrator.runtime.live.bridge import bridge_baud
 from orchestrator.runtime.live.killing import kill_process
 from orchestrator.runtime.live.leader_probe import find_leader
@@ -565,6 +566,8 @@ def _group_links(controllers: Mapping[str, Controller]) -> Iterator[list[list[st
     ethernet: dict[str, list[list[str]]] = {}
     for names in group_by_link(controllers):
         config = controllers[names[0]]
+        if isinstance(config.link, InProcessLink):
+            continue  # it is simulated where its adapter is
         if isinstance(config.link, SerialLink | CanBusLink):
             yield [names]
         else:

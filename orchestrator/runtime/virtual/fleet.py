@@ -40,9 +40,18 @@ from orchestrator.coordinator.leadership.environment import CoordinatorEnvironme
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import wait_for_vacancy
 from orchestrator.link.base import LinkRefused, OpenLink
-from orchestrator.link.memory import MemoryLink, MemoryWire, WireModel, can_wire, serial_wire
-from orchestrator.model.fleet import CanBusLink, Controller, Fleet, SerialLink, WireConnection, group_by_link
+from orchestrator.link.direct import DirectWire
+from orchestrator.link.memory import MemoryWire, WireLink, WireModel, can_wire, serial_wire
+from orchestrator.model.fleet import (
+    CanBusLink,
+    Controller,
+    Fleet,
+    SerialLink,
+    WireConnection,
+    group_by_link,
+)
 from orchestrator.model.jobs.parts import dump_long
+from orchestrator.model.links import InProcessLink
 from orchestrator.model.state import CertificateEnd, ControllerState
 from orchestrator.runtime.live.bridge import network_wire
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
@@ -96,7 +105,7 @@ class _RunningHost:
 
     name: str
     process: VirtualProcess
-    links: list[MemoryLink] = field(default_factory=list[MemoryLink])
+    links: list[WireLink] = field(default_factory=list[WireLink])
 
 
 class VirtualFleet:
@@ -191,7 +200,8 @@ class VirtualFleet:
         units = {name: self._make_device(self.fleet.controllers[name]) for name in names}
         line = process.run_inside(lambda: build_line(find_simulator(config.adapter), self.clock, units))
         link = config.link
-        wire = MemoryWire(
+        make_wire = DirectWire if isinstance(link, InProcessLink) else MemoryWire
+        wire = make_wire(
             clock=self.clock,
             model=_make_wire(config, line.endpoint),
             far=line.endpoint,
@@ -250,7 +260,7 @@ class VirtualFleet:
         bus = self.net.join_process(label, MAX_HOST_MESSAGE_BYTES, computer)
 
         def open_link(controller: str, config: Controller) -> OpenLink:
-            async def open_memory_link() -> MemoryLink:
+            async def open_memory_link() -> WireLink:
                 link = await self.wires[controller].open_link(clock)
                 host.links.append(link)
                 return link
