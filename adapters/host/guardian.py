@@ -132,8 +132,8 @@ class HostGuardian:
         self._starts = starts
         # Created before they are needed: their imports could fail, or take time.
         # A controller in the process of its adapter has ended with that.
-        outside = {name: config for name, config in controllers.items() if config.link.kind != "process"}
-        self._lines = stops_by_line(outside)
+        other_controllers = {name: config for name, config in controllers.items() if config.link.kind != "process"}
+        self._lines = stops_by_line(other_controllers)
         self._ended = False
         self._woken = asyncio.Event()
         self.checks = 0

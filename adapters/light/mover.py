@@ -99,9 +99,9 @@ class LightMover:
     async def wait_for_start(self) -> Mapping[str, HostInterval]:
         """Return when the axes started. Raises `ControllerFault`."""
         move = self._require_move()
-        still = HostInterval(move.t0_ns, move.t0_ns)
+        start = HostInterval(move.t0_ns, move.t0_ns)
         if not move.lowered.parts:
-            return moving_intervals(move.lowered.durations_s, still, move.t0_ns)
+            return moving_intervals(move.lowered.durations_s, start, move.t0_ns)
         bound_ns = move.mapping.bound_at_ns(move.t0_ns)
         await self._sleep_until(move.mapping.to_host_ns(move.start_tick) + bound_ns + round(move.mapping.tick_ns))
         state = await self._device.read_state()
@@ -131,12 +131,12 @@ class LightMover:
         self._move = None
         if state.move != move.number or state.move_state not in (MoveState.DONE, MoveState.STOPPED):
             raise ControllerFault("reset", "the controller has lost its move", "home it again")
-        moved = [name for name, seconds in move.lowered.durations_s.items() if seconds]
+        movers = [name for name, seconds in move.lowered.durations_s.items() if seconds]
         if state.move_state is MoveState.STOPPED:
             end = self._to_interval(state.end_tick)
-            return MoveOutcome("stopped", {**resting, **dict.fromkeys(moved, end)}, "stopped on request")
+            return MoveOutcome("stopped", {**resting, **dict.fromkeys(movers, end)}, "stopped on request")
         start = self._to_interval(state.start_tick)
-        ends = {name: _later(start, move.lowered.durations_s[name]) for name in moved}
+        ends = {name: _later(start, move.lowered.durations_s[name]) for name in movers}
         return MoveOutcome("done", {**resting, **ends})
 
     def wake(self) -> None:

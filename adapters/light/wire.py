@@ -97,8 +97,8 @@ async def read_state(link: Link) -> LightState:
     if len(data) < _STATE.size or (len(data) - _STATE.size) % _AXIS.size or data[_STATE_BYTE] > MoveState.STOPPED:
         raise ControllerFault("garbage", f"{data[:40]!r} is no state", "is it the right make?")
     ticks, power_ups, state, move, start_tick, end_tick = _STATE.unpack_from(data)
-    rest = data[_TICKS.stop :]
-    return LightState(sent_ns, received_ns, ticks, power_ups, _MOVE_STATES[state], move, start_tick, end_tick, rest)
+    body = data[_TICKS.stop :]
+    return LightState(sent_ns, received_ns, ticks, power_ups, _MOVE_STATES[state], move, start_tick, end_tick, body)
 
 
 def load_request(move: int, start_tick: int, parts: tuple[AxisPart, ...]) -> bytes:

@@ -132,6 +132,8 @@ class VirtualLoop(asyncio.AbstractEventLoop):
         self._closed = False
         self._errors: list[BaseException] = []
         self._tasks: list[asyncio.Task[Any]] = []
+        self.created_tasks = 0
+        """Number of tasks that were created in it."""
 
     @property
     def failure(self) -> BaseException | None:
@@ -270,6 +272,7 @@ class VirtualLoop(asyncio.AbstractEventLoop):
     def create_task(self, coro: Any, *, name: str | None = None, context: Context | None = None) -> Any:
         task: asyncio.Task[Any] = asyncio.Task(coro, loop=self, name=name, context=context)
         self._tasks.append(task)
+        self.created_tasks += 1
         if len(self._tasks) > 4096:
             self._tasks = [task for task in self._tasks if not task.done()]
         return task

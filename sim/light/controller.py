@@ -1,223 +1,25 @@
-"""The light controller: requests, one move, and its ground truth."""
+"""The light controller in its environment: power, connections, and the ground truth of its motion."""
 
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from struct import Struct
 from typing import NoReturn
 
 from orchestrator.clock.base import Clock
 from orchestrator.link.supply import PowerSupply
 from sim.core.controller import CommandedMotion, LimitSwitch, PortRefused, SendBytes, refuse_analog
-from sim.core.devicetime import DeviceTime
 from sim.core.oscillator import Oscillator
-from sim.light.axis import LightAxis
-from sim.light.wire import (
-    AXIS,
-    ENABLE,
-    HOME,
-    LEG,
-    LOAD,
-    LOAD_AXIS,
-    RELEASE,
-    STATE,
-    STOP,
-    AxisBit,
-    MoveState,
-    Status,
-)
-
-NS_PER_TICK = 1000
-_NOW = Struct("<cBQ")
-VERSION = b"tutti light 1"
-
-
-@dataclass(slots=True)
-class LoadedMove:
-    """A move that is loaded. legs: by axis, with its target and the ramp of a stop."""
-
-    number: int
-    start_tick: int
-    legs: dict[int, tuple[float, list[tuple[float, float]], float]]
-    state: MoveState = MoveState.LOADED
-    end_tick: int = 0
+from sim.light.machine import LightMachine
 
 
 class LightController:
-    """A controller of up to four axes. Its crystal has a rate and an offset, and does not wander."""
+    """A light controller as `SimulatedController`."""
 
     def __init__(self, clock: Clock, axes: Sequence[str], oscillator: Oscillator) -> None:
-        self._time = DeviceTime(clock, Oscillator(oscillator.offset_ns, oscillator.drift_ppm))
-        self._motions: list[CommandedMotion] = []
-        self._axes = [LightAxis(self._time, name, self._motions) for name in axes]
-        self._by_name = {axis.name: axis for axis in self._axes}
-        self._move: LoadedMove | None = None
-        self._homing: list[LightAxis] = []
-        self._at_rest: bytes | None = None
-        """What its state is but for the time, while nothing moves or will move."""
-        self._power_ups = 1
+        self.machine = LightMachine(clock, axes, oscillator)
+        self._axes = {axis.name: axis for axis in self.machine.axes}
         self._on = True
         self._supply = PowerSupply()
         self._connections: list[_Connection] = []
-        self._requests: dict[bytes, Callable[[bytes], Status]] = {
-            b"L": self._load,
-            b"G": self._release,
-            b"U": self._unload,
-            b"S": self._stop,
-            b"E": self._enable,
-            b"H": self._home,
-        }
-
-    # Requests
-
-    def answer(self, request: bytes) -> bytes:
-        """Return the reply to a request; none while its power is off."""
-        letter = request[:1]
-        if not self._on:
-            return b""
-        if letter == b"P":
-            return self._state()
-        if letter == b"I":
-            return b"I\x00" + VERSION
-        self._at_rest = None
-        act = self._requests.get(letter)
-        try:
-            return letter + bytes([Status.UNKNOWN if act is None else act(request)])
-        except struct.error:  # not as long as its request is
-            return letter + bytes([Status.UNKNOWN])
-
-    def _state(self) -> bytes:
-        now_ns = self._time.now_ns()
-        if self._at_rest is not None:
-            return _NOW.pack(b"P", 0, now_ns // NS_PER_TICK) + self._at_rest
-        self._follow(now_ns)
-        move = self._move
-        number, state, start, end = (
-            (0, MoveState.EMPTY, 0, 0) if move is None else (move.number, move.state, move.start_tick, move.end_tick)
-        )
-        parts = [STATE.pack(b"P", 0, now_ns // NS_PER_TICK, self._power_ups, state, number, start, end)]
-        for axis in self._axes:
-            position, velocity = axis.find_state(now_ns)
-            bits = AxisBit.MOVING * axis.is_moving(now_ns) | AxisBit.ENABLED * axis.enabled
-            parts.append(AXIS.pack(round(position), velocity, bits))
-        reply = b"".join(parts)
-        if not self._homing and all(axis.is_idle for axis in self._axes):
-            self._at_rest = reply[_NOW.size :]
-        return reply
-
-    def _follow(self, now_ns: int) -> None:
-        """Bring the move, and the search for the reference, up to now."""
-        if self._homing and all(axis.is_idle for axis in self._homing):
-            for axis in self._homing:
-                axis.set_position(0.0)
-            self._homing = []
-        move = self._move
-        if move is None or move.state not in (MoveState.RELEASED, MoveState.MOVING):
-            return
-        if now_ns < move.start_tick * NS_PER_TICK:
-            return
-        axes = [self._axes[index] for index in move.legs]
-        move.state = MoveState.MOVING
-        if all(axis.is_idle for axis in axes):
-            move.state = MoveState.DONE
-            move.end_tick = max(axis.end_ns for axis in axes) // NS_PER_TICK
-
-    @property
-    def _is_busy(self) -> bool:
-        self._follow(self._time.now_ns())
-        return any(not axis.is_idle for axis in self._axes)
-
-    def _load(self, request: bytes) -> Status:
-        if self._is_busy:
-            return Status.BUSY
-        number, start_tick, count = LOAD.unpack_from(request)
-        place, legs = LOAD.size, dict[int, tuple[float, list[tuple[float, float]], float]]()
-        for _ in range(count):
-            index, begin, target, ramp, leg_count = LOAD_AXIS.unpack_from(request, place)
-            place += LOAD_AXIS.size
-            if index >= len(self._axes):
-                return Status.UNKNOWN
-            axis = self._axes[int(index)]
-            if not axis.enabled:
-                return Status.DISABLED
-            if round(axis.find_state(self._time.now_ns())[0]) != begin:
-                return Status.ELSEWHERE
-            end = place + leg_count * LEG.size
-            legs[int(index)] = float(target), list(LEG.iter_unpack(request[place:end])), ramp
-            place = end
-        self._move = LoadedMove(number, start_tick, legs)
-        return Status.DONE
-
-    def _release(self, request: bytes) -> Status:
-        number, advance = RELEASE.unpack(request)
-        move = self._move
-        if move is None or move.number != number or move.state is not MoveState.LOADED:
-            return Status.EMPTY
-        start_tick = move.start_tick - advance
-        if self._time.now_ns() >= start_tick * NS_PER_TICK:
-            return Status.LATE
-        if any(not self._axes[index].enabled for index in move.legs):
-            return Status.DISABLED
-        move.start_tick, move.state = start_tick, MoveState.RELEASED
-        for index, (target, legs, _) in move.legs.items():
-            self._axes[index].start(start_tick * NS_PER_TICK, target, legs)
-        return Status.DONE
-
-    def _unload(self, request: bytes) -> Status:
-        del request
-        self._follow(self._time.now_ns())
-        move = self._move
-        if move is not None and move.state is MoveState.MOVING:
-            return Status.BUSY
-        if move is not None and move.state is MoveState.RELEASED:
-            self._brake_all(dead=False)
-        self._move = None
-        return Status.DONE
-
-    def _stop(self, request: bytes) -> Status:
-        (is_dead,) = STOP.unpack(request)
-        self._brake_all(dead=bool(is_dead))
-        return Status.DONE
-
-    def _brake_all(self, *, dead: bool) -> None:
-        now_ns = self._time.now_ns()
-        self._follow(now_ns)
-        move, self._homing = self._move, []
-        ramps = {} if move is None else {index: ramp for index, (_, _, ramp) in move.legs.items()}
-        for index, axis in enumerate(self._axes):
-            axis.brake(0.0 if dead else ramps.get(index, 0.0))
-        if move is not None and move.state in (MoveState.RELEASED, MoveState.MOVING, MoveState.LOADED):
-            move.end_tick = max([now_ns, *(self._axes[index].end_ns for index in move.legs)]) // NS_PER_TICK
-            if move.state is not MoveState.MOVING:
-                move.end_tick = now_ns // NS_PER_TICK
-            move.state = MoveState.STOPPED
-
-    def _enable(self, request: bytes) -> Status:
-        mask, is_on = ENABLE.unpack(request)
-        self._follow(self._time.now_ns())
-        for index, axis in enumerate(self._axes):
-            if mask >> index & 1:
-                if not is_on:
-                    axis.brake(0.0)
-                axis.enabled = bool(is_on)
-        return Status.DONE
-
-    def _home(self, request: bytes) -> Status:
-        mask, speed, ramp = HOME.unpack(request)
-        if self._is_busy:
-            return Status.BUSY
-        axes = [axis for index, axis in enumerate(self._axes) if mask >> index & 1]
-        if any(not axis.enabled for axis in axes):
-            return Status.DISABLED
-        self._move, self._homing = None, axes
-        now_ns = self._time.now_ns()
-        for axis in axes:
-            way = -axis.physical_position
-            position, _ = axis.find_state(now_ns)
-            axis.start(now_ns, position + way, make_trapezoid(way, speed, ramp))
-        return Status.DONE
-
-    # The physical environment, and ground truth
 
     @property
     def port_names(self) -> tuple[str, ...]:
@@ -225,7 +27,7 @@ class LightController:
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        return tuple(self._by_name)
+        return tuple(self._axes)
 
     @property
     def supply(self) -> PowerSupply:
@@ -250,16 +52,11 @@ class LightController:
         """Switch the power. Off: motion stops dead, positions are lost, connections drop."""
         if on == self._on:
             return
-        self._on, self._at_rest = on, None
-        self._supply.set_power(self._time.clock.now_ns(), on=on)
+        self._on = on
+        self._supply.set_power(self.machine.time.clock.now_ns(), on=on)
+        self.machine.set_power(on=on)
         if on:
-            self._power_ups += 1
             return
-        self._brake_all(dead=True)
-        self._move = None
-        for axis in self._axes:
-            axis.find_state(self._time.now_ns())
-            axis.set_position(0.0)
         connections, self._connections = self._connections, []
         for connection in connections:
             connection.closed()
@@ -297,26 +94,27 @@ class LightController:
         del listener
 
     def position(self, axis: str) -> float:
-        return self._by_name[axis].find_state(self._time.now_ns())[0]
+        return self._axes[axis].find_state(self.machine.time.now_ns())[0]
 
     def physical_position(self, axis: str) -> float:
-        return self._by_name[axis].physical_position
+        return self._axes[axis].physical_position
 
     def velocity(self, axis: str) -> float:
-        return self._by_name[axis].find_state(self._time.now_ns())[1] * self._time.clock_rate()
+        time = self.machine.time
+        return self._axes[axis].find_state(time.now_ns())[1] * time.clock_rate()
 
     def is_moving(self, axis: str) -> bool:
-        return self._by_name[axis].is_moving(self._time.now_ns())
+        return self._axes[axis].is_moving(self.machine.time.now_ns())
 
     def at_rest(self) -> bool:
-        return not self._is_busy
+        return not self.machine.is_busy
 
     @property
     def commanded_motions(self) -> Sequence[CommandedMotion]:
-        self._follow(self._time.now_ns())
-        for axis in self._axes:
-            axis.find_state(self._time.now_ns())
-        return sorted(self._motions, key=lambda motion: motion.start_ns)
+        now_ns = self.machine.time.now_ns()
+        for axis in self._axes.values():
+            axis.find_state(now_ns)
+        return sorted(self.machine.motions, key=lambda motion: motion.start_ns)
 
 
 @dataclass(eq=False, slots=True)
@@ -332,21 +130,12 @@ class _Connection:
         return self.controller.supply
 
     def receive_bytes(self, data: bytes) -> None:
-        reply = self.controller.answer(data)
+        reply = self.controller.machine.answer(data)
         if reply:
             self.send(reply)
 
     def close(self) -> None:
         self.controller.forget(self)
-
-
-def make_trapezoid(way: float, speed: float, ramp: float) -> list[tuple[float, float]]:
-    """Return the legs of a move from rest to rest: durations in s, accelerations in counts/s²."""
-    if way == 0.0:
-        return []
-    sign, peak = (1 if way > 0 else -1), min(speed, (abs(way) * ramp) ** 0.5)
-    ramp_s = peak / ramp
-    return [(ramp_s, sign * ramp), (abs(way) / peak - ramp_s, 0.0), (ramp_s, -sign * ramp)]
 
 
 def _refuse(what: str) -> NoReturn:

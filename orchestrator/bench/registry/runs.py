@@ -126,6 +126,12 @@ def run_permit(_: ShowProgress, rounds: int) -> Fields:
     return measure_live(lambda folder: bench_permit(gantry, folder, rounds))._asdict()
 
 
+def run_scale(show_progress: ShowProgress, controllers: int | None, hosts: int | None) -> Fields:
+    from orchestrator.bench.scale.virtual import SIZES, measure_scale
+
+    return {"rows": measure_scale(SIZES if controllers is None else [controllers], hosts, show_progress)}
+
+
 def run_sync(show_progress: ShowProgress, steps: int) -> Fields:
     from orchestrator.bench.sync import bench_sync_live
 

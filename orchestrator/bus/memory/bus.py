@@ -22,6 +22,7 @@ from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
 from orchestrator.bus.memory.network import Network
 from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
 from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
+from orchestrator.bus.memory.traffic import Uncounted
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
@@ -84,6 +85,7 @@ class MemoryNet:
         self._blocked_ways: set[tuple[str | None, str]] = set()
         self._joined = 0
         self._lossy: dict[str, float] = {}
+        self.traffic = Uncounted()  # replaced by what counts
         self.network = Network(seed)
         self.presence = PresenceBoard(self)
         self.requests = RequestBoard(self)
@@ -240,12 +242,8 @@ class MemoryNet:
             or receiver.given_up
             or _are_apart(self._sides, sender, receiver)
             or self.network.is_cut(sender, receiver)
-            or (bool(self._blocked_ways) and self._is_way_blocked(sender, receiver))
+            or (bool(self._blocked_ways) and _is_way_blocked(self._blocked_ways, sender, receiver))
         )
-
-    def _is_way_blocked(self, sender: BusProcess, receiver: BusProcess) -> bool:
-        ways = ((sender.name, receiver.name), (None, receiver.name))
-        return sender is not receiver and not self._blocked_ways.isdisjoint(ways)
 
     def is_lost(self, one: BusProcess, other: BusProcess) -> bool:
         """Whether two processes count each other as gone."""
@@ -273,6 +271,7 @@ class MemoryNet:
     # Samples
 
     def add_subscription(self, subscription: _Subscription) -> None:
+        self.traffic.count_declared(subscription.bus.name)
         self._subscriptions.append(subscription)
         self._routes.clear()
 
@@ -291,6 +290,7 @@ class MemoryNet:
         """Send a sample to all subscribers."""
         share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
         lane = (sender.name, sample.key, priority)
+        self.traffic.count_sent(sender.name, sample.key, len(sample.payload))
         for receiver, subscriptions in self._find_receivers(sample.key):
             if self.is_cut(sender, receiver) or (share and self._rng.random() < share):
                 continue
@@ -322,10 +322,16 @@ class MemoryNet:
             if priority is not Priority.ESTOP and not is_estop_key(sample.key):
                 return
             sample = sample._replace(payload=b"")
+        self.traffic.count_received(receiver.name, self.clock.now_ns())
         if receiver.hung:
             self.deliver_call(receiver, priority, partial(_call_subscriptions, subscriptions, sample))
         else:
             _call_subscriptions(subscriptions, sample)
+
+
+def _is_way_blocked(blocked_ways: set[tuple[str | None, str]], sender: BusProcess, receiver: BusProcess) -> bool:
+    ways = ((sender.name, receiver.name), (None, receiver.name))
+    return sender is not receiver and not blocked_ways.isdisjoint(ways)
 
 
 def _are_apart(sides: dict[str, int], one: BusProcess, other: BusProcess) -> bool:
@@ -397,12 +403,14 @@ class MemoryBus(RequestingBus):
 
     async def announce(self, key: str) -> BusDeclaration:
         self._check_open()
+        self.net.traffic.count_declared(self.name)
         token = PresenceToken(self.net.presence, self, check_key(key))
         self.net.presence.add_token(token)
         return token
 
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         self._check_open()
+        self.net.traffic.count_declared(self.name)
         watch = PresenceWatch(self.net.presence, self, check_expression(expression), callback)
         self.net.presence.add_watch(watch)
         return watch

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from orchestrator.bus.base import Priority
+from orchestrator.bus.memory.traffic import Uncounted
 from orchestrator.clock.base import NS_PER_MS, NS_PER_US
+from orchestrator.clock.virtual import VirtualClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +97,9 @@ class BusProcess(Protocol):
 
 class Medium(Protocol):
     """The medium, as presence and requests use it."""
+
+    clock: VirtualClock
+    traffic: Uncounted
 
     def schedule_call(self, at_ns: int, call: Callable[[], None]) -> None: ...
 

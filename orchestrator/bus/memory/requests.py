@@ -66,6 +66,7 @@ class RequestBoard:
         self._handling: dict[asyncio.Task[None], ServedExpression] = {}
 
     def add_server(self, served: ServedExpression) -> None:
+        self._net.traffic.count_declared(served.bus.name)
         self._served.append(served)
         self._serving.clear()
 
@@ -104,6 +105,7 @@ class RequestBoard:
         outcome.settled.add_done_callback(lambda _: self._questions.pop(outcome, None))
         if not asked_expressions:
             self._net.schedule_call(self._net.arrival_ns(sender, sender), outcome.end_replies)
+        self._net.traffic.count_sent(sender.name, "request", len(payload))
         for served_expression in asked_expressions:
             if not self._net.is_cut(sender, served_expression.bus):
                 at_ns = self._net.arrival_ns(sender, served_expression.bus)
@@ -112,6 +114,7 @@ class RequestBoard:
     def _receive_request(self, served: ServedExpression, question: _PendingRequest) -> None:
         if question.outcome.is_over or self._net.is_cut(question.asker, served.bus):
             return
+        self._net.traffic.count_received(served.bus.name, self._net.clock.now_ns())
         self._net.deliver_call(served.bus, Priority.EVENT, partial(self._enter_process, served, question))
 
     def _enter_process(self, served: ServedExpression, question: _PendingRequest) -> None:
@@ -150,6 +153,7 @@ class RequestBoard:
             asyncio.get_running_loop().call_exception_handler({"message": text, "exception": error})
             self._queue_reply(served, question, partial(question.outcome.add_refusal, served.bus.server, text))
         else:
+            self._net.traffic.count_sent(served.bus.name, "reply", len(payload))
             self._queue_reply(served, question, partial(question.outcome.add_reply, served.bus.server, key, payload))
 
     def cancel_answers(self, bus: BusProcess) -> None:
@@ -168,6 +172,7 @@ class RequestBoard:
     ) -> None:
         def deliver_reply() -> None:
             if not self._net.is_cut(served.bus, question.asker):
+                self._net.traffic.count_received(question.asker.name, self._net.clock.now_ns())
                 self._net.deliver_call(question.asker, Priority.EVENT, settle_request)
 
         def settle_request() -> None:

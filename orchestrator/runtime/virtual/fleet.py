@@ -24,18 +24,9 @@ from orchestrator.bus.memory.medium import BusLatency
 from orchestrator.client.api import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, NS_PER_US, sleep_ns
 from orchestrator.clock.crystal import ComputerClock
-from orchestrator.clock.executor import Executor
 from orchestrator.clock.virtual import VirtualClock, VirtualProcess
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.jobs.intake.client_keys import digest_request
-from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
-from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
-from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
-from orchestrator.coordinator.journal.sqlite.point_store import PointStore
-from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, RunCommand, run_no_command
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
 from orchestrator.coordinator.leadership.standby import wait_for_vacancy
@@ -50,12 +41,12 @@ from orchestrator.model.fleet import (
     WireConnection,
     group_by_link,
 )
-from orchestrator.model.jobs.parts import dump_long
 from orchestrator.model.links import InProcessLink
 from orchestrator.model.state import CertificateEnd, ControllerState
 from orchestrator.runtime.live.bridge import network_wire
 from orchestrator.runtime.simulated import find_timing, make_simulator_options
 from orchestrator.runtime.virtual.disk import VirtualDisk
+from orchestrator.runtime.virtual.journal import JournalCalls
 from sim.core.controller import DeviceSpec, FirmwareTiming, LineEndpoint, SimulatedController, build_line
 from sim.core.oscillator import Oscillator
 from sim.core.vectors import find_simulator
@@ -65,37 +56,6 @@ BUS_LATENCY = BusLatency(least_ns=200 * NS_PER_US, median_ns=300 * NS_PER_US, mo
 GUARDIAN_TIMEOUT_NS = 300 * NS_PER_MS  # timeout of a guardian
 RESTART_NS = 200 * NS_PER_MS
 MAX_WAKE_DELAY_NS = 60 * NS_PER_US  # largest wake-up delay of the firing process
-READ_ONLY_JOURNAL_CALLS = frozenset(
-    decision.__name__
-    for decision in (
-        SqliteJournal.list_decisions,
-        SqliteJournal.find_jobs,
-        SqliteJournal.find_referenced_jobs,
-        SqliteJournal.load_job,
-        SqliteJournal.load_job_body,
-        digest_request,
-        dump_long,
-        SqliteJournal.find_keyed_job,
-        SqliteJournal.load_recording,
-        SqliteJournal.load_report,
-        SqliteJournal.list_named_points,
-        SqliteJournal.require_latest_epoch,
-        PointRows.load_points,
-        AlarmTables.load_alarms,
-        AlarmTables.load_history,
-        AlarmTables.load_notices,
-        ApprovalTable.load_approval,
-        CommandTable.list_commands,
-        StatisticsTable.read_rows,
-        PointStore.read_rows,
-        SqliteJournal.list_reservations,
-        SqliteJournal.list_positions,
-        SqliteJournal.load_record,
-        SqliteJournal.list_transitions,
-        SqliteJournal.list_unfinished,
-    )
-)
-
 T = TypeVar("T")
 
 
@@ -142,6 +102,7 @@ class VirtualFleet:
         self.adapter_hosts: dict[str, AdapterHost] = {}
         self.coordinators: dict[str, tuple[VirtualProcess, Coordinator]] = {}
         self.coordinator_disk = VirtualDisk(clock)
+        self.journal_calls = JournalCalls(self.coordinator_disk)
         self.host_disks = {config.host: VirtualDisk(clock) for config in fleet.controllers.values()}
         self.run_command: RunCommand = run_no_command
         """Runs the command of `notify`."""
@@ -355,7 +316,7 @@ class VirtualFleet:
             keys=self.keys,
             clock=self.computers.get("", self.clock),
             journal=self.journal,
-            execute=self._make_journal_executor(),
+            execute=self.journal_calls.make_executor(),
             new_id=self.draw_id,
             sink=self.lines.append,
             save_fleet=self._save_fleet,
@@ -364,21 +325,6 @@ class VirtualFleet:
             find_free=self.coordinator_disk.find_free,
             certificate=self.certificates.get(""),
         )
-
-    def _make_journal_executor(self) -> Executor:
-        """Make the executor of a coordinator for calls of its journal; calls that write fail while its disk is full."""
-        execute = self.coordinator_disk.make_executor()
-
-        async def run_journal_call(function: Callable[..., T], *values: Any) -> T:
-            def call() -> T:
-                if self.coordinator_disk.full and function.__name__ not in READ_ONLY_JOURNAL_CALLS:
-                    text = "the journal cannot be used (database or disk is full)"
-                    raise JournalError(text, "free space on its disk")
-                return function(*values)
-
-            return await execute(call)
-
-        return run_journal_call
 
     def _save_fleet(self, fleet: Fleet) -> None:
         """Set the fleet file for hosts and coordinators that start from now on."""
