@@ -53,7 +53,8 @@ def serve(  # noqa: PLR0913
         exit_with_error(f"--ros-router {ros_router}: {OPEN}", BAD_INPUT, "give --i-know if that is so")
     names = dict(read_names(joints))
     require_extra("ros2", "rosbags")
-    from integrations.ros2.server import RosSettings, serve_ros2
+    from integrations.ros2.server import serve_ros2
+    from integrations.ros2.settings import RosSettings
     from tutti.commands import serve_fleet
 
     settings = RosSettings(router, domain, namespace.strip("/") if namespace else namespace, names, hz, tolerance)

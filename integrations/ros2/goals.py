@@ -16,7 +16,7 @@ UNKNOWN, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 0, 2, 3, 4, 5, 6
 NO_ERROR, REJECTED, UNKNOWN_GOAL, TERMINATED = range(4)
 """Return codes of action_msgs/CancelGoal."""
 
-KEPT = 100  # goals that have ended
+KEPT = 100  # goals that were accepted, and as many that were rejected
 ARMED_MORE_S = 30.0  # for which it waits armed beyond its instant
 SETTLE_S = 1.0  # for the tolerance of the goal, without a time of its own
 LOOK_S = 0.05
@@ -69,9 +69,11 @@ class GoalBook:
                 text = f"{', '.join(sorted(used_axes))}: goal {entry.id.hex()} is on it; cancel that one, or wait"
                 raise BadGoal(INVALID_GOAL, text)
         self._goals[goal.id] = goal
-        ended_ids = [entry.id for entry in self._goals.values() if not entry.is_active]
-        for goal_id in ended_ids[:-KEPT]:
-            del self._goals[goal_id]
+        is_rejected = goal.trajectory is None
+        alike = [entry for entry in self._goals.values() if (entry.trajectory is None) == is_rejected]
+        for entry in alike[:-KEPT]:
+            if not entry.is_active:
+                del self._goals[entry.id]
 
     def find_meant(self, goal_id: bytes, stamp_ns: int) -> tuple[int, list[Goal]]:
         """The goals that a request to cancel means, and the return code: by the rules of action_msgs/CancelGoal."""
@@ -163,5 +165,5 @@ def describe_report(report: StepReport) -> str:
         if bound.proven is not None:
             parts.append(f"by evidence at most {bound.proven:.3g} {bound.unit}")
     if report.budget is not None:
-        parts.append(f"starts at most {report.budget.predicted_ns / 1000:.3g} µs apart")
+        parts.append(f"start skew at most {report.budget.predicted_ns / 1e6:.3g} ms")
     return "; ".join([*parts, f"verdict {report.verdict}", *report.deviations])

@@ -1,7 +1,6 @@
 """Axes as joints: their names, and positions in metres and radians (REP 103)."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -45,12 +44,6 @@ def make_joints(axes: list[AxisInfo], names: Mapping[str, str]) -> dict[str, Joi
     if len({joint.name for joint in joints}) < len(joints):
         raise Refusal("bad-joints", "two joints have the same name", "give each a name of its own")
     return {joint.name: joint for joint in joints}
-
-
-def make_token(name: str) -> str:
-    """A name as a part of the name of a topic: letters, digits, and _; no digit first."""
-    token = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    return f"_{token}" if token[:1].isdigit() else token
 
 
 def split_ns(at_ns: int) -> dict[str, int]:

@@ -36,8 +36,8 @@ class Request:
     @classmethod
     def read(cls, query: zenoh.Query, types: MessageTypes, service: str) -> "Request":
         """Read a request. Raises `ValueError`."""
-        payload, attachment = (part and part.to_bytes() for part in (query.payload, query.attachment))
-        if not payload or not attachment or len(attachment) != ATTACHMENT.size:
+        payload, attachment = (b"" if part is None else bytes(part) for part in (query.payload, query.attachment))
+        if not payload or len(attachment) != ATTACHMENT.size:
             raise ValueError("a request needs a payload, and an attachment with sequence number, time and GID")
         sequence, _, _, gid = ATTACHMENT.unpack(attachment)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 from integrations.ros2.joints import NS_PER_S, Joint, is_finite, join_ns
@@ -154,7 +155,7 @@ def sample(rows: Sequence[Row]) -> Iterator[tuple[float, list[float]]]:
     """The instants and positions of a table: the points, and between points with velocities what the controller of
     ros2_control interpolates: a cubic, with accelerations a quintic."""
     yield rows[0].at_s, rows[0].positions
-    for begin, end in zip(rows, rows[1:], strict=False):
+    for begin, end in pairwise(rows):
         span_s = end.at_s - begin.at_s
         parts = min(SAMPLES, max(1, int(span_s / LEAST_SAMPLE_S))) if begin.velocities and end.velocities else 1
         for part in range(1, parts):

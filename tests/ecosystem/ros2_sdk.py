@@ -153,9 +153,7 @@ class Client:
         header = make(
             "std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", **split(max(0, at_s))), frame_id=""
         )
-        empty = make(
-            "std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", **split(0)), frame_id=""
-        )
+        empty = make("std_msgs/msg/Header", stamp=make("builtin_interfaces/msg/Time", **split(0)), frame_id="")
         tolerances = [
             [
                 make("control_msgs/msg/JointTolerance", name=name, position=value, velocity=more, acceleration=0.0)
@@ -197,13 +195,21 @@ class Client:
         assert response is not None
         return response.return_code, len(response.goals_canceling)
 
-    def query(self, verb: str, payload: bytes, attachment: bytes | None) -> str:
-        """Send bytes to a service; return the error that is answered."""
-        client = {"send_goal": self._send_goal}[verb]
-        for reply in self.session.session.get(client.keyexpr, payload=payload, attachment=attachment, timeout=LIMIT_S):
+    def query(self, payload: bytes, attachment: bytes | None) -> str:
+        """Send bytes to the service that takes goals; return the error that is answered."""
+        key, session = self._send_goal.keyexpr, self.session.session
+        for reply in session.get(key, payload=payload, attachment=attachment, timeout=LIMIT_S):
             if reply.err is not None:
                 return reply.err.payload.to_string()
         return ""
+
+    def ask_goal(self, goal_id: bytes, goal: Any, take: Callable[[Any], None]) -> None:
+        """Send a goal without waiting for its reply."""
+        service = self._send_goal
+        message = service.request_msg_class(goal_id=self._make_id(goal_id), goal=goal)
+        payload = bytes(self.session.store.serialize_cdr(message, service.request_store_type))
+        attachment = service._create_attachment(1, time.time_ns())
+        self.session.session.get(service.keyexpr, take, payload=payload, attachment=attachment, timeout=LIMIT_S)
 
     def _make_id(self, goal_id: bytes) -> Any:
         return self.make("unique_identifier_msgs/msg/UUID", uuid=np.frombuffer(goal_id, np.uint8))
