@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from integrations.ros2.goals import CANCELED, CANCELING, UNKNOWN, Goal, GoalBook, GoalRunner
+from integrations.ros2.goals import ABORTED, CANCELED, CANCELING, UNKNOWN, Goal, GoalBook, GoalRunner
 from integrations.ros2.joints import Joint, find_utc_ns, join_ns, split_ns
 from integrations.ros2.messages import CANCEL_GOAL, FEEDBACK, GET_RESULT, LOG, SEND_GOAL, STATUSES, TRAJECTORY
 from integrations.ros2.node import Request, RosNode
@@ -46,35 +46,31 @@ class TrajectoryAction:
 
     async def close(self) -> None:
         """Stop what the goals move."""
-        tasks = [goal.task for goal in self._book.accepted if goal.task is not None and not goal.task.done()]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._tasks.end_all()
 
     def publish_feedback(self, readings: Mapping[str, StateReading], controller: str) -> None:
         """Publish where the axes of goals are, behind a reading of a controller."""
         for goal in self._book.accepted:
-            trajectory = goal.trajectory
-            if trajectory is None or not goal.is_active or not self._feedback.is_wanted:
-                continue
-            if controller in map(controller_of, trajectory.axes):
-                self._feedback.publish(self._make_feedback(goal, trajectory.joints, readings, readings[controller]))
+            joints = goal.trajectory.joints if goal.trajectory and goal.is_active else []
+            members = {controller_of(joint.axis) for joint in joints}
+            if controller in members and members <= readings.keys() and self._feedback.is_wanted:
+                self._feedback.publish(self._make_feedback(goal, joints, readings, readings[controller]))
 
     def _make_feedback(
         self, goal: Goal, joints: list[Joint], readings: Mapping[str, StateReading], newest: StateReading
     ) -> Any:
-        states = [readings[controller_of(joint.axis)].axes[joint.axis] for joint in joints]
-        actual = np.array([state.position * joint.size for state, joint in zip(states, joints, strict=True)])
-        desired = np.array([state.commanded * joint.size for state, joint in zip(states, joints, strict=True)])
+        states = [(readings[controller_of(joint.axis)].axes[joint.axis], joint.size) for joint in joints]
+        actual = np.array([state.position * size for state, size in states])
+        setpoint = np.array([state.commanded * size for state, size in states])
         since_ns = 0 if goal.t0_ns is None or newest.read is None else max(0, newest.read.latest_ns - goal.t0_ns)
         duration = self._make("builtin_interfaces/msg/Duration", **split_ns(since_ns))
         feedback = self._make(
             f"{TRAJECTORY}_Feedback",
             header=self._make_header(find_utc_ns(newest)),
             joint_names=[joint.name for joint in joints],
-            desired=self._make_point(desired, duration),
+            desired=self._make_point(setpoint, duration),
             actual=self._make_point(actual, duration),
-            error=self._make_point(desired - actual, duration),
+            error=self._make_point(setpoint - actual, duration),
             multi_dof_joint_names=[],
             **{f"multi_dof_{name}": self._make_no_points() for name in ("desired", "actual", "error")},
         )
@@ -97,16 +93,16 @@ class TrajectoryAction:
             return
         self._respond_goal(request, now_ns, accepted=True)
         goal.task = self._tasks.spawn(self._runner.run(goal))
-        goal.task.add_done_callback(lambda _: self._note_end(goal))
+        goal.task.add_done_callback(lambda task: self._note_end(goal, task))
         self._publish_statuses()
 
     def _respond_goal(self, request: Request, now_ns: int, *, accepted: bool) -> None:
         stamp = self._make_time(now_ns)
         request.respond(self._make(f"{SEND_GOAL}_Response", accepted=accepted, stamp=stamp))
 
-    def _note_end(self, goal: Goal) -> None:
-        if goal.is_active:  # cancelled before it began
-            goal.status, goal.text = CANCELED, "cancelled before it began"
+    def _note_end(self, goal: Goal, task: "asyncio.Task[None]") -> None:
+        if goal.is_active:  # by a cancel before it began, or by a defect
+            goal.status, goal.text = (CANCELED, "cancelled") if task.cancelled() else (ABORTED, "see the server's log")
         if goal.code:
             self._write_log(ERROR, f"goal {goal.id.hex()} is aborted: {goal.text}")
         for respond in goal.waiting:
@@ -118,8 +114,8 @@ class TrajectoryAction:
         info = request.message.goal_info
         code, goals = self._book.find_meant(info.goal_id.uuid.tobytes(), join_ns(info.stamp))
         for goal in goals:
-            goal.status = CANCELING
-            if goal.task is not None:
+            if goal.status != CANCELING and goal.task is not None:
+                goal.status = CANCELING
                 goal.task.cancel()
         infos = [self._make_info(goal) for goal in goals]
         request.respond(self._make(f"{CANCEL_GOAL}_Response", return_code=code, goals_canceling=infos))
@@ -170,8 +166,8 @@ class TrajectoryAction:
         return self._make("action_msgs/msg/GoalInfo", goal_id=self._make_id(goal.id), stamp=stamp)
 
     def _make_point(self, positions: Any, duration: Any) -> Any:
-        none = np.zeros(0)
-        fields = {"velocities": none, "accelerations": none, "effort": none, "time_from_start": duration}
+        empty = np.zeros(0)
+        fields = {"velocities": empty, "accelerations": empty, "effort": empty, "time_from_start": duration}
         return self._make("trajectory_msgs/msg/JointTrajectoryPoint", positions=positions, **fields)
 
     def _make_no_points(self) -> Any:

@@ -70,8 +70,8 @@ class GoalBook:
                 raise BadGoal(INVALID_GOAL, text)
         self._goals[goal.id] = goal
         is_rejected = goal.trajectory is None
-        alike = [entry for entry in self._goals.values() if (entry.trajectory is None) == is_rejected]
-        for entry in alike[:-KEPT]:
+        goals = [entry for entry in self._goals.values() if (entry.trajectory is None) == is_rejected]
+        for entry in goals[:-KEPT]:
             if not entry.is_active:
                 del self._goals[entry.id]
 
@@ -79,13 +79,12 @@ class GoalBook:
         """The goals that a request to cancel means, and the return code: by the rules of action_msgs/CancelGoal."""
         active = [goal for goal in self.accepted if goal.is_active]
         if not any(goal_id):
-            meant = [goal for goal in active if not stamp_ns or goal.stamp_ns <= stamp_ns]
-        else:
-            meant = [goal for goal in active if goal.id == goal_id or (stamp_ns and goal.stamp_ns <= stamp_ns)]
-            if not meant:
-                named = self.find(goal_id)
-                return (UNKNOWN_GOAL if named is None or named.trajectory is None else TERMINATED), []
-        return (NO_ERROR if meant else REJECTED), meant
+            goals = [goal for goal in active if not stamp_ns or goal.stamp_ns <= stamp_ns]
+            return (NO_ERROR if goals else REJECTED), goals
+        goals = [goal for goal in active if goal.id == goal_id or (stamp_ns and goal.stamp_ns <= stamp_ns)]
+        if goals:
+            return NO_ERROR, goals
+        return (TERMINATED if goal_id in {goal.id for goal in self.accepted} else UNKNOWN_GOAL), []
 
 
 class GoalRunner:
@@ -120,9 +119,9 @@ class GoalRunner:
             if trajectory.stamp_ns and at_ns is None:
                 raise BadGoal(OLD_STAMP, "the time of the fleet is not known; send it with a stamp of 0")
             ahead_s = max(0, trajectory.stamp_ns - goal.stamp_ns) / NS_PER_S
-            armed = await live.arm(path, timeout_s=ahead_s + ARMED_MORE_S)
-            goal.t0_ns = await (armed.go() if at_ns is None else armed.go_at(at_ns))
-            report = await armed.wait()
+            armed_move = await live.arm(path, timeout_s=ahead_s + ARMED_MORE_S)
+            goal.t0_ns = await (armed_move.go() if at_ns is None else armed_move.go_at(at_ns))
+            report = await armed_move.wait()
         late_s = (report.actual_s or 0.0) - (report.planned_s or 0.0)
         if trajectory.late_s and late_s > trajectory.late_s:
             raise BadGoal(GOAL_VIOLATED, f"it has ended {late_s:.3g} s late; {trajectory.late_s:.3g} s are allowed")
@@ -134,24 +133,23 @@ class GoalRunner:
         until_s = asyncio.get_running_loop().time() + (trajectory.late_s or SETTLE_S)
         while trajectory.goal_tolerance:
             axes = await self._tutti.axes()
-            far: list[str] = []
+            misses: list[str] = []
             for joint, target in zip(trajectory.joints, trajectory.rows[-1].positions, strict=True):
                 most, position = trajectory.goal_tolerance.get(joint.axis), axes[joint.axis].position
                 off = abs(joint.find_nearest(target, position) - position)
                 if most is not None and off > most:
-                    far.append(f"{joint.name} is {off:.6g} {joint.unit} from its goal; {most:.6g} are allowed")
-            if not far:
+                    misses.append(f"{joint.name} is {off:.6g} {joint.unit} from its goal; {most:.6g} are allowed")
+            if not misses:
                 return
             if asyncio.get_running_loop().time() > until_s:
-                raise BadGoal(GOAL_VIOLATED, "; ".join(far))
+                raise BadGoal(GOAL_VIOLATED, "; ".join(misses))
             await asyncio.sleep(LOOK_S)
 
 
 def find_code(error: TuttiError) -> int:
     """The code of the action for what was refused before anything has moved."""
-    refused = error if isinstance(error, Refusal) else None
     codes = {"too-near": OLD_STAMP, "too-late": OLD_STAMP, "path-error": PATH_VIOLATED}
-    return codes.get(refused.code, INVALID_GOAL) if refused else INVALID_GOAL
+    return codes.get(error.code, INVALID_GOAL) if isinstance(error, Refusal) else INVALID_GOAL
 
 
 def describe_report(report: StepReport) -> str:

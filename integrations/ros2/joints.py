@@ -58,12 +58,12 @@ def join_ns(stamp: Any) -> int:
 
 def find_utc_ns(reading: StateReading) -> int:
     """The instant of a reading, ns since 1970."""
-    parsed = datetime.fromisoformat(reading.utc)
-    return int(parsed.replace(microsecond=0).timestamp()) * NS_PER_S + parsed.microsecond * 1000
+    instant = datetime.fromisoformat(reading.utc)
+    return int(instant.replace(microsecond=0).timestamp()) * NS_PER_S + instant.microsecond * 1000
 
 
 def find_fleet_ns(reading: StateReading, utc_ns: int) -> int | None:
-    """The fleet time at an instant of UTC, by the clock of the computer that has made a reading; None if that has none."""
+    """The fleet time at an instant of UTC, by the clock of the computer of a reading; None if that has none."""
     if reading.read is None:
         return None
     return (reading.read.earliest_ns + reading.read.latest_ns) // 2 + utc_ns - find_utc_ns(reading)

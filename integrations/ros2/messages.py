@@ -1,8 +1,8 @@
 """Types of messages: their names, hashes and CDR.
 
 Fields are those of ROS 2 Jazzy: rosbags has the common packages; those of control_msgs 5.8.0 (branch jazzy) and of the
-services of an action (rosidl) are written here. Hashes: REP 2016 (RIHS01); a service is a type with a request, a response
-and an event.
+services of an action (rosidl) are written here. Hashes: REP 2016 (RIHS01); a service is a type with a request, a
+response and an event.
 """
 
 from typing import Any

@@ -120,9 +120,9 @@ class RosNode:
 
     def _declare(self, kind: str, name: str, type_name: str, qos: str) -> tuple[str, bytes]:
         """Declare the token of a topic or a service; return its key, and the GID of what it is."""
-        described = f"{find_dds_name(type_name)}/{self.types.find_hash(type_name)}"
-        return f"{self._domain}{name}/{described}", self._declare_token(
-            next(self._ids), kind, f"/{name.replace('/', '%')}/{described}/{qos}"
+        type_words = f"{find_dds_name(type_name)}/{self.types.find_hash(type_name)}"
+        return f"{self._domain}{name}/{type_words}", self._declare_token(
+            next(self._ids), kind, f"/{name.replace('/', '%')}/{type_words}/{qos}"
         )
 
     def _declare_token(self, number: int, kind: str, ending: str) -> bytes:

@@ -11,7 +11,7 @@ from integrations.ros2.joints import NS_PER_S, Joint, find_utc_ns, make_joints, 
 from integrations.ros2.messages import JOINT_STATE, MessageTypes
 from integrations.ros2.node import RosNode, Topic, open_session
 from integrations.ros2.settings import RosSettings, fill_settings
-from tutti import StateReading, Tutti, running
+from tutti import StateReading, TaskOwner, Tutti
 from tutti.commands import ServerReady
 
 
@@ -41,12 +41,14 @@ async def serve_ros2(tutti: Tutti, settings: RosSettings) -> AsyncGenerator[Serv
                     publish_joints(topic, node.types, reading, by_axis)
                     action.publish_feedback(readings, controller)
 
-        async with running(follow()):
-            try:
-                lines = [f"joints {', '.join(joints)} on /joint_states, domain {domain}", f"action {name}"]
-                yield ServerReady(lines, {"action": name, "domain": domain, "joints": list(joints)})
-            finally:
-                await action.close()
+        tasks = TaskOwner()
+        tasks.spawn(follow())
+        try:
+            lines = [f"joints {', '.join(joints)} on /joint_states, domain {domain}", f"action {name}"]
+            yield ServerReady(lines, {"action": name, "domain": domain, "joints": list(joints)})
+        finally:
+            await tasks.end_all()
+            await action.close()
 
 
 def publish_joints(topic: Topic, types: MessageTypes, reading: StateReading, joints: Mapping[str, Joint]) -> None:

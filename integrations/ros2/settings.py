@@ -1,4 +1,4 @@
-"""What the server is told, by options and by the fleet file. It knows no protocol library."""
+"""Settings of the server, by options and by the fleet file. It knows no protocol library."""
 
 import re
 from collections.abc import Mapping

@@ -60,12 +60,12 @@ class Trajectory:
             if begin.at_s == 0 and off > self.tolerance * self.joints[0].size / joint.size:
                 text = f"joint {joint.name} stands at {start:.6g} {joint.unit}, {off:.6g} from the point at 0 s"
                 raise BadGoal(INVALID_GOAL, text)
-        still = [0.0] * len(starts)
-        rows = [Row(0.0, list(starts), still, still)]
+        zeros = [0.0] * len(starts)
+        rows = [Row(0.0, list(starts), zeros, zeros)]
         for row in self.rows[1 if begin.at_s == 0 else 0 :]:
             rows.append(replace(row, positions=[p + t for p, t in zip(row.positions, turns, strict=True)]))
         table = list(sample(rows))
-        piece = {"piece": "table", "t": [at_s for at_s, _ in table], "positions": [place for _, place in table]}
+        piece = {"piece": "table", "t": [at_s for at_s, _ in table], "positions": [positions for _, positions in table]}
         return FollowPath(axes=self.axes, tolerance=self.tolerance, start=list(starts), pieces=[piece])
 
 
@@ -114,29 +114,33 @@ def read_points(points: Sequence[Any], joints: Sequence[Joint]) -> list[Row]:
     """The points, in the units of the axes. Raises `BadGoal`."""
     if not 1 <= len(points) <= MAX_POINTS:
         raise BadGoal(INVALID_GOAL, f"{len(points)} points; give 1 to {MAX_POINTS}")
-    rows: list[Row] = []
-    for number, point in enumerate(points, 1):
-        at_s = join_ns(point.time_from_start) / NS_PER_S
-        if at_s < 0 or (rows and at_s <= rows[-1].at_s):
-            raise BadGoal(INVALID_GOAL, f"point {number} is at {at_s:.9g} s; times must increase, from 0 or later")
-        values: list[list[float]] = []
-        for name in ("positions", "velocities", "accelerations"):
-            part = getattr(point, name)
-            if len(part) != len(joints) and (len(part) or name == "positions"):
-                text = f"point {number} has {len(part)} {name} for {len(joints)} joints; give one for each"
-                raise BadGoal(INVALID_GOAL, text)
-            if not is_finite(part):
-                raise BadGoal(INVALID_GOAL, f"point {number} has {name} that are not finite")
-            values.append([float(value) / joint.size for value, joint in zip(part, joints, strict=False)])
-        if len(point.effort):
-            raise BadGoal(INVALID_GOAL, f"point {number} has effort; only positions are followed")
-        rows.append(Row(at_s, *values))
+    rows = [read_point(number, point, joints) for number, point in enumerate(points, 1)]
+    for number, row in enumerate(rows):
+        if row.at_s < 0 or (number and row.at_s <= rows[number - 1].at_s):
+            text = f"point {number + 1} is at {row.at_s:.9g} s; times must increase, from 0 or later"
+            raise BadGoal(INVALID_GOAL, text)
     for row in (rows[-1], *(rows[:1] if rows[0].at_s == 0 else [])):
         if any(row.velocities):
             raise BadGoal(INVALID_GOAL, f"velocities at {row.at_s:g} s are not 0: it begins and ends at rest")
     if rows[-1].at_s == 0:
         raise BadGoal(INVALID_GOAL, "its only point is at 0 s; give the time at which it is to be reached")
     return rows
+
+
+def read_point(number: int, point: Any, joints: Sequence[Joint]) -> Row:
+    """A point, in the units of the axes. Raises `BadGoal`."""
+    values: list[list[float]] = []
+    for name in ("positions", "velocities", "accelerations"):
+        part = getattr(point, name)
+        if len(part) != len(joints) and (len(part) or name == "positions"):
+            text = f"point {number} has {len(part)} {name} for {len(joints)} joints; give one for each"
+            raise BadGoal(INVALID_GOAL, text)
+        if not is_finite(part):
+            raise BadGoal(INVALID_GOAL, f"point {number} has {name} that are not finite")
+        values.append([float(value) / joint.size for value, joint in zip(part, joints, strict=False)])
+    if len(point.effort):
+        raise BadGoal(INVALID_GOAL, f"point {number} has effort; only positions are followed")
+    return Row(join_ns(point.time_from_start) / NS_PER_S, *values)
 
 
 def read_tolerances(
@@ -160,8 +164,8 @@ def sample(rows: Sequence[Row]) -> Iterator[tuple[float, list[float]]]:
         parts = min(SAMPLES, max(1, int(span_s / LEAST_SAMPLE_S))) if begin.velocities and end.velocities else 1
         for part in range(1, parts):
             share = part / parts
-            places = [interpolate(share, span_s, begin, end, k) for k in range(len(end.positions))]
-            yield begin.at_s + share * span_s, places
+            positions = [interpolate(share, span_s, begin, end, k) for k in range(len(end.positions))]
+            yield begin.at_s + share * span_s, positions
         yield end.at_s, end.positions
 
 
