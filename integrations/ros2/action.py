@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from integrations.ros2.goals import ABORTED, CANCELED, CANCELING, UNKNOWN, Goal, GoalBook, GoalRunner
-from integrations.ros2.joints import Joint, find_utc_ns, join_ns, split_ns
+from integrations.ros2.joints import Joint, find_read_ns, find_utc_ns, join_ns, split_ns
 from integrations.ros2.messages import CANCEL_GOAL, FEEDBACK, GET_RESULT, LOG, SEND_GOAL, STATUSES, TRAJECTORY
 from integrations.ros2.node import Request, RosNode
 from integrations.ros2.trajectory import BadGoal, read_goal
@@ -62,7 +62,8 @@ class TrajectoryAction:
         states = [(readings[controller_of(joint.axis)].axes[joint.axis], joint.size) for joint in joints]
         actual = np.array([state.position * size for state, size in states])
         setpoint = np.array([state.commanded * size for state, size in states])
-        since_ns = 0 if goal.t0_ns is None or newest.read is None else max(0, newest.read.latest_ns - goal.t0_ns)
+        read_ns = find_read_ns(newest)
+        since_ns = 0 if goal.t0_ns is None or read_ns is None else max(0, read_ns - goal.t0_ns)
         duration = self._make("builtin_interfaces/msg/Duration", **split_ns(since_ns))
         feedback = self._make(
             f"{TRAJECTORY}_Feedback",

@@ -64,9 +64,13 @@ def find_utc_ns(reading: StateReading) -> int:
 
 def find_fleet_ns(reading: StateReading, utc_ns: int) -> int | None:
     """The fleet time at an instant of UTC, by the clock of the computer of a reading; None if that has none."""
-    if reading.read is None:
-        return None
-    return (reading.read.earliest_ns + reading.read.latest_ns) // 2 + utc_ns - find_utc_ns(reading)
+    read_ns = find_read_ns(reading)
+    return None if read_ns is None else read_ns + utc_ns - find_utc_ns(reading)
+
+
+def find_read_ns(reading: StateReading) -> int | None:
+    """The instant of a reading, fleet time; None if it is not known."""
+    return None if reading.read is None else (reading.read.earliest_ns + reading.read.latest_ns) // 2
 
 
 def is_finite(values: Any) -> bool:

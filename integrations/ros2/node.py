@@ -76,7 +76,7 @@ class RosNode:
         self.types = types
         self._session = session
         self._domain = domain
-        self._names = f"%/%{namespace}/{name}" if namespace else f"%/%/{name}"
+        self._names = f"%/%{namespace.replace('/', '%')}/{name}"  # enclave, namespace, node
         self._ids = count(1)
         self._waiting = 0
         self._declared: list[Any] = []  # they end with this object

@@ -31,7 +31,9 @@ from zenoh import ext
 
 from integrations.ros2.messages import CANCEL_GOAL, GET_RESULT, SEND_GOAL, MessageTypes
 from integrations.ros2.node import MAX_WAITING
+from orchestrator.bus.zenoh.sessions import open_router
 from orchestrator.cli.main import main
+from orchestrator.runtime.live.fleet import find_free_port
 from tutti import Refusal
 from tutti.testing import LiveTestbed
 
@@ -241,6 +243,36 @@ def is_ready(fleet: LiveTestbed) -> bool:
 def test_what_the_command_refuses(words: list[str], said: str) -> None:
     done = CliRunner().invoke(main, ["ros2", "serve", *words])
     assert (done.exit_code, said in done.stderr) == (2, True), done.output
+
+
+@pytest.mark.nightly
+def test_a_router_of_its_own_a_domain_and_names(demo_fleet: LiveTestbed) -> None:
+    endpoint = f"tcp/127.0.0.1:{find_free_port()}"
+    options = ["--ros-router", endpoint, "--domain", "7", "--namespace", "cell/left", "--joint", "slide=gantry.x"]
+    config = zenoh.Config.from_json5(json.dumps({"mode": "client", "connect": {"endpoints": [endpoint]}}))
+    with open_router(endpoint), serving(demo_fleet.endpoint, *options) as (_, said), zenoh.open(config) as session:
+        assert said["action"] == "/cell/left/follow_joint_trajectory" and "slide" in said["joints"]
+        with session.declare_subscriber("7/joint_states/**") as samples:
+            types = MessageTypes()
+            while "slide" not in types.decode("sensor_msgs/msg/JointState", bytes(samples.recv().payload)).name:
+                pass
+        tokens = {str(reply.ok.key_expr) for reply in session.liveliness().get("@ros2_lv/7/**") if reply.ok}
+        (node,) = (token for token in tokens if "/NN/" in token)
+        assert node.endswith("/NN/%/%cell%left/tutti")
+
+
+@pytest.mark.nightly
+def test_another_axis_of_a_controller_in_use_is_aborted(
+    server: LiveTestbed, client: Client, feedback: Messages
+) -> None:
+    park(server)
+    goal_id, _ = client.send(client.make_goal(["gantry.x"], [(20.0, [200 * MM])]))
+    feedback.wait_for(is_of(goal_id, lambda part: part.actual.positions[0] > 11 * MM))
+    other_id, accepted = client.send(client.make_goal(["gantry.y"], [(1.0, [12 * MM])]))
+    status, code, text = client.result(other_id)
+    assert (accepted, status, code, "in use" in text) == (True, ABORTED, -1, True), text
+    client.cancel(goal_id)
+    assert client.result(goal_id)[0] == CANCELED
 
 
 @pytest.mark.nightly
