@@ -8,7 +8,7 @@ from typing import Any
 from integrations.ros2.joints import NS_PER_S, find_fleet_ns
 from integrations.ros2.trajectory import GOAL_VIOLATED, INVALID_GOAL, OLD_STAMP, PATH_VIOLATED, BadGoal, Trajectory
 from integrations.whole_fleet import describe
-from tutti import Refusal, StateReading, StepReport, Tutti, TuttiError, controller_of
+from tutti import JobFailed, Refusal, StateReading, StepFailed, StepReport, Tutti, TuttiError, controller_of
 
 UNKNOWN, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 0, 2, 3, 4, 5, 6
 """States of action_msgs/GoalStatus."""
@@ -103,8 +103,7 @@ class GoalRunner:
         except BadGoal as error:
             goal.status, goal.code, goal.text = ABORTED, error.code, str(error)
         except TuttiError as error:
-            code = PATH_VIOLATED if goal.t0_ns is not None else find_code(error)
-            goal.status, goal.code, goal.text = ABORTED, code, describe(error)
+            goal.status, goal.code, goal.text = ABORTED, find_code(error), describe(error)
         except asyncio.CancelledError:
             goal.status, goal.text = CANCELED, "cancelled"
             raise
@@ -147,9 +146,14 @@ class GoalRunner:
 
 
 def find_code(error: TuttiError) -> int:
-    """The code of the action for what was refused before anything has moved."""
-    codes = {"too-near": OLD_STAMP, "too-late": OLD_STAMP, "path-error": PATH_VIOLATED}
-    return codes.get(error.code, INVALID_GOAL) if isinstance(error, Refusal) else INVALID_GOAL
+    """The code of the action for what was refused, or has ended the motion of a goal."""
+    if isinstance(error, Refusal):
+        codes = {"too-near": OLD_STAMP, "too-late": OLD_STAMP, "path-error": PATH_VIOLATED}
+        return codes.get(error.code, INVALID_GOAL)
+    steps = (
+        [error.report] if isinstance(error, StepFailed) else error.report.steps if isinstance(error, JobFailed) else []
+    )
+    return PATH_VIOLATED if any(step.t0_fleet_ns is not None for step in steps) else INVALID_GOAL
 
 
 def describe_report(report: StepReport) -> str:

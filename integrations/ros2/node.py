@@ -10,6 +10,7 @@ import struct
 import time
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
@@ -25,28 +26,27 @@ MAX_WAITING = 1000  # requests that are not answered yet
 CONNECT_MS = 5000
 
 
+@dataclass(frozen=True, slots=True)
 class Request:
-    """A request to a service. message: what is asked."""
+    """A request to a service. message: what is asked. respond: answers it, once."""
 
-    def __init__(self, query: zenoh.Query, message: Any, respond: Callable[[Any], None]) -> None:
-        self.message = message
-        self.respond = respond
-        self._query = query
+    message: Any
+    respond: Callable[[Any], None]
 
-    @classmethod
-    def read(cls, query: zenoh.Query, types: MessageTypes, service: str) -> "Request":
-        """Read a request. Raises `ValueError`."""
-        payload, attachment = (b"" if part is None else bytes(part) for part in (query.payload, query.attachment))
-        if not payload or len(attachment) != ATTACHMENT.size:
-            raise ValueError("a request needs a payload, and an attachment with sequence number, time and GID")
-        sequence, _, _, gid = ATTACHMENT.unpack(attachment)
 
-        def respond(response: Any) -> None:
-            head = ATTACHMENT.pack(sequence, time.time_ns(), len(gid), gid)
-            query.reply(query.key_expr, types.encode(response), attachment=head)
-            query.drop()
+def read_request(query: zenoh.Query, types: MessageTypes, service: str) -> Request:
+    """Read a request. Raises `ValueError`."""
+    payload, attachment = (b"" if part is None else bytes(part) for part in (query.payload, query.attachment))
+    if not payload or len(attachment) != ATTACHMENT.size:
+        raise ValueError("a request needs a payload, and an attachment with sequence number, time and GID")
+    sequence, _, _, gid = ATTACHMENT.unpack(attachment)
 
-        return cls(query, types.decode(f"{service}_Request", payload), respond)
+    def respond(response: Any) -> None:
+        head = ATTACHMENT.pack(sequence, time.time_ns(), len(gid), gid)
+        query.reply(query.key_expr, types.encode(response), attachment=head)
+        query.drop()
+
+    return Request(types.decode(f"{service}_Request", payload), respond)
 
 
 class Topic:
@@ -105,7 +105,7 @@ class RosNode:
         def take(query: zenoh.Query) -> None:
             self._waiting -= 1
             try:
-                answer(Request.read(query, self.types, type_name))
+                answer(read_request(query, self.types, type_name))
             except ValueError as error:
                 refuse(query, str(error))
 

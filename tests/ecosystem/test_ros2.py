@@ -195,6 +195,8 @@ def test_bad_goals_move_nothing_and_say_why(server: LiveTestbed, client: Client)
         goal_id, accepted = client.send(goal)
         result = client.result(goal_id)
         assert (accepted, result[:2], said in result[2]) == (True, (ABORTED, code), True), result
+    near_id, _ = client.send(make(JOINTS, [(1.0, [0.02, 0.02])], at_s=time.time() + 0.1))
+    assert client.result(near_id)[1] == -3
     garbage = b"\x00\x01\x00\x00" + b"\xff" * 200
     assert "this is no control_msgs/action/FollowJointTrajectory_SendGoal_Request" in client.query(
         garbage, b"\x10" * 33
@@ -220,6 +222,10 @@ def test_an_estop_aborts_a_goal_and_refuses_others(server: LiveTestbed, client: 
     finally:
         server.tutti.reset()
         wait_until(lambda: is_ready(server))
+    waiting_id, _ = client.send(client.make_goal(JOINTS, [(20.0, [200 * MM, 20 * MM])], at_s=time.time() + 30))
+    wait_until(lambda: server.tutti.list_jobs(1).jobs[0].state == "running")
+    assert client.cancel(waiting_id) == (0, 1)
+    assert client.result(waiting_id)[0] == CANCELED
 
 
 def is_ready(fleet: LiveTestbed) -> bool:

@@ -1,10 +1,13 @@
 """Goals of FollowJointTrajectory as table paths, and which are meant by a request to cancel; without the protocol's
 libraries."""
 
+import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from datetime import UTC, datetime
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -19,6 +22,7 @@ from integrations.ros2.goals import (
     UNKNOWN_GOAL,
     Goal,
     GoalBook,
+    GoalRunner,
     find_code,
 )
 from integrations.ros2.joints import Joint, find_fleet_ns, find_utc_ns, make_joints
@@ -33,7 +37,17 @@ from integrations.ros2.trajectory import (
     Trajectory,
     read_goal,
 )
-from tutti import AxisInfo, FollowPath, Refusal, StateReading, TimeInterval, TuttiError
+from tutti import (
+    AxisInfo,
+    FollowPath,
+    Refusal,
+    StateReading,
+    StepFailed,
+    StepReport,
+    TimeInterval,
+    Tutti,
+    TuttiError,
+)
 
 NOW_NS = 1_800_000_000_000_000_000
 X, Y = Joint("x", "gantry.x", "mm", 1e-3), Joint("y", "gantry.y", "mm", 1e-3)
@@ -242,6 +256,74 @@ def test_goals_that_are_rejected_do_not_displace_results() -> None:
 def test_codes_of_what_is_refused_before_anything_moves(error: TuttiError, code: int) -> None:
     assert find_code(error) == code
     assert code != GOAL_VIOLATED
+
+
+def make_step(**more: Any) -> StepReport:
+    return StepReport(index=0, do="path", name="", state="done", planned_s=1.0, actual_s=1.0, **more)
+
+
+class FakeFleet:
+    """A fleet whose path is done as `outcome` says. commanded: where its axis stands."""
+
+    def __init__(self, outcome: StepReport | TuttiError, position: float = 20.0) -> None:
+        self.outcome = outcome
+        self.position = position
+        self.steps: list[FollowPath] = []
+        self.starts: list[int | None] = []
+
+    @asynccontextmanager
+    async def live(self, *_: Any, **__: Any) -> AsyncGenerator["FakeFleet"]:
+        yield self
+
+    async def axes(self) -> dict[str, Any]:
+        return {"gantry.x": SimpleNamespace(commanded=4.0, position=self.position)}
+
+    async def arm(self, step: FollowPath, *, timeout_s: float) -> "FakeFleet":
+        assert timeout_s > 0
+        self.steps.append(step)
+        return self
+
+    async def go(self) -> int:
+        return await self.go_at(None)
+
+    async def go_at(self, at_ns: int | None) -> int:
+        self.starts.append(at_ns)
+        return at_ns or 1
+
+    async def wait(self) -> StepReport:
+        if isinstance(self.outcome, TuttiError):
+            raise self.outcome
+        return self.outcome
+
+
+def run_goal(fleet: FakeFleet, stamp_ns: int = 0, **more: Any) -> Goal:
+    utc = datetime.fromtimestamp(NOW_NS / 10**9, UTC).isoformat()
+    readings = {"gantry": StateReading("gantry", "idle", {}, TimeInterval(earliest_ns=5, latest_ns=5), utc, None, 0)}
+    goal = Goal(b"1" * 16, NOW_NS, read(["x"], point(1, [0.02]), stamp_ns=stamp_ns, **more))
+    asyncio.run(GoalRunner(cast("Tutti", fleet), readings).run(goal))
+    return goal
+
+
+def test_a_goal_starts_at_once_or_at_the_fleet_time_of_its_stamp() -> None:
+    fleet = FakeFleet(make_step())
+    assert (run_goal(fleet).status, run_goal(fleet, NOW_NS + 1000).t0_ns) == (SUCCEEDED, 1005)
+    assert fleet.starts == [None, 1005]
+    assert fleet.steps[0].start == [4.0]
+
+
+@pytest.mark.parametrize(
+    ("fleet", "code", "said"),
+    [
+        (FakeFleet(make_step(), 20.2), GOAL_VIOLATED, "x is 0.2 mm from its goal; 0.1 are allowed"),
+        (FakeFleet(make_step().model_copy(update={"actual_s": 1.3})), GOAL_VIOLATED, "ended 0.3 s late; 0.02 s"),
+        (FakeFleet(StepFailed(make_step(t0_fleet_ns=7, reason="e-stop"))), PATH_VIOLATED, "e-stop"),
+        (FakeFleet(StepFailed(make_step(reason="e-stop"))), INVALID_GOAL, "e-stop"),
+        (FakeFleet(Refusal("too-near", "at 5 s", "later")), OLD_STAMP, "at 5 s; later"),
+    ],
+)
+def test_a_goal_that_is_not_reached_has_a_code_and_a_reason(fleet: FakeFleet, code: int, said: str) -> None:
+    goal = run_goal(fleet, goal_tolerance=[tolerance("x", 1e-4)], goal_time_tolerance=split(0.02))
+    assert (goal.status, goal.code, said in goal.text) == (ABORTED, code, True), goal.text
 
 
 # Times, names, settings
