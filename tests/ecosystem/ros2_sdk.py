@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from zenoh_ros2_sdk.service_client import ROS2ServiceClient
 from zenoh_ros2_sdk.session import ZenohSession
 from zenoh_ros2_sdk.subscriber import ROS2Subscriber
@@ -113,12 +112,9 @@ class Client:
             **self._place,
         )
 
-    def follow(self, topic: str, name: str, take: Callable[[Any], None], *, kept: bool = False) -> ROS2Subscriber:
-        """Subscribe to a topic. kept: also what was published before."""
-        qos = QosProfile(durability=QosDurability.TRANSIENT_LOCAL) if kept else None
-        return ROS2Subscriber(
-            topic, name, take, msg_definition=TEXTS[name], type_hash=find_hash(name), qos=qos, **self._place
-        )
+    def follow(self, topic: str, name: str, take: Callable[[Any], None]) -> ROS2Subscriber:
+        """Subscribe to a topic."""
+        return ROS2Subscriber(topic, name, take, msg_definition=TEXTS[name], type_hash=find_hash(name), **self._place)
 
     def make(self, name: str, /, **fields: Any) -> Any:
         """A message."""
