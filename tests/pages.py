@@ -4,7 +4,7 @@ import re
 import textwrap
 from pathlib import Path
 
-ECOSYSTEM_PAGES = ("how-to/serve-epics.md",)
+ECOSYSTEM_PAGES = ("how-to/serve-epics.md", "how-to/serve-ros2.md")
 """Pages whose blocks need clients of other projects: `tests/ecosystem/test_pages.py` runs them."""
 
 OWN_PAGES = ("how-to/run-a-microscope-sequence.md", "how-to/serve-opcua.md", "how-to/use-bluesky.md")

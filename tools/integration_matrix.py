@@ -16,6 +16,7 @@ ROWS = (
     ("Bluesky", "use-bluesky", "bluesky", ("bluesky", "ophyd-async", "event-model", "scanspec", "bluesky-queueserver")),
     ("EPICS", "serve-epics", "epics", ("p4p", "caproto", "aioca", "ophyd-async")),
     ("OPC UA", "serve-opcua", "opcua", ("asyncua",)),
+    ("ROS 2", "serve-ros2", "ros2", ("rosbags", "zenoh-ros2-sdk", "eclipse-zenoh")),
     ("useq-schema", "run-a-microscope-sequence", "useq", ("useq-schema",)),
     ("MQTT", "publish-by-mqtt", "mqtt", ("aiomqtt", "paho-mqtt")),
 )

@@ -652,6 +652,13 @@ class Fleet(Model):
     web: WebSettings = Field(
         default_factory=WebSettings, description="What the operators' page shows besides the fleet: cameras."
     )
+    integrations: dict[Id, dict[str, Any]] = Field(
+        default={},
+        max_length=16,
+        exclude_if=lambda sections: not sections,
+        description="Settings of servers for other clients, each under the name of its command, such as `ros2`; read "
+        "and checked by these alone.",
+    )
 
     @field_validator("controllers")
     @classmethod
@@ -738,8 +745,9 @@ class Fleet(Model):
 
     @cached_property
     def digest(self) -> str:
-        """A digest of what all processes of a fleet must have alike: all but `notify`, `web` and the simulation."""
-        plain = self.model_copy(update={"notify": None}).to_plain()
+        """A digest of what all processes of a fleet must have alike: all but `notify`, `web`, `integrations` and the
+        simulation."""
+        plain = self.model_copy(update={"notify": None, "integrations": {}}).to_plain()
         del plain["web"]  # only the page depends on it
         plain["controllers"] = {name: [config.host, config.digest] for name, config in self.controllers.items()}
         text = json.dumps(plain, sort_keys=True, separators=(",", ":"))

@@ -69,6 +69,12 @@ def find_dimension(unit: Unit) -> str:
     return _SIZE[unit][0]
 
 
+def find_si_size(unit: Unit) -> float | None:
+    """The size of a unit of length or angle in metres or radians; None for another one."""
+    base = {"length": Unit.M, "angle": Unit.RAD}.get(find_dimension(unit))
+    return None if base is None else float(convert_units(Fraction(1), unit, base))
+
+
 def convert_units(value: Fraction, of: Unit, to: Unit, owner: str = "the axis") -> Fraction:
     """Convert `value` from unit `of` to unit `to`. owner: what has that unit, for the message.
 

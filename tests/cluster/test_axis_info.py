@@ -18,6 +18,7 @@ def test_an_axis_is_described_from_the_fleet_file_with_its_offset() -> None:
         info, config = await client.axis("gantry.x"), fleet.fleet.axis("gantry.x")
         assert config.soft_limits is not None
         assert (info.name, info.make, info.motor, info.unit) == ("gantry.x", "smc4000", "X", config.unit)
+        assert info.si_size == 1e-3
         assert info.resolution == float(1 / config.scale) and 10**-info.digits <= info.resolution
         assert (info.least, info.most) == (float(config.soft_limits.min), float(config.soft_limits.max))
         assert (info.velocity, info.acceleration) == (config.limits.velocity, config.limits.acceleration)

@@ -29,6 +29,7 @@ def test_the_blocks_of_a_page_work(demo_fleet: LiveTestbed, tmp_path: Path, page
         script = re.sub(rf":{port}\b", f":{free_port}", script)
         option = {"5075": "--pva-port", "5064": "--ca-port"}[port]
         script = script.replace("tutti epics serve", f"tutti epics serve {option} {free_port}")
+    script = script.replace("tcp/127.0.0.1:7447", demo_fleet.endpoint)
     environment = os.environ | {
         "PATH": f"{tmp_path}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "PYTHONPATH": str(ROOT),

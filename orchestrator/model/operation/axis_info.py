@@ -5,7 +5,7 @@ from math import ceil, log10
 
 from orchestrator.model.fleet import Axis
 from orchestrator.model.state import AxisState, ControllerInfo, RetargetAbility
-from orchestrator.model.units import parse_quantity
+from orchestrator.model.units import find_si_size, parse_quantity
 
 MAX_DIGITS = 12
 
@@ -19,6 +19,7 @@ class AxisInfo:
     user positions as of now (the soft limits plus the offset); None: it has no soft limits, or is endless (`wrap`).
     velocity, acceleration, jerk: limits, in its unit per second (², ³); jerk None: it is planned with trapezoids. wrap:
     the length of a turn. referenced: whether its position counts from its reference. description: from the fleet file.
+    si_size: of its unit, in metres or radians; None for a unit of neither.
     retarget: how it gets another target on the way, and the most time from a request until its set-points change; where
     several controllers move together, they brake.
     """
@@ -39,6 +40,7 @@ class AxisInfo:
     referenced: bool
     description: str
     retarget: RetargetAbility
+    si_size: float | None = None
 
 
 def describe_axis(name: str, axis: Axis, axis_now: AxisState, info: ControllerInfo) -> AxisInfo:
@@ -65,4 +67,5 @@ def describe_axis(name: str, axis: Axis, axis_now: AxisState, info: ControllerIn
         referenced=axis_now.referenced,
         description=axis.description,
         retarget=info.retarget_ability,
+        si_size=find_si_size(axis.unit),
     )

@@ -1,5 +1,6 @@
 """Units are exact, and profiles describe their motion."""
 
+import math
 import random
 from fractions import Fraction
 from typing import Literal
@@ -9,7 +10,7 @@ import pytest
 from orchestrator.model.axis_units import SoftLimits
 from orchestrator.model.fleet import Axis, AxisLimits
 from orchestrator.model.profile import Profile
-from orchestrator.model.units import Unit, UnitError, parse_quantity
+from orchestrator.model.units import Unit, UnitError, find_si_size, parse_quantity
 from orchestrator.plan.targets import explain_beyond_limits
 
 
@@ -22,6 +23,23 @@ def test_quantities_are_exact() -> None:
         parse_quantity("1 deg", Unit.MM)
     with pytest.raises(UnitError, match="unknown unit 'parsec'"):
         parse_quantity("1 parsec", Unit.MM)
+
+
+@pytest.mark.parametrize(
+    ("unit", "size"),
+    [
+        (Unit.M, 1.0),
+        (Unit.UM, 1e-6),
+        (Unit.INCH, 0.0254),
+        (Unit.RAD, 1.0),
+        (Unit.DEG, math.pi / 180),
+        (Unit.REV, 2 * math.pi),
+        (Unit.COUNTS, None),
+        (Unit.KEV, None),
+    ],
+)
+def test_units_of_lengths_and_angles_in_metres_and_radians(unit: Unit, size: float | None) -> None:
+    assert find_si_size(unit) == size
 
 
 def test_soft_limits_round_inwards_whatever_the_sign() -> None:

@@ -103,3 +103,12 @@ def test_the_policy_names_each_origin_for_its_kind_alone() -> None:
     assert parts.pop("img-src") == "'self' data: blob: http://cam"
     assert parts.pop("frame-src") == "https://media.lab:8889"
     assert parts == dict(part.strip().partition(" ")[::2] for part in plain.split(";") if "img-src" not in part)
+
+
+def test_settings_of_integrations_are_no_difference_either() -> None:
+    text = FLEET + "integrations:\n  ros2: {domain: 7, joints: {a: gantry.x}}\n"
+    fleet = parse_document(text, Fleet, "f.yaml")
+    assert fleet.integrations == {"ros2": {"domain": 7, "joints": {"a": "gantry.x"}}}
+    assert (fleet.digest, "integrations" in load().to_plain()) == (load().digest, False)
+    with pytest.raises(FileError, match="integrations"):
+        parse_document(FLEET + "integrations: {ros2: 7}\n", Fleet, "f.yaml")
