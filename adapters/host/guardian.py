@@ -9,7 +9,6 @@ import argparse
 import asyncio
 import contextlib
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -29,6 +28,7 @@ from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
 from orchestrator.clock.service_manager import ServiceManager
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.fleet import Controller
 
@@ -263,8 +263,7 @@ async def _run_guardian(
 
     starts = SupervisedStarts(chosen.host, log, announce)
     guardian = HostGuardian(_child_arguments(chosen), controllers, chosen.hung_ms * NS_PER_MS, log, starts)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, guardian.request_end)
+    call_at_signals(guardian.request_end)
     # It watches its child whether the router is there or not.
     latch = chosen.state / f"guardian-{chosen.host}.estop"
     keeping = TaskOwner(lambda error, _: _report_latch_end(error, log))

@@ -13,7 +13,6 @@ import asyncio
 import contextlib
 import logging
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -38,6 +37,7 @@ from orchestrator.clock.executor import ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import wait_for_first
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.fleet import Controller, Fleet
 from orchestrator.model.jobs.files import FileError, parse_file, read_file
@@ -170,8 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 async def _run_host(chosen: argparse.Namespace, fleet: Fleet, sink: LogSink) -> None:
     loop, clock, end, guardian_loss = asyncio.get_running_loop(), LiveClock(), asyncio.Event(), asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, end.set)
+    call_at_signals(end.set)
     log = ProcessLog("host", chosen.host, clock, sink)
     loop.set_exception_handler(lambda _, context: _log_defect(log, context))
     logging.getLogger().addHandler(_LogForwarder(log))

@@ -14,6 +14,7 @@ from typing import Any
 
 from orchestrator.bus.handshake import NO_CHECK_TIME, name_reason, read_instant, shake_hands
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.files.private_files import HAS_MODES
 
 AUTHORITY_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "cert.pem", "key.pem"
 VARIABLE = "TUTTI_IDENTITY"
@@ -85,7 +86,7 @@ def read_identity(folder: Path) -> Identity:
         except OSError as error:
             text = f"{path}: {error.strerror}; an identity is the folder that `tutti keys add-…` makes"
             raise BadIdentity(text) from None
-        if name == KEY_FILE and stat.S_IMODE(mode) & 0o077:
+        if HAS_MODES and name == KEY_FILE and stat.S_IMODE(mode) & 0o077:
             raise BadIdentity(f"{path} can be read by other users; `chmod 600 {path}`")
     certificate = _shake_hands(folder)
     try:

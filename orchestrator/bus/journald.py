@@ -6,6 +6,7 @@
 import json
 import os
 import socket
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -45,8 +46,8 @@ def encode_fields(entry: Mapping[str, Any]) -> bytes:
 
 
 def is_wanted(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether lines go to the journal, too."""
-    return environment.get("TUTTI_LOG") == WANTED
+    """Whether lines go to the journal, too. Only Linux has it."""
+    return sys.platform == "linux" and environment.get("TUTTI_LOG") == WANTED
 
 
 def _make_name(name: str) -> str:

@@ -1,17 +1,20 @@
 """The file that log lines are written to, live."""
 
-import fcntl
 import json
 import os
+import sys
 from contextlib import suppress
 from pathlib import Path
 
 from orchestrator.bus.journald import JournalSender, is_wanted
 from orchestrator.bus.log import LogSink
+from orchestrator.model.files.locks import lock_file
 from orchestrator.model.files.private_files import open_for_append, open_private_file, replace_private_file
 
 MAX_LOG_BYTES = 10_000_000  # of one file, before it is rotated
 KEPT_LOGS = 3  # rotated files that are kept: PATH.1 is the newest
+_RENAMES_OPEN_FILES = sys.platform != "win32"
+"""Where an open file keeps its name, it is rotated only before it is opened."""
 
 
 class LogFile:
@@ -25,6 +28,9 @@ class LogFile:
         """Open the file at `path`, and create its folder. Raises `UnsafePath`, `OSError`."""
         self._path = path
         self._max_bytes = max_bytes
+        if not _RENAMES_OPEN_FILES:
+            with suppress(PermissionError):  # another process appends to it
+                rotate_if_large(path)
         self._fd = open_for_append(path)
         self._lost = 0
         self._cause = ""
@@ -56,9 +62,9 @@ class LogFile:
         status = os.fstat(self._fd)
         if not self._is_present(status):
             self._open_again()
-        elif status.st_size >= self._max_bytes:
+        elif status.st_size >= self._max_bytes and _RENAMES_OPEN_FILES:
             # One of the processes rotates it; the others find that it is done.
-            fcntl.flock(self._fd, fcntl.LOCK_EX)
+            lock_file(self._fd)
             if self._is_present(status):
                 rotate_files(self._path)
             self._open_again()

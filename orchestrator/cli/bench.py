@@ -17,6 +17,7 @@ from orchestrator.cli.base.codes import FAILED
 from orchestrator.cli.base.common import console, print_json
 from orchestrator.cli.base.errors import exit_with_error, expected_errors
 from orchestrator.cli.base.root import RootGroup
+from orchestrator.cli.base.systems import require_linux
 
 _JSON_OPTION = click.Option(["--json", "as_json"], is_flag=True, help="Print JSON for programs, errors too.")
 
@@ -58,6 +59,7 @@ def _make_command(benchmark: Benchmark) -> click.Command:
     """Make the command of a benchmark."""
 
     def run_benchmark(*, as_json: bool, **options: Any) -> None:
+        require_linux("a benchmark", "run it on the computer of the fleet, which it measures")
         document = _run_guarded(benchmark, as_json=as_json, options=options)
         if as_json:
             print_json(_to_plain(document))

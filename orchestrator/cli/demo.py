@@ -1,7 +1,6 @@
 """`tutti demo`: a job on a simulated fleet, from the start of all processes to the report."""
 
 import asyncio
-import signal
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,9 @@ from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.common import console, json_option, print_json, utc_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
 from orchestrator.cli.base.pictures import picture_option
+from orchestrator.cli.base.systems import require_linux
 from orchestrator.cli.view.path_demo import run_path
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.model.steps.numbers import name_step, number_step
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ def demo(
     if as_path or out is not None:
         run_path(out, wanted=as_path, as_json=as_json)
         return
+    require_linux("a fleet", "`tutti demo --path` runs here: one in virtual time")
     from orchestrator.model.jobs.files import load_fleet
     from orchestrator.model.report import JobReport
     from orchestrator.model.templates.template import load_job
@@ -75,7 +77,7 @@ def demo(
     async def run_demo() -> "tuple[JobReport, list[VerdictCheck]]":
         name = "demo" if which == "two" else which
         fleet, job = load_fleet(find_example(f"{name}.fleet.yaml")), load_job(find_example(f"{name}.job.yaml"))
-        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, _exit_interrupted)
+        call_at_signals(_exit_interrupted, ("SIGTERM",))
         with tempfile.TemporaryDirectory(prefix="tutti-demo-") as folder:
             live = LiveFleet(fleet, keep or Path(folder), print_line, FleetRun.make_simulated(find_free_port()))
             await live.start()

@@ -5,8 +5,6 @@ which the rest of the process must not stop; one that would hold the interpreter
 
 import asyncio
 import os
-import resource
-import signal
 import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -17,6 +15,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from orchestrator.clock.collection import CollectionPause, return_memory
 from orchestrator.clock.parent import prepare_worker
+from orchestrator.clock.process_limits import end_after, limit_memory
 from orchestrator.clock.realtime import reset_priority
 from orchestrator.model.errors import Refusal
 
@@ -141,11 +140,11 @@ def _too_much(limits: WorkLimits) -> Refusal:
 
 def _run_in_time(call_s: int, function: Callable[..., T], values: tuple[Any, ...]) -> T:
     """A call in the process: the kernel ends it when it takes too long, whatever it does."""
-    signal.alarm(call_s)
+    end_after(call_s)
     try:
         return function(*values)
     finally:
-        signal.alarm(0)
+        end_after(0)
         return_memory()
 
 
@@ -153,4 +152,4 @@ def _prepare_process(parent_pid: int, max_bytes: int) -> None:
     """It takes neither the priority of its parent nor all memory."""
     prepare_worker(parent_pid)
     reset_priority()
-    resource.setrlimit(resource.RLIMIT_AS, (max_bytes, max_bytes))
+    limit_memory(max_bytes)

@@ -1,11 +1,14 @@
-"""The live clock: this machine's `CLOCK_MONOTONIC_RAW`, and the running asyncio loop for calls."""
+"""The live clock: this machine's `CLOCK_MONOTONIC_RAW`, on Windows its performance counter, and the running asyncio
+loop for calls."""
 
 import asyncio
 import gc
 import sys
 import time
+import uuid
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S
@@ -18,9 +21,18 @@ def raw_ns() -> int:
     return time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW)
 
 
+if sys.platform == "win32":
+    raw_ns = time.perf_counter_ns
+
+
+@cache
 def boot_id() -> str:
-    """Return the id of this boot of this kernel: processes with the same one share `raw_ns` exactly."""
-    return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    """Return the id of this boot of this kernel: processes with the same one share `raw_ns` exactly. Where the kernel
+    states none, as on Windows and macOS, it is one of this process alone, as of one on another computer."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except FileNotFoundError:
+        return uuid.uuid4().hex
 
 
 THREAD_SWITCH_S = 0.0005

@@ -41,7 +41,7 @@ def set_realtime_priority(priority: RealtimePriority, *, children: bool = True) 
         policy = os.SCHED_RR if children else os.SCHED_RR | os.SCHED_RESET_ON_FORK
         os.sched_setscheduler(0, policy, os.sched_param(priority))
     except (OSError, AttributeError):
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, AttributeError):
             os.nice(-2 * priority)
         return False
     return True

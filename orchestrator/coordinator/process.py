@@ -9,7 +9,6 @@ import argparse
 import asyncio
 import contextlib
 import shutil
-import signal
 import sys
 import uuid
 from pathlib import Path
@@ -30,6 +29,7 @@ from orchestrator.clock.owner import running, wait_for_first
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority, yield_priority
 from orchestrator.clock.service_manager import ServiceManager
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.coordinator.alarms.command_process import run_command_process
 from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.journal.records import JournalError
@@ -49,9 +49,8 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
     """Lead until the process is to end; return the exit code. urgent: whether it has real-time priority."""
     fleet = load_fleet(options.fleet)
     bus = await open_bus(options.connect, max_message_bytes=MAX_COORDINATOR_MESSAGE_BYTES)
-    loop, end = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, end.set)
+    end = asyncio.Event()
+    call_at_signals(end.set)
     try:
         if options.standby:
             _print_ready()

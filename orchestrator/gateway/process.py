@@ -5,8 +5,6 @@ bad input, or no port; 3 the bus cannot be reached.
 """
 
 import argparse
-import asyncio
-import signal
 import sys
 import uuid
 from collections.abc import Callable
@@ -29,6 +27,7 @@ from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.service_manager import ServiceManager
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.gateway.access.users import UserFile
 from orchestrator.gateway.app import Gateway, GatewayOptions
 from orchestrator.gateway.certificate import WebCertificate, read_web_certificate
@@ -77,10 +76,8 @@ async def serve_gateway(place: GatewayPlace, on_ready: Callable[[str], None]) ->
         options = GatewayOptions(port, *files, secure=secure, names=names, decode=decode, check=check)
         gateway = Gateway(Tutti(bus, place.fleet, "gateway"), clock, log, execute, options)
         server = make_server(gateway.app, context, log.warning)
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            # The server has handlers of its own while it runs; the signal comes here afterwards.
-            loop.add_signal_handler(number, lambda: None)
+        # The server has handlers of its own while it runs; the signal comes here afterwards.
+        call_at_signals(lambda: None)
         await gateway.start()
         prepare_live_process()
         await bus.announce(keys.live("gateway", uuid.uuid4().hex[:8], "1"))

@@ -2,7 +2,6 @@
 
 import asyncio
 import errno
-import resource
 import socket
 import ssl
 from asyncio.sslproto import SSLProtocol
@@ -14,6 +13,7 @@ from starlette.types import ASGIApp
 from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from orchestrator.clock.process_limits import allow_open_files
 from orchestrator.gateway.connections import GRACE_S, Connection, ConnectionTable
 from orchestrator.gateway.guard import CONNECTION, MAX_BODY_BYTES, MAX_HEADER_BYTES
 from orchestrator.gateway.stream.socket import MAX_FRAME_CHARS
@@ -207,8 +207,7 @@ def make_server(
 ) -> Server:
     """The server of an application. context: for TLS. note: called with a line for the log."""
     SSLProtocol.max_size = TLS_BUFFER_BYTES
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, MAX_FILES) if most >= 0 else MAX_FILES, most))
+    allow_open_files(MAX_FILES)
     config = Config(
         app,
         http="h11",

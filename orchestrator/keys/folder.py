@@ -7,7 +7,6 @@
 An identity is made here and handed over as a folder. Everything is for its owner alone (folders 0700, files 0600).
 """
 
-import fcntl
 import os
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -21,6 +20,7 @@ from orchestrator.keys.names import KeyName, Role
 from orchestrator.keys.places import IDENTITIES
 from orchestrator.keys.register import REGISTER_FILE, Register, RegisterEntry, read_register, write_register
 from orchestrator.model.errors import Refusal
+from orchestrator.model.files.locks import lock_file
 from orchestrator.model.files.private_files import (
     make_private_folder,
     open_private_file,
@@ -118,6 +118,6 @@ class KeyFolder:
             lock = open_private_file(self.folder / _LOCK, os.O_RDWR | os.O_CREAT)
         except FileNotFoundError:
             raise Refusal("no-keys", f"{self.folder} is no folder", "make it: `tutti keys init`") from None
-        with os.fdopen(lock, "w") as lock_file:
-            fcntl.flock(lock_file, fcntl.LOCK_EX)
+        with os.fdopen(lock, "wb"):
+            lock_file(lock)
             yield

@@ -6,6 +6,7 @@ with live_fleet("lab.fleet.yaml") as fleet:
 
 import asyncio
 import json
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Coroutine
@@ -269,7 +270,10 @@ def live_fleet(fleet: Path | str | Fleet, *, check: bool = True) -> LiveTestbed:
     """A simulated fleet of processes on free ports of this computer, from a fleet file or a `Fleet`; use it as a
     context.
 
-    check: check at the end that no job runs and nothing moves. Raises `FileError` with every mistake of the file.
+    check: check at the end that no job runs and nothing moves. Raises `FileError` with every mistake of the file, and
+    `BadTest` on another system than Linux.
     """
+    if sys.platform != "linux":
+        raise BadTest("a fleet of processes can be had on Linux only; `virtual_fleet` is one in virtual time")
     checked_fleet = check_fleet(fleet) if isinstance(fleet, Fleet) else load_checked_fleet(Path(fleet))
     return LiveTestbed(checked_fleet, check=check)

@@ -13,7 +13,6 @@ import errno
 import json
 import os
 import selectors
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,8 +20,10 @@ from typing import TextIO
 
 from pydantic import ValidationError
 
+from orchestrator.clock.input_thread import read_in_thread
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.model.errors import TuttiError
 from orchestrator.model.files.private_files import FILE_MODE, make_private_folder, open_for_append, open_private_file
 from orchestrator.model.problems import describe_first_error
@@ -93,8 +94,7 @@ async def _run_links(links: Sequence[argparse.Namespace]) -> None:
     task = asyncio.current_task()
     assert task is not None
     # Set before the ready line is printed: its reader may end this process at once.
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    call_at_signals(task.cancel)
     clock = LiveClock()
     with contextlib.suppress(asyncio.CancelledError), contextlib.ExitStack() as cleanup:
         lines = await _standard_input()
@@ -134,6 +134,9 @@ async def _standard_input() -> asyncio.StreamReader:
     """Open standard input as lines."""
     reader = asyncio.StreamReader()
     try:
+        if sys.platform == "win32":
+            read_in_thread(sys.stdin.fileno(), lambda data: reader.feed_data(data) if data else reader.feed_eof())
+            return reader
         await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
     except (OSError, ValueError):
         raise CannotStart("standard input must be a pipe or a terminal: the simulator ends when it is closed") from None
@@ -143,6 +146,8 @@ async def _standard_input() -> asyncio.StreamReader:
 async def _named_pipe(path: Path) -> asyncio.StreamReader:
     """Open a named pipe as lines. It is opened for writing too, so that it does not end with its first writer."""
     reader = asyncio.StreamReader()
+    if sys.platform == "win32":
+        raise CannotStart("--world: there are no named pipes in folders of Windows")
     try:
         make_private_folder(path.parent)
         path.unlink(missing_ok=True)
@@ -175,6 +180,8 @@ def _build_devices(model: str, requested: Sequence[DeviceFields], clock: LiveClo
 
 async def _serve_endpoint(chosen: argparse.Namespace, controller: LineEndpoint, clock: LiveClock) -> Server:
     address = chosen.listen
+    if isinstance(address, PtyAddress) and sys.platform == "win32":
+        raise CannotStart("--listen: there are no pseudo-terminals on Windows")
     try:
         if isinstance(controller, CanDevice):
             if not isinstance(address, PtyAddress):

@@ -7,7 +7,6 @@ open too, so that clients may come and go; a new client flushes the bytes that i
 import asyncio
 import contextlib
 import os
-import tty
 from pathlib import Path
 
 from orchestrator.clock.base import NS_PER_S, Clock
@@ -39,6 +38,8 @@ class PtyServer:
         self._far: PortConnection | None = controller.connect(PORT, self._out.queue_bytes, self._handle_disconnect)
         self._loop = asyncio.get_running_loop()
         self._reading = False
+        import tty  # which Windows does not have, where simulators on Ethernet run too
+
         self._master, self._slave = os.openpty()
         try:
             tty.setraw(self._slave)

@@ -5,8 +5,6 @@ in FILE: it runs on while everything else of a fleet restarts. Exit code 4: the 
 """
 
 import asyncio
-import resource
-import signal
 import sys
 from pathlib import Path
 
@@ -14,7 +12,9 @@ from orchestrator.bus.zenoh.kept_latch import keep_latch
 from orchestrator.bus.zenoh.sessions import RouterRefused, open_router
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.parent import die_with_parent
+from orchestrator.clock.process_limits import allow_open_files
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.clock.signals import call_at_signals
 
 EXIT_ENDPOINT_IN_USE = 4
 MAX_FILES = 8192
@@ -35,8 +35,7 @@ def run_router(endpoint: str, parent_pid: int, latch: tuple[str, Path] | None = 
 
 async def _route(endpoint: str, latch: tuple[str, Path] | None) -> None:
     ended_event = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, ended_event.set)
+    call_at_signals(ended_event.set)
     with open_router(endpoint):
         sys.stdout.write("ready\n")
         sys.stdout.flush()
@@ -56,9 +55,7 @@ def prepare_router_process() -> None:
     """Real-time priority, and as many open files as this user may have: each connection is one, also one that says
     nothing."""
     set_realtime_priority(RealtimePriority.BUS)
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted_files = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (wanted_files, most))
+    allow_open_files(MAX_FILES)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Commands that serve a fleet to other clients until they are interrupted."""
 
 import asyncio
-import signal
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from typing import Any
 from orchestrator.cli.base.common import console, print_json
 from orchestrator.cli.base.errors import run_main
 from orchestrator.client import Tutti
+from orchestrator.clock.signals import call_at_signals
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,8 @@ def serve_fleet(connect: str, fleet: str | None, actor: str, start: ServerStart,
     has begun ends with it. Prints what `start` says when it is ready, as one JSON object with `as_json`."""
 
     async def serve() -> None:
-        end_event, loop = asyncio.Event(), asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, end_event.set)
+        end_event = asyncio.Event()
+        call_at_signals(end_event.set)
         async with Tutti(connect, fleet, actor=actor) as tutti, start(tutti) as ready:
             if as_json:
                 print_json({"fleet": tutti.keys.fleet, **ready.fields})

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import json
-import signal
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ from orchestrator.cli.base.common import console
 from orchestrator.cli.estop.button import EstopButton, FindLatched
 from orchestrator.cli.estop.triggers import TriggerLost, watch_port, watch_standard_input
 from orchestrator.clock.realtime import RealtimePriority, set_realtime_priority
+from orchestrator.clock.signals import call_at_signals
 
 CONNECT_S = 1.0  # of one try
 
@@ -36,8 +36,7 @@ async def run_armed(options: ArmedOptions, new_event: Callable[[], tuple[str, st
     """Keep the button armed until SIGINT or SIGTERM. Raises `TriggerLost` when nothing can press it any more."""
     loop, end, lost_event, opened_buses = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event(), list[ZenohBus]()
     set_realtime_priority(RealtimePriority.BUS)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    call_at_signals(end.set)
 
     def report(kind: str, text: str) -> None:
         if options.as_json:

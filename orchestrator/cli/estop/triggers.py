@@ -4,11 +4,10 @@ import asyncio
 import contextlib
 import os
 import sys
-import termios
-import tty
 from collections.abc import Callable, Generator
 
 from adapters.link.serial import open_serial
+from orchestrator.cli.base.terminal import watch_input
 from orchestrator.cli.estop.button import WIRED, Report
 from orchestrator.clock.live import LiveClock
 from orchestrator.link.base import LinkClosed, LinkRefused
@@ -40,26 +39,20 @@ class LineSplitter:
 def watch_standard_input(press: Callable[[], None], lost: asyncio.Event) -> Generator[str]:
     """Press the button at a key, or at a line if standard input is no terminal; set `lost` when it ends. Gives what
     presses it, in words. Raises `TriggerLost`."""
-    fd, loop, lines = sys.stdin.fileno(), asyncio.get_running_loop(), LineSplitter()
+    fd, lines = sys.stdin.fileno(), LineSplitter()
     terminal = os.isatty(fd)
 
-    def read_input() -> None:
-        data = os.read(fd, 4096)
+    def take_input(data: bytes) -> None:
         if not data:
-            loop.remove_reader(fd)
             lost.set()
         elif terminal or lines.has_line(data):
             press()
 
     with contextlib.ExitStack() as restore:
-        if terminal:
-            restore.callback(termios.tcsetattr, fd, termios.TCSADRAIN, termios.tcgetattr(fd))
-            tty.setcbreak(fd)
         try:
-            loop.add_reader(fd, read_input)
+            restore.enter_context(watch_input(fd, take_input))
         except OSError:
             raise TriggerLost("standard input must be a terminal or a pipe, or give a serial port: --port") from None
-        restore.callback(loop.remove_reader, fd)
         yield "any key" if terminal else "a line of text"
 
 

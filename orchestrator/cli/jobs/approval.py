@@ -10,7 +10,7 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, print_result, with_fleet
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import job_argument, name_jobs
-from orchestrator.cli.base.words import confirm_shown
+from orchestrator.cli.base.terminal import confirm_shown
 from orchestrator.model.steps.numbers import number_step
 
 if TYPE_CHECKING:

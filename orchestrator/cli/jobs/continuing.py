@@ -10,7 +10,7 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.errors import errors, exit_with_error
 from orchestrator.cli.base.jobs import job_argument
-from orchestrator.cli.base.words import confirm_shown
+from orchestrator.cli.base.terminal import confirm_shown
 from orchestrator.cli.jobs.terms import print_accepted
 
 if TYPE_CHECKING:

@@ -1,6 +1,5 @@
 """Follow a job to its end on the screen."""
 
-import asyncio
 import sys
 import time
 
@@ -8,7 +7,7 @@ from rich.live import Live
 
 from orchestrator.cli.base.common import can_redraw, console
 from orchestrator.cli.base.errors import errors
-from orchestrator.cli.base.words import forget_typed_ahead
+from orchestrator.cli.base.terminal import forget_typed_ahead, wait_for_line
 from orchestrator.client import Tutti
 from orchestrator.client.ready import ReadyToBegin
 from orchestrator.model.errors import Refusal
@@ -43,13 +42,7 @@ async def _ask_to_begin(preview: StartPreview) -> bool:
         errors.print(line, highlight=False, markup=False, soft_wrap=True)
     errors.print("what it waited for is gone: Enter begins, Ctrl-C leaves", highlight=False, markup=False)
     forget_typed_ahead()
-    loop, line_event = asyncio.get_running_loop(), asyncio.Event()
-    loop.add_reader(sys.stdin, line_event.set)
-    try:
-        await line_event.wait()
-    finally:
-        loop.remove_reader(sys.stdin)
-    return bool(sys.stdin.readline())
+    return await wait_for_line()
 
 
 async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobReport:

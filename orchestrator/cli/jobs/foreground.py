@@ -6,12 +6,12 @@ what still moves. When the process itself is gone, its session ends, and the fle
 
 import asyncio
 import contextlib
-import signal
 from collections.abc import Coroutine, Generator
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from orchestrator.cli.base.codes import FAILED, INTERRUPTED
 from orchestrator.cli.base.errors import errors
+from orchestrator.clock.signals import TERMINAL_SIGNALS, calls_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 STOP_S = 3.0  # for the stop to be accepted, beyond which it counts as not sent
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Interrupts:
@@ -46,14 +45,9 @@ class Interrupts:
 @contextlib.contextmanager
 def count_interrupts() -> Generator[Interrupts]:
     """Count interrupts instead of ending at the first."""
-    loop, interrupts = asyncio.get_running_loop(), Interrupts()
-    for number in SIGNALS:
-        loop.add_signal_handler(number, interrupts.note_interrupt)
-    try:
+    interrupts = Interrupts()
+    with calls_at_signals(interrupts.note_interrupt, TERMINAL_SIGNALS):
         yield interrupts
-    finally:
-        for number in SIGNALS:
-            loop.remove_signal_handler(number)
 
 
 async def run_attended(tutti: "Tutti", job: "Job", *, wait: bool, quiet: bool) -> "JobReport":

@@ -10,7 +10,7 @@ from orchestrator.cli.base.common import console, fleet_options, json_option, pr
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.jobs import JobReferenceType, job_argument, jobs_argument, name_jobs
 from orchestrator.cli.base.steps import StepType
-from orchestrator.cli.base.words import confirm_shown
+from orchestrator.cli.base.terminal import confirm_shown
 from orchestrator.cli.jobs.terms import print_accepted
 from orchestrator.model.steps.numbers import number_step
 

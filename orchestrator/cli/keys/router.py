@@ -1,7 +1,6 @@
 """`tutti router`: the router of a fleet, by itself."""
 
 import asyncio
-import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +15,9 @@ from orchestrator.cli.base.common import (
     state_option,
 )
 from orchestrator.cli.base.errors import errors, expected_errors, run_main
+from orchestrator.cli.base.systems import require_linux
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.clock.signals import call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.runtime.services.router import RouterPlace
@@ -80,6 +81,7 @@ def router(
     if print_config:
         print_json(nest_settings(make_router_settings(listen, security.settings, links)))
         return
+    require_linux("a router")
     if state is None and security.fleet:
         router_place = replace(router_place, state=default_state(security.fleet))
     prepare_router_process()
@@ -115,8 +117,7 @@ async def _route(place: "RouterPlace") -> None:
     for work in (probe(), manager.feed_watchdog(lambda: probe_count)):
         tasks_beside.spawn(work)
     running_task = asyncio.ensure_future(RouterService(place, print_line).run(announce))
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, running_task.cancel)
+    call_at_signals(running_task.cancel)
     try:
         await running_task
     except asyncio.CancelledError:

@@ -8,6 +8,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
 from orchestrator.cli.base.common import console, json_option, print_json
 from orchestrator.cli.base.errors import exit_with_error, run_main
+from orchestrator.cli.base.systems import require_linux
 
 if TYPE_CHECKING:
     from orchestrator.conformance.suite import CheckResult
@@ -132,6 +133,7 @@ def probe(endpoint: str, query: str, end: str, wait_s: float, *, as_json: bool) 
     ENDPOINT is tcp:HOST:PORT, udp:HOST:PORT, or a serial device with baud rate and frame: /dev/ttyS0,9600,7O1. QUERY
     may have the escapes \r, \n, \t, \0, \\ and \x18. It is sent as it is: it may move the controller.
     """
+    require_linux("an exchange with a controller", "use the terminal program of its maker")
     from orchestrator.link.base import LinkClosed, LinkRefused
     from orchestrator.runtime.probe import (
         BadProbe,

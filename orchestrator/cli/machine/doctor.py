@@ -1,6 +1,7 @@
 """`tutti doctor`: check a computer, and say what to do."""
 
 import asyncio
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,9 +38,9 @@ Exit codes: 0 nothing has failed, perhaps with warnings; 1 something has."""
 @click.option("--state", type=click.Path(path_type=Path), default=None, help="The state folder; its disk is measured.")
 @json_option
 def doctor(file: Path | None, hosts: tuple[str, ...], connect: str, state: Path | None, *, as_json: bool) -> None:
-    """Check this computer: Python, real-time limits, USB latency timers, permissions, ports, clock source, disk, the
-    certificate, the router, versions, and whether other computers reach the bus without TLS; with FILE also the links
-    of its controllers. Nothing is changed.
+    """Check this computer: system, Python, real-time limits, USB latency timers, permissions, ports, clock source,
+    disk, the certificate, the router, versions, and whether other computers reach the bus without TLS; with FILE also
+    the links of its controllers. Nothing is changed.
     """
     findings = _examine(file, hosts, connect, state)
     if as_json:
@@ -71,9 +72,12 @@ def _examine(file: Path | None, hosts: tuple[str, ...], connect: str, state: Pat
 
         fleet = load_checked_fleet(file, tolerant=True)
     folder = state or default_state("any" if fleet is None else fleet.fleet)
-    findings = [system.check_python(), system.check_versions(), system.check_realtime(), system.check_clock_source()]
-    findings += [*system.check_usb_latency(), system.check_disk(folder)]
-    findings += system.check_ports((("router", int(DEFAULT_ENDPOINT.rpartition(":")[2])), ("page", 8080)))
+    findings = [system.check_system(), system.check_python(), system.check_versions(), system.check_disk(folder)]
+    if (keys := system.check_keys()) is not None:
+        findings.append(keys)
+    if sys.platform == "linux":  # where a fleet can run
+        findings += [system.check_realtime(), system.check_clock_source(), *system.check_usb_latency()]
+        findings += system.check_ports((("router", int(DEFAULT_ENDPOINT.rpartition(":")[2])), ("page", 8080)))
     if fleet is not None:
         findings += check_links(fleet, hosts or fleet.hosts)
     if connect:

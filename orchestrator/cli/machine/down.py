@@ -11,6 +11,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
 from orchestrator.cli.base.common import actor_name, fleet_option, json_option, print_result, state_option
 from orchestrator.cli.base.errors import exit_with_error, run_main
+from orchestrator.cli.base.systems import require_linux
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -31,6 +32,7 @@ def down(state: Path | None, fleet: str | None, host: str, *, as_json: bool) -> 
 
     Only the processes of that `tutti up` are ended. Exit 1, and nothing is ended, while an axis does not come to rest.
     """
+    require_linux("a fleet")
     running_fleet = _choose_fleet(state, fleet, host)
     # From here on it is this process, whatever takes its id later.
     try:

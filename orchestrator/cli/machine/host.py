@@ -1,7 +1,6 @@
 """`tutti host`: the adapter host of one computer, for a fleet whose coordinator is on another."""
 
 import asyncio
-import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +10,9 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import connect_option, console, fleet_option, json_option, print_result
 from orchestrator.cli.base.errors import errors, exit_with_error, run_main
+from orchestrator.cli.base.systems import require_linux
 from orchestrator.clock.owner import running
+from orchestrator.clock.signals import call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -47,6 +48,7 @@ def host(
     last one. It follows a reload. On the coordinator's computer run `tutti up FILE --host local`, with the hosts that
     are there.
     """
+    require_linux("an adapter host")
     from orchestrator.client import Tutti
     from orchestrator.runtime.live.fleet import LiveFleet
     from orchestrator.runtime.live.run import FleetRun
@@ -122,9 +124,8 @@ def _require_absence(served: list[str], name: str) -> None:
 
 async def _run_until_ended(live: "LiveFleet", name: str, *, as_json: bool) -> None:
     """Run the host until it is to end, or a part of it has ended for good."""
-    end, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    end = asyncio.Event()
+    call_at_signals(end.set)
     await live.start_hosts()
     own_names = [controller for controller, config in live.fleet.controllers.items() if config.host == name]
     value = {"host": name, "fleet": live.fleet.fleet, "controllers": own_names, "digest": live.fleet.digest}

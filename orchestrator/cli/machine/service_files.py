@@ -11,6 +11,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import check_endpoint_option, json_option, print_result
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.systems import require_linux
 from orchestrator.runtime.services.parts import PARTS
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ def install(
 
     Nothing is started: the commands for that are printed. A unit that is there already is replaced.
     """
+    require_linux("services of systemd")
     import os
 
     from orchestrator.runtime.checked import load_checked_fleet
@@ -135,6 +137,7 @@ def install(
 @json_option
 def udev(to: Path, *, only_print: bool, as_json: bool) -> None:
     """Write udev rules for USB adapters of serial lines: no latency timer, and names that stay."""
+    require_linux("rules of udev")
     from orchestrator.runtime.services.units import UDEV_RULES
 
     if only_print:

@@ -3,7 +3,6 @@
 import asyncio
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -25,8 +24,10 @@ from orchestrator.cli.base.common import (
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import errors, exit_interrupted, exit_with_error, run_main
 from orchestrator.cli.base.sizes import SizeType
+from orchestrator.cli.base.systems import require_linux
 from orchestrator.cli.files.fleet import require_quick_maps
 from orchestrator.cli.records.folder import metrics_option
+from orchestrator.clock.signals import call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -168,6 +169,7 @@ def up(
     Ctrl-C stops the running job first; a process that dies is restarted. Controllers that are not reached yet are
     named; they are taken in whenever they answer.
     """
+    require_linux("a fleet")
     from orchestrator.runtime.live.fleet import LiveFleet
     from orchestrator.runtime.live.run import FleetRun, WebOptions
     from orchestrator.runtime.state.folder import default_state
@@ -301,8 +303,7 @@ async def _run_until_ended(
 
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    call_at_signals(end.set)
     if not set_realtime_priority(RealtimePriority.SERVICE, children=False):
         print_line(NO_REALTIME_WARNING)
     starting = loop.create_task(_start_and_reach(live, limit_s, required=required))

@@ -1,7 +1,6 @@
 """`tutti axis acquire` and `release`: axes reserved for manual work, so that jobs and other users cannot use them."""
 
 import asyncio
-import signal
 from typing import TYPE_CHECKING
 
 import click
@@ -10,6 +9,7 @@ from orchestrator.cli.base.common import actor_name, console, fleet_options, jso
 from orchestrator.cli.base.completion import complete_axes
 from orchestrator.cli.base.durations import DurationType
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.clock.signals import TERMINAL_SIGNALS, call_at_signals
 
 MAX_REASON = 80  # characters
 
@@ -56,14 +56,13 @@ def acquire(
                     f"acquired: {', '.join(axis_names)}; release them with `tutti axis release`", highlight=False
                 )
             return
+        ended_event = asyncio.Event()
+        call_at_signals(ended_event.set, TERMINAL_SIGNALS)
         async with tutti.manual_control(list(axes), what=what) as control:
             if as_json:
                 print_json({"holder": control.holder, "axes": control.axes})
             else:
                 console.print(f"acquired: {', '.join(control.axes)}; Ctrl-C releases them", highlight=False)
-            ended_event = asyncio.Event()
-            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-                asyncio.get_running_loop().add_signal_handler(number, ended_event.set)
             while not ended_event.is_set():
                 try:
                     async with asyncio.timeout(0.5):

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,6 +10,8 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, INTERRUPTED
 from orchestrator.cli.base.common import json_option, print_result
 from orchestrator.cli.base.errors import errors, exit_with_error, run_main
+from orchestrator.cli.base.systems import require_unix
+from orchestrator.clock.signals import call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Fleet
@@ -80,13 +81,14 @@ def serve(
 
     async def run_simulators() -> None:
         fleet = _find_fleet(model, file, number, options, kind)
+        if any(config.link.kind in ("serial", "can") for config in fleet.controllers.values()):
+            require_unix("a serial line or CAN bus that is simulated", "serve it on Ethernet: --link tcp")
         folder = (state or default_state(fleet.fleet if model else f"sim-{fleet.fleet}")).absolute()
         run = FleetRun(simulated=True, truth=truth, first_port=port)
         live = LiveFleet(fleet, folder, lambda _: None, run)
         end = asyncio.Event()
         loop = asyncio.get_running_loop()
-        for signal_number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(signal_number, end.set)
+        call_at_signals(end.set)
         starting, ended_task = loop.create_task(live.start_simulators()), loop.create_task(end.wait())
         await asyncio.wait([starting, ended_task], return_when=asyncio.FIRST_COMPLETED)
         if not starting.done():
@@ -142,6 +144,8 @@ def _parse_options(text: str) -> dict[str, Any]:
 
 
 def _describe(links: list[dict[str, Any]], folder: Path) -> str:
+    from orchestrator.runtime.live.fleet import HAS_WORLDS
+
     lines: list[str] = []
     for link in links:
         for controller in link["controllers"]:
@@ -149,8 +153,9 @@ def _describe(links: list[dict[str, Any]], folder: Path) -> str:
             lines.append(f"{controller['name']}: {controller['model']} on {_describe_place(link)}{address}")
             if "truth" in controller:
                 lines.append(f"  true motions: {controller['truth']}")
-    first = links[0]["controllers"][0]["name"]
-    lines.append(f"to change their environment: tutti sim power {first} off --state {folder}")
+    if HAS_WORLDS:
+        first = links[0]["controllers"][0]["name"]
+        lines.append(f"to change their environment: tutti sim power {first} off --state {folder}")
     return "\n".join([*lines, "Ctrl-C ends it"])
 
 

@@ -13,6 +13,7 @@ from orchestrator.cli.base.common import check_fleet_option, json_option, print_
 from orchestrator.cli.base.completion import complete_controllers, complete_inputs, complete_single_axes
 from orchestrator.cli.base.errors import exit_with_error
 from orchestrator.cli.base.names import unknown_name
+from orchestrator.cli.base.systems import require_unix
 
 if TYPE_CHECKING:
     from orchestrator.model.fleet import Axis, Controller, Fleet
@@ -153,6 +154,7 @@ def stall(name: str, to: str, fleet: str | None, state: Path | None, *, as_json:
 
 def _find_simulation(fleet: str | None, state: Path | None) -> "tuple[Path, dict[str, Controller]]":
     """Return state folder and controllers of the selected simulated fleet."""
+    require_unix("a change of what surrounds a simulated controller", "run it on the computer of the simulated fleet")
     from orchestrator.model.jobs.files import FileError, load_fleet
     from orchestrator.runtime.state.folder import default_state, find_running_fleets
 

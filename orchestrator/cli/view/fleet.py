@@ -10,6 +10,7 @@ import click
 from orchestrator.cli.base.codes import BAD_INPUT, FAILED, UNREACHABLE
 from orchestrator.cli.base.common import actor_name, console, fleet_options, json_option, print_json, with_fleet
 from orchestrator.cli.base.errors import exit_with_error, run_main
+from orchestrator.cli.base.systems import require_unix
 
 if TYPE_CHECKING:
     from orchestrator.bus.base import Bus
@@ -95,6 +96,8 @@ def estop(connect: str, fleet: str | None, reason: str, port: str, *, armed: boo
     """
     if port and not armed:
         raise click.UsageError("--port needs --armed")
+    if port:
+        require_unix("a button at a serial port", "leave out --port: a key here presses the button, too")
     if armed:
         _run_armed(connect, fleet, reason, port, as_json=as_json)
         return

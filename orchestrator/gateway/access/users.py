@@ -3,7 +3,6 @@
 Passwords are hashed with Argon2id (RFC 9106), tokens with SHA-256: they have 256 random bits, which cannot be guessed.
 """
 
-import fcntl
 import hmac
 import os
 from collections.abc import Generator
@@ -20,6 +19,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from orchestrator.gateway.access.roles import Role
 from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
+from orchestrator.model.files.locks import lock_file
 from orchestrator.model.files.private_files import (
     UnsafePath,
     open_private_file,
@@ -165,8 +165,8 @@ class UserFile:
             lock = open_private_file(lock_path, os.O_RDWR | os.O_CREAT)
         except (OSError, UnsafePath) as error:
             raise _explain_file_error(lock_path, error) from None
-        with os.fdopen(lock):
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        with os.fdopen(lock, "rb"):
+            lock_file(lock)
             users = dict(self.load().users)
             yield users
             try:

@@ -1,9 +1,13 @@
 """Files and folders that only the user of a fleet may read, opened without following a link that was put in their
-place."""
+place.
+
+Windows has no mode bits: there a file may be read by those that may read its folder, in a user's profile by that user
+and administrators. It does not bring the names in a folder to the disk either."""
 
 import errno
 import os
 import stat
+import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +17,9 @@ from orchestrator.model.errors import TuttiError
 
 FOLDER_MODE = 0o700
 FILE_MODE = 0o600
+HAS_MODES = sys.platform != "win32"
+"""Whether the mode of a file says which users may read it."""
+_OPEN_FLAGS = os.O_NOFOLLOW | os.O_CLOEXEC if sys.platform != "win32" else os.O_BINARY
 
 
 class UnsafePath(TuttiError, OSError):
@@ -41,6 +48,8 @@ def restrict_to_user(path: Path) -> None:
     Raises `UnsafePath` if it is a symbolic link.
     """
     refuse_link(path)
+    if sys.platform == "win32":
+        return
     try:
         status = path.lstat()
     except FileNotFoundError:
@@ -61,8 +70,10 @@ def open_private_file(path: Path, flags: int) -> int:
 
     Raises `UnsafePath` for a symbolic link, and `OSError`.
     """
+    if sys.platform == "win32":
+        refuse_link(path)
     try:
-        return os.open(path, flags | os.O_NOFOLLOW | os.O_CLOEXEC, FILE_MODE)
+        return os.open(path, flags | _OPEN_FLAGS, FILE_MODE)
     except OSError as error:
         if error.errno == errno.ELOOP:
             refuse_link(path)
@@ -112,6 +123,8 @@ def write_new_file(path: Path) -> Generator[BinaryIO]:
 
 def sync_folder(folder: Path) -> None:
     """Bring the names in a folder to the disk: after a crash a renamed file has its new name. Raises `OSError`."""
+    if sys.platform == "win32":
+        return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

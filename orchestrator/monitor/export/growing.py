@@ -12,6 +12,7 @@ taken before anything is written, because HDF5 does not get over a write that fa
 import errno
 import os
 import struct
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -59,10 +60,11 @@ class GrowingTable:
         self._path = path
         self._columns = columns
         self._values: list[h5py.Dataset] = []
-        # Under its name it is there only once it can be read: readers wait for it.
-        new_path = path.with_name(f"{path.name}.new")
+        # Under its name it is there only once it can be read: readers wait for it. On Windows, where no open file gets
+        # another name, they may find one that they cannot read yet.
+        new_path = path if sys.platform == "win32" else path.with_name(f"{path.name}.new")
         _require_absence(path, force=force)
-        self._descriptor = os.open(new_path, os.O_CREAT | os.O_RDWR, 0o666)
+        self._descriptor = os.open(new_path, os.O_CREAT | os.O_RDWR | getattr(os, "O_BINARY", 0), 0o666)
         try:
             self._create(new_path, attributes, force=force)
         except BaseException:
@@ -114,8 +116,9 @@ class GrowingTable:
             self._rows = _create_number(self._file, "rows", np.int64, "number of rows that are complete in all columns")
             self._status = _create_number(self._file, "status", np.int8, STATUS_MEANING)
             self._file.swmr_mode = True
-            _require_absence(self._path, force=force)
-            new_path.replace(self._path)
+            if new_path != self._path:
+                _require_absence(self._path, force=force)
+                new_path.replace(self._path)
         except BaseException:
             self._file.close()
             raise
@@ -126,16 +129,25 @@ class GrowingTable:
         needed_bytes = self._file.id.get_filesize() + chunk_bytes * (2 + rows // CHUNK_ROWS) + SPARE_BYTES
         if needed_bytes > os.fstat(self._descriptor).st_size:
             try:
-                os.posix_fallocate(self._descriptor, 0, needed_bytes)
+                _allocate(self._descriptor, needed_bytes)
             except OSError as error:
                 if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):  # a file system that cannot
                     raise
 
     def _give_back_room(self) -> None:
         """Cut the file where HDF5 says that it ends."""
-        (end,) = struct.unpack("<Q", os.pread(self._descriptor, END_ADDRESS.stop, 0)[END_ADDRESS])
+        os.lseek(self._descriptor, 0, os.SEEK_SET)
+        (end,) = struct.unpack("<Q", os.read(self._descriptor, END_ADDRESS.stop)[END_ADDRESS])
         if end <= os.fstat(self._descriptor).st_size:
             os.ftruncate(self._descriptor, end)
+
+
+def _allocate(descriptor: int, size: int) -> None:
+    """Make a file at least so long, with room for all of it where the system can: macOS cannot."""
+    if sys.platform == "linux":
+        os.posix_fallocate(descriptor, 0, size)
+    else:
+        os.ftruncate(descriptor, size)
 
 
 def _require_absence(path: Path, *, force: bool) -> None:

@@ -1,10 +1,10 @@
 """The lock of a folder of recordings: two recorders would delete each other's files."""
 
-import fcntl
 import os
 from pathlib import Path
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.files.locks import is_file_locked, lock_file_now
 from orchestrator.model.files.private_files import make_private_folder, open_private_file
 
 LOCK = ".lock"
@@ -22,7 +22,7 @@ class FolderLock:
         make_private_folder(folder)
         self._fd = open_private_file(folder / LOCK, os.O_RDWR | os.O_CREAT)
         try:
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file_now(self._fd)
         except BlockingIOError:
             os.close(self._fd)
             remedy = "end that one, or choose another folder: --folder"
@@ -34,14 +34,4 @@ class FolderLock:
 
 def is_locked(folder: Path) -> bool:
     """Whether a recorder uses the folder now."""
-    try:
-        fd = os.open(folder / LOCK, os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(fd)
-    return False
+    return is_file_locked(folder / LOCK)

@@ -7,7 +7,6 @@ its parent. Exit codes: 2 bad input, or another recorder uses the folder; 3 the 
 import argparse
 import asyncio
 import contextlib
-import signal
 import sys
 import uuid
 from collections.abc import Callable
@@ -26,6 +25,7 @@ from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.clock.parent import die_with_parent
 from orchestrator.clock.service_manager import ServiceManager
+from orchestrator.clock.signals import call_at_signals
 from orchestrator.monitor.metrics.fleet_metrics import FleetMetrics
 from orchestrator.monitor.metrics.server import NoPort, serve_metrics
 from orchestrator.monitor.recording.folder import RecorderLimits, RecordingFolder
@@ -73,9 +73,8 @@ async def record_fleet(options: RecorderOptions, on_ready: Callable[[str], None]
 
 async def _record(options: RecorderOptions, bus: Bus, log: ProcessLog, on_ready: Callable[[str], None]) -> None:
     clock, keys = LiveClock(), FleetKeys(options.fleet)
-    loop, end = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, end.set)
+    end = asyncio.Event()
+    call_at_signals(end.set)
     paths_left = list_unfinished(options.folder)  # before this recorder begins its own
     folder = RecordingFolder(options.folder, options.fleet, clock, RecorderLimits(quota=options.quota))
     writer = RecordingWriter(folder, options.fleet, clock, options.fleet_file)

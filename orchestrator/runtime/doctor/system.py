@@ -1,17 +1,21 @@
 """Checks of the computer itself: Python, priorities, clock source, disk, ports. `root`: of the file system."""
 
 import os
+import platform
 import socket
 import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from shutil import disk_usage
 from statistics import median
 from tempfile import NamedTemporaryFile
 
+from orchestrator.bus.identity import find_identity
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.live import raw_ns
 from orchestrator.clock.realtime import RealtimePriority, can_set_realtime_priority
+from orchestrator.model.files.private_files import HAS_MODES
 from orchestrator.runtime.doctor.findings import Finding
 
 LEAST_PYTHON = (3, 11)
@@ -30,6 +34,23 @@ def check_python() -> Finding:
             "python", "failed", f"Python {text} is too old", f"use {'.'.join(map(str, LEAST_PYTHON))} or newer"
         )
     return Finding("python", "ok", f"Python {text} in {sys.prefix}")
+
+
+def check_system() -> Finding:
+    """The operating system."""
+    name = platform.system().replace("Darwin", "macOS")
+    if sys.platform == "linux":
+        return Finding("system", "ok", f"{name} {platform.release()}")
+    return Finding("system", "warning", f"{name}: clients run here, a fleet does not", "run the fleet on Linux")
+
+
+def check_keys() -> Finding | None:
+    """Where a file has no mode: whether the identity of this user is in the profile, which other users cannot read."""
+    identity = find_identity()
+    if HAS_MODES or identity is None or identity.absolute().is_relative_to(Path.home()):
+        return None
+    text = f"{identity} is outside of {Path.home()}: perhaps other users can read the key in it"
+    return Finding("keys", "warning", text, "move the folder there, or take their permission in its properties")
 
 
 def check_versions() -> Finding:
@@ -100,12 +121,12 @@ def check_disk(folder: Path) -> Finding:
                 file.flush()
                 os.fsync(file.fileno())
                 took.append((raw_ns() - began_ns) / NS_PER_S)
-        stats = os.statvfs(parent)
+        free = disk_usage(parent).free
     except OSError as error:
         return Finding(
             "disk", "failed", f"{parent} cannot be written: {error.strerror}", "choose another folder: --state"
         )
-    middle_s, free = median(took), stats.f_bavail * stats.f_frsize
+    middle_s = median(took)
     text = f"{middle_s * 1e3:.1f} ms a write in {parent}, {free // 1_000_000} MB free"
     if free < LEAST_FREE_BYTES:
         return Finding("disk", "failed", text, "free space there: no job begins on a full disk")

@@ -11,12 +11,14 @@ import json
 import os
 import signal
 import socket
+import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from adapters.controller.state.store import FileStore
 from orchestrator.bus.endpoint import BadEndpoint, make_socket_endpoint
@@ -71,6 +73,12 @@ STANDBY = "coordinator/standby"
 _END_ORDER = [GATEWAY.name, COORDINATOR.name, HOST.name, RECORDER.name, "sim", ROUTER.name]
 BUS_SOCKET = "bus.sock"
 EXISTING_JOURNAL = "--existing-journal"
+HAS_WORLDS = sys.platform != "win32"
+"""Whether simulated controllers have named pipes, for changes of what surrounds them and wires between them."""
+_OWN_SESSION: dict[str, Any] = (
+    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP} if sys.platform == "win32" else {"start_new_session": True}
+)
+"""Keeps Ctrl-C at a terminal from a child."""
 # Of the coordinator, once it has led: another leads now, and the adapter hosts serve that one.
 EXIT_LEADERSHIP_LOST = frozenset({4, 6})
 CONTROLLERS_PER_SIMULATOR = 8  # simulated controllers on Ethernet in one process: the last one waits for all before it
@@ -278,7 +286,9 @@ class LiveFleet:
                     simulate = config.simulate.model_copy(update={"link": link})
                     controllers[name] = config.model_copy(update={"simulate": simulate})
                     self.say(f"{name}: simulated {config.adapter} on {link.endpoint}")
-        for connection in self.fleet.connections:
+        if self.fleet.connections and not HAS_WORLDS:
+            self.say("the wires between controllers are not simulated on this system")
+        for connection in self.fleet.connections if HAS_WORLDS else ():
             if connection.target not in controllers:
                 continue
             if connection.source not in controllers:
@@ -434,7 +444,7 @@ class LiveFleet:
                 "drift_ppm": simulate.drift_ppm,
                 "wander_ppm": simulate.wander_ppm,
             },
-            "world": str(simulation_pipe(self.state, name)),
+            "world": str(simulation_pipe(self.state, name)) if HAS_WORLDS else None,
             "truth": str(self.state / "truth" / f"{name}.jsonl") if self.run.truth else None,
             "wires": [
                 {
@@ -445,7 +455,7 @@ class LiveFleet:
                     "delay_us": sum(connection.delay_us) // 2,
                 }
                 for connection in self.fleet.connections
-                if connection.source == name and connection.target in self._own_controllers()
+                if HAS_WORLDS and connection.source == name and connection.target in self._own_controllers()
             ],
         }
 
@@ -490,7 +500,7 @@ class LiveFleet:
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=errors,
-                start_new_session=True,
+                **_OWN_SESSION,
                 env=self._make_environment(child.name),
             )
         child.starts += 1
@@ -545,9 +555,7 @@ class LiveFleet:
         child.ended = True
         process = child.process
         if process is not None and process.returncode is None:
-            # In this order: a signal to a child that has just ended takes its exit code from asyncio's watcher.
-            process.send_signal(signal.SIGCONT)
-            process.send_signal(signal.SIGTERM)
+            _request_end(process)
             try:
                 async with asyncio.timeout(END_TIMEOUT_S):
                     await process.wait()
@@ -556,6 +564,17 @@ class LiveFleet:
                 await kill_process(child.name, process, self.say)
         if child.keeper is not None:
             child.keeper.cancel()
+
+
+def _request_end(process: asyncio.subprocess.Process) -> None:
+    if sys.platform == "win32":
+        # No signal lets it end by itself. Only simulators run there, which end with their input.
+        assert process.stdin is not None
+        process.stdin.close()
+        return
+    # In this order: a signal to a child that has just ended takes its exit code from asyncio's watcher.
+    process.send_signal(signal.SIGCONT)
+    process.send_signal(signal.SIGTERM)
 
 
 def _group_links(controllers: Mapping[str, Controller]) -> Iterator[list[list[str]]]:

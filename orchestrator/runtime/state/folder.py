@@ -1,6 +1,5 @@
 """The state folder of a running fleet: one `tutti up` at a time locks it, and says there which process it is."""
 
-import fcntl
 import json
 import os
 import socket
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import TextIO
 
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.files.locks import lock_file_now
 from orchestrator.model.files.private_files import UnsafePath, make_private_folder, open_private_file, restrict_to_user
 
 LOCK = "lock"
@@ -55,7 +55,7 @@ class StateLock:
         except OSError as error:
             raise UpFailed(f"{folder} cannot be used: {error.strerror}; choose another folder: --state") from None
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file_now(self._file.fileno())
         except BlockingIOError:
             self._file.close()
             remedy = f"end that one (`tutti down --state {folder}`, Ctrl-C), or choose another folder: --state"

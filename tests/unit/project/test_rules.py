@@ -23,7 +23,7 @@ PACKAGES = ("orchestrator", "adapters", "sim", "integrations", "benches")
 # What runs in virtual time reads no clock, starts no thread, and draws nothing without a seed. Exempt are the live
 # ends, each for the reason that stands in its docstring, and benchmarks that measure real time.
 LIVE = re.compile(
-    r"(process|live|guardian|workers|executor|parent)\.py$|/link/|^orchestrator/(cli|bus/zenoh)/"
+    r"(process|live|guardian|workers|executor|parent|input_thread)\.py$|/link/|^orchestrator/(cli|bus/zenoh)/"
     r"|^orchestrator/bench/|^integrations/|^benches/(page/|speed/|paths/planning)|^orchestrator/client/(connection|worker)"
 )
 BANNED_CALLS = {"monotonic", "perf_counter", "run_in_executor", "to_thread"}

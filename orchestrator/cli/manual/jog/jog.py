@@ -1,7 +1,6 @@
 """`tutti axis jog`: the jog panel on this terminal, connected to the bus."""
 
 import asyncio
-import signal
 import sys
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,8 @@ from orchestrator.cli.base.codes import BAD_INPUT, INTERRUPTED
 from orchestrator.cli.base.common import fleet_options, with_fleet
 from orchestrator.cli.base.completion import complete_axes
 from orchestrator.cli.base.errors import exit_with_error
+from orchestrator.cli.base.systems import require_unix
+from orchestrator.clock.signals import TERMINAL_SIGNALS, call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.client import Tutti
@@ -44,6 +45,7 @@ def jog(axes: tuple[str, ...], connect: str, fleet: str | None) -> None:
     stops the whole fleet, x is an e-stop, q or Ctrl-C exits. A jogged axis is leased until 3 s after it has come to
     rest: meanwhile jobs that need it wait, and other users are refused.
     """
+    require_unix("the jog panel", "jog on the operators' page, or move by `tutti axis move --relative AXIS=DISTANCE`")
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         exit_with_error(
             "the jog panel needs a terminal on standard input and output",
@@ -73,8 +75,7 @@ async def _run_panel(tutti: "Tutti", wanted: tuple[str, ...]) -> int:
             end.set_result(INTERRUPTED)
 
     # From here on every exit passes the end of the context below, which restores the terminal.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
-        asyncio.get_running_loop().add_signal_handler(number, end_panel)
+    call_at_signals(end_panel, (*TERMINAL_SIGNALS, "SIGQUIT"))
     with RawTerminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
         panel = JogPanel(axes, terminal.releases, tutti.keys.fleet)
         async with JogSession(tutti, panel, terminal, end):

@@ -6,14 +6,13 @@ import os
 import select
 import signal
 import sys
-import termios
 import time
-import tty
 from contextlib import ExitStack
 from typing import Self
 
 from rich.console import Console, RenderableType
 
+from orchestrator.cli.base.terminal import raw_mode
 from orchestrator.cli.manual.jog.keys import DeviceAttributes, KeyboardFlags, KeyParser, TerminalEvent
 
 # Time limit for a terminal's reply; over a slow connection a reply takes a while, and only such a terminal waits.
@@ -47,9 +46,7 @@ class RawTerminal:
 
     def __enter__(self) -> Self:
         with ExitStack() as restore:
-            old_mode = termios.tcgetattr(self.fd_in)
-            restore.callback(self._set_mode, old_mode)
-            tty.setraw(self.fd_in)
+            restore.enter_context(raw_mode(self.fd_in))
             # Key events are not received in the background.
             restore.callback(signal.signal, signal.SIGTSTP, signal.signal(signal.SIGTSTP, signal.SIG_IGN))
             restore.callback(self.write_text, _SHOW + _MAIN)
@@ -112,10 +109,6 @@ class RawTerminal:
                 data = data[os.write(self._fd_out, data) :]
 
     # Inside
-
-    def _set_mode(self, mode: "list[int | list[bytes | int]]") -> None:
-        with contextlib.suppress(termios.error):
-            termios.tcsetattr(self.fd_in, termios.TCSAFLUSH, mode)
 
     def _query_flags(self, first: str) -> int | None:
         """Query the flags of the keyboard protocol after writing `first`; None where the terminal does not support

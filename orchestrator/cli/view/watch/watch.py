@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -14,7 +13,9 @@ import click
 
 from orchestrator.cli.base.codes import INTERRUPTED
 from orchestrator.cli.base.common import can_redraw, console, fleet_options, json_option, with_fleet
+from orchestrator.cli.base.terminal import HAS_PANELS
 from orchestrator.cli.jobs.queue import load_queue
+from orchestrator.clock.signals import TERMINAL_SIGNALS, call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.bus.base import BusSample
@@ -34,8 +35,8 @@ LINES_CHECK_S = 0.5
 def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
     """Watch axes, jobs and events. ↑/↓ and PgUp/PgDn scroll, / filters, q leaves.
 
-    Prints plain lines when the output is not a terminal; with --json each message of the fleet, as one line
-    `{"key", "value"}`.
+    Prints plain lines when the output is not a terminal, and on Windows; with --json each message of the fleet, as one
+    line `{"key", "value"}`.
     """
     from orchestrator.cli.base.names import require_states
     from orchestrator.model.errors import Refusal
@@ -50,7 +51,7 @@ def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
                 view.take_alarms(await tutti.list_alarms())
             if as_json:
                 await _print_messages(samples)
-            if not (can_redraw() and sys.stdin.isatty()):
+            if not (HAS_PANELS and can_redraw() and sys.stdin.isatty()):
                 await _print_lines(view, samples)
             await _run_screen(view, samples)
 
@@ -100,8 +101,7 @@ async def _run_screen(view: "LiveView", samples: "asyncio.Queue[BusSample]") -> 
         if not end.done():
             end.set_result(code)
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, end_screen, INTERRUPTED)
+    call_at_signals(lambda: end_screen(INTERRUPTED), TERMINAL_SIGNALS)
     with RawTerminal(sys.stdin.fileno(), sys.stdout.fileno()) as terminal:
         keys = _KeyReader(terminal, panel, end_screen)
         loop.add_reader(terminal.fd_in, keys.read_keys)
