@@ -57,6 +57,7 @@ from orchestrator.model.operation.alarms import (
 )
 from orchestrator.model.operation.approval import ApproveJob, JobPlanned
 from orchestrator.model.operation.commands import CommandsListed, ListCommands
+from orchestrator.model.operation.learned import ForgetTimes
 from orchestrator.model.operation.statistics import ReadStatistics, StatisticsRead
 from orchestrator.model.operation.virtual_state import VirtualStates
 from orchestrator.model.operation.zone_state import ZoneState
@@ -148,6 +149,10 @@ def _describe_axes(request: AcquireAxes) -> str:
     return f"{' '.join(request.axes)}: {request.what}"
 
 
+def _name_controllers(request: ForgetTimes) -> str:
+    return " ".join(request.controllers) or "all controllers"
+
+
 def _name_position(request: SavePosition | RemovePosition) -> str:
     return request.name
 
@@ -198,6 +203,7 @@ SERVICE_VERBS: dict[str, ServiceVerb] = {
     "reload": ServiceVerb(ReloadFleet, FleetReloaded, "maintainer"),
     "check-wiring": ServiceVerb(Request, WiringChecked, "operator"),
     "repair-epoch": ServiceVerb(Request, EpochRepaired, "maintainer"),
+    "forget-times": ServiceVerb(ForgetTimes, Reply, "maintainer", subject=_name_controllers),
     "positions": ServiceVerb(Request, PositionsListed, "viewer", reads=True),
     "save-position": ServiceVerb(SavePosition, PositionSaved, "operator", subject=_name_position),
     "remove-position": ServiceVerb(RemovePosition, PositionRemoved, "maintainer", subject=_name_position),

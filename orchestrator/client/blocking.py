@@ -906,6 +906,11 @@ class BlockingTutti(BlockingObject[Tutti]):
         while an axis moves."""
         return self._run(self._wrapped.repair_epoch())
 
+    def forget_times(self, *controllers: str) -> None:
+        """Forget what was learned of the times of controllers, in memory and in the journal: their next steps have the
+        lead times that they declare. Without a name: of all, and of the fleet as a whole. Raises `Refusal`."""
+        self._run(self._wrapped.forget_times(*controllers))
+
     def list_names(self, timeout_s: float = ANSWER_S) -> FleetNames:
         """The names of the fleet: of its coordinator, or else of the adapters that answer. Raises `Refusal`, code
         `no-fleet`, if nothing answers."""

@@ -36,6 +36,7 @@ from orchestrator.model.messages import (
     TraceRequest,
 )
 from orchestrator.model.names import split_name
+from orchestrator.model.operation.learned import ForgetTimes
 from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates
 from orchestrator.model.operation.zone_state import ZoneState
 from orchestrator.model.problems import first_error_text
@@ -164,6 +165,12 @@ class FleetRequests(FleetConnection):
         while an axis moves."""
         request = Request(**self.request_fields())
         return (await self.request_service("repair-epoch", request, EpochRepaired)).controllers
+
+    async def forget_times(self, *controllers: str) -> None:
+        """Forget what was learned of the times of controllers, in memory and in the journal: their next steps have the
+        lead times that they declare. Without a name: of all, and of the fleet as a whole. Raises `Refusal`."""
+        request = ForgetTimes(**self.request_fields(), controllers=list(controllers))
+        await self.request_service("forget-times", request, Reply)
 
     async def list_names(self, timeout_s: float = ANSWER_S) -> FleetNames:
         """The names of the fleet: of its coordinator, or else of the adapters that answer. Raises `Refusal`, code

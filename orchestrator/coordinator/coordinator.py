@@ -35,6 +35,7 @@ from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
+from orchestrator.coordinator.maintenance.learned import LearnedTimesKeeper
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.coordinator.motion.publisher import StepPublisher
@@ -102,7 +103,8 @@ class Coordinator:
         self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
         ZoneWatch(access, motion.zone_memory, self._alarms.report_condition)
         self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
-        motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion))
+        self._learned = LearnedTimesKeeper(access, motion.estimator, environment.journal.learned, self._execute)
+        motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion, self._learned.take_motion))
         services = JobServices(
             bus=bus,
             keys=keys,
@@ -125,11 +127,8 @@ class Coordinator:
         )
         self.scheduler = Scheduler(services)
         self._positions.on_change = self.scheduler.register.forget_needs
-        maintenance = (
-            FleetReload(access, self._leases, environment.save_fleet),
-            WiringCheck(access, self._leases),
-            EpochRepair(access),
-        )
+        reload = FleetReload(access, self._leases, environment.save_fleet)
+        maintenance = (reload, WiringCheck(access, self._leases), EpochRepair(access), self._learned)
         intake = JobIntake(services, self.scheduler, environment.new_id)
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)
         self._adopting: set[str] = set()
@@ -156,6 +155,7 @@ class Coordinator:
         await self._positions.start()
         await self._alarms.start(self.leadership.epoch)
         await self._statistics.start()
+        await self._learned.start()
         await self.scheduler.start()
         self._declared = [
             await bus.serve(keys.service(), self._requests.answer),
@@ -172,6 +172,7 @@ class Coordinator:
         self._manual.close()
         await self._alarms.close()
         await self._statistics.close()
+        await self._learned.close()
         await self._leases.close()
         await self._view.close()
         await self._latch_keeper.close()

@@ -21,6 +21,7 @@ from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import DamagedRecord, EpochOvertaken, JournalError
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
+from orchestrator.coordinator.maintenance.learned import LearnedTimesKeeper
 from orchestrator.coordinator.maintenance.reload import FleetReload
 from orchestrator.coordinator.maintenance.wiring import WiringCheck
 from orchestrator.model.base import Model, UnknownName
@@ -30,7 +31,6 @@ from orchestrator.model.jobs.restart import PreviewStart, ReleaseJobs, StartPrev
 from orchestrator.model.jobs.service import (
     DryRun,
     DryRunDone,
-    EpochRepaired,
     FindJob,
     FleetLoaded,
     FleetNames,
@@ -70,12 +70,12 @@ class UserRequests:
         intake: JobIntake,
         scheduler: Scheduler,
         manual: ManualLeases,
-        maintenance: tuple[FleetReload, WiringCheck, EpochRepair],
+        maintenance: tuple[FleetReload, WiringCheck, EpochRepair, LearnedTimesKeeper],
     ) -> None:
         self._services = services
         self._intake = intake
         self._scheduler = scheduler
-        self._reload, self._wiring, self._epochs = maintenance
+        self._reload, self._wiring, epochs, learned_times = maintenance
         self._keys: FleetKeys = services.keys
         self._answers = AnswerCache()
         self._rehearsal = JobRehearsal(services)
@@ -112,7 +112,8 @@ class UserRequests:
             "release-axes": self._release_axes,
             "reload": self._reload_fleet,
             "check-wiring": self._check_wiring,
-            "repair-epoch": self._repair_epoch,
+            "repair-epoch": epochs.answer,
+            "forget-times": learned_times.forget_times,
             "positions": services.positions.list_positions,
             "save-position": services.positions.save_position,
             "remove-position": services.positions.remove_position,
@@ -272,12 +273,6 @@ class UserRequests:
     async def _release_axes(self, request: ReleaseAxes) -> Reply:
         await self._services.leases.release(request.holder)
         return Reply()
-
-    async def _repair_epoch(self, request: Request) -> EpochRepaired:
-        controllers = await self._epochs.repair_epochs(request.actor)
-        if controllers:
-            self._services.log.warning(f"epoch repaired by {request.actor}: {', '.join(controllers)}")
-        return EpochRepaired(controllers=controllers)
 
     async def _reload_fleet(self, request: ReloadFleet) -> FleetReloaded:
         try:

@@ -48,6 +48,7 @@ EXAMPLES: dict[str, Any] = {
     "shown": "0123456789abcdef",
     "epoch": 1,
     "coordinator": "c1",
+    "controllers": [],
     "actor": "reader",
     "alarm_id": "estop-fleet",
     "alarm_ids": [],

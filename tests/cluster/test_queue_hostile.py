@@ -79,6 +79,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "reload": {"configuration": demo_fleet().to_plain()},
     "check-wiring": {},
     "repair-epoch": {},
+    "forget-times": {"controllers": []},
 }
 COMMANDS: dict[str, dict[str, Any]] = {
     "adopt": {"leader": {}},

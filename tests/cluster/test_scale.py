@@ -1,6 +1,6 @@
 """The work of a fleet does not grow faster than its controllers."""
 
-from orchestrator.bench.scale.virtual import ScaleRow, measure_scale
+from orchestrator.bench.scale import ScaleRow, measure_scale
 
 
 def test_counts_of_few_and_many_controllers() -> None:

@@ -127,7 +127,7 @@ def run_permit(_: ShowProgress, rounds: int) -> Fields:
 
 
 def run_scale(show_progress: ShowProgress, controllers: int | None, hosts: int | None) -> Fields:
-    from orchestrator.bench.scale.virtual import SIZES, measure_scale
+    from orchestrator.bench.scale import SIZES, measure_scale
 
     return {"rows": measure_scale(SIZES if controllers is None else [controllers], hosts, show_progress)}
 

@@ -80,9 +80,10 @@ def show(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> 
 @fleet_options
 @json_option
 def forget(controller: str, connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Forget what unusual starts have added to the bounds of a controller's starts.
+    """Forget what unusual starts have added to the bounds of a controller's starts, and how long it takes to be armed.
 
-    They are forgotten by themselves within five minutes. Nothing is sent to the controller.
+    The former are forgotten by themselves within five minutes. The latter are in the journal too; without them its next
+    16 steps have the lead times that it declares. Nothing is sent to the controller.
     """
     from orchestrator.client import Tutti
     from orchestrator.model.messages import ForgetRequest, Reply
@@ -90,10 +91,11 @@ def forget(controller: str, connect: str, fleet: str | None, *, as_json: bool) -
     async def forget_starts(tutti: Tutti) -> None:
         request = ForgetRequest(**tutti.request_fields())
         await tutti.request_controller(controller, "forget", request, Reply)
+        await tutti.forget_times(controller)
         if as_json:
             print_json({"controller": controller, "forgotten": True})
         else:
-            console.print(f"{controller}: learned bounds of its starts are forgotten", highlight=False)
+            console.print(f"{controller}: learned bounds of its starts, and its times, are forgotten", highlight=False)
 
     with_fleet(connect, fleet, forget_starts)
 

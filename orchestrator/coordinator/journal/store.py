@@ -18,6 +18,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobApproval
 from orchestrator.model.operation.commands import CommandRecord
+from orchestrator.model.operation.learned import LearnedTimes
 from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.queue import QueueStop
 from orchestrator.model.report import JobReport, JobState, JobTransition, PointRecord, StepRecording
@@ -116,6 +117,22 @@ class StatisticsStore(Protocol):
         ...
 
 
+class LearnedStore(Protocol):
+    """What was learned of the times of controllers. Every method raises `JournalError`."""
+
+    def save_times(self, times: Iterable[LearnedTimes]) -> None:
+        """Keep learned times, in the place of earlier ones of the same controllers."""
+        ...
+
+    def load_times(self) -> list[LearnedTimes]:
+        """All learned times that are not damaged."""
+        ...
+
+    def forget_times(self, controllers: Iterable[str]) -> None:
+        """Delete the learned times of controllers."""
+        ...
+
+
 class ApprovalStore(Protocol):
     """The last approval of each proposed job. Every method raises `JournalError`."""
 
@@ -161,6 +178,9 @@ class JournalStore(Protocol):
 
     @property
     def statistics(self) -> StatisticsStore: ...
+
+    @property
+    def learned(self) -> LearnedStore: ...
 
     @property
     def approvals(self) -> ApprovalStore: ...

@@ -5,7 +5,8 @@ import asyncio
 
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.model.errors import Refusal
-from orchestrator.model.messages import AcceptEpoch, Reply
+from orchestrator.model.jobs.service import EpochRepaired
+from orchestrator.model.messages import AcceptEpoch, Reply, Request
 from orchestrator.model.state import ControllerState
 
 ANSWER_S = 3.0
@@ -16,6 +17,13 @@ class EpochRepair:
 
     def __init__(self, fleet: FleetAccess) -> None:
         self._fleet = fleet
+
+    async def answer(self, request: Request) -> EpochRepaired:
+        """Answer `svc/repair-epoch`. Raises `Refusal`."""
+        controllers = await self.repair_epochs(request.actor)
+        if controllers:
+            self._fleet.log.warning(f"epoch repaired by {request.actor}: {', '.join(controllers)}")
+        return EpochRepaired(controllers=controllers)
 
     async def repair_epochs(self, actor: str) -> list[str]:
         """Repair every controller that answers and is of another epoch; return their names. They are adopted by their

@@ -9,9 +9,10 @@ and its duration counts from then on.
 
 from collections import deque
 from collections.abc import Iterable, Mapping
-from typing import Literal
+from typing import Literal, get_args
 
 from orchestrator.clock.base import NS_PER_MS
+from orchestrator.model.operation.learned import FLEET
 
 KNOWN_AFTER = 16  # number of steps after which measured durations count
 KEPT_STEPS = 64  # newest steps that are kept; on average one in this many is slower than all of them, and armed again
@@ -36,8 +37,18 @@ ArmKind = Literal["rest", "beside", "behind"]
 class _DurationHistory:
     """The durations of the newest repetitions of one activity."""
 
-    def __init__(self) -> None:
+    def __init__(self, longest: float | None = None) -> None:
         self._kept: deque[float] = deque(maxlen=KEPT_STEPS)
+        if longest is not None:
+            self.fill(longest)
+
+    def fill(self, longest: float) -> None:
+        """Count a duration as if it had been measured until it is known."""
+        self._kept.extend([longest] * KNOWN_AFTER)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._kept.clear()
 
     @property
     def is_known(self) -> bool:
@@ -69,6 +80,13 @@ class LeadTimeEstimator:
         self._following_ns = _DurationHistory()
         self._acts_ns = _DurationHistory()
         self._decisions_ns = _DurationHistory()
+        self._activities = {
+            "release": self._releases_ns,
+            "go": self._goes_ns,
+            "following": self._following_ns,
+            "act": self._acts_ns,
+            "decision": self._decisions_ns,
+        }
         self.last_leads_ns: dict[frozenset[str], int] = {}
 
     @property
@@ -134,6 +152,37 @@ class LeadTimeEstimator:
         before_ns, given_ns = self._goes_ns.longest, self.go_ns(members)
         self._goes_ns.add_duration(given_ns if self._goes_ns.is_known else GO_FACTOR * given_ns)
         self._releases_ns.add_duration(self._releases_ns.longest + self._goes_ns.longest - before_ns)
+
+    # What outlives the coordinator
+
+    def list_shares(self, controller: str) -> dict[str, float]:
+        """The arming shares of a controller that are known, by kind: the largest of late."""
+        return {
+            kind: history.longest
+            for (kind, member), history in self._shares.items()
+            if member == controller and history.is_known
+        }
+
+    def list_durations(self) -> dict[str, float]:
+        """The durations of the fleet that are known, ns, by activity: the longest of late."""
+        return {name: history.longest for name, history in self._activities.items() if history.is_known}
+
+    def take_learned(self, controller: str, shares: Mapping[str, float], durations_ns: Mapping[str, float]) -> None:
+        """Use what an earlier coordinator has learned, as if each had been measured `KNOWN_AFTER` times."""
+        for kind in get_args(ArmKind):
+            if kind in shares:
+                self._shares[kind, controller] = _DurationHistory(shares[kind])
+        for name, history in self._activities.items():
+            if name in durations_ns:
+                history.fill(durations_ns[name])
+
+    def forget_learned(self, controller: str) -> None:
+        """Forget the shares of a controller; of `FLEET`, the durations of the fleet."""
+        for kind in get_args(ArmKind):
+            self._shares.pop((kind, controller), None)
+        if controller == FLEET:
+            for history in self._activities.values():
+                history.clear()
 
     def arming_share(self, member: str, kind: ArmKind = "rest", *, use_known: bool = True) -> float:
         """The fraction of its declared arming time that a member needs; at least 1 until it has been armed

@@ -30,6 +30,7 @@ AVAILABILITY_NS = 60 * NS_PER_S  # between two writes of nothing but times
 MAX_FIGURES = 20_000  # that wait for the journal; then new ones are lost
 MAX_ROWS = 200_000  # of one request
 MAX_CAUSE = 60
+MOST_PAIRED = 16  # controllers of a step; the pairs of more would be tens of thousands
 
 FigureKey = tuple[str, str, str, str]
 """Day, kind, subject and figure."""
@@ -108,10 +109,15 @@ class StatisticsCollector:
             for member, part in sorted(report.members.items())
             if part.evidence
         }
-        for pair in combinations(starts, 2):
-            skew = measure_skew([*starts[pair[0]], *starts[pair[1]]], report.budget)
+        groups = (
+            {"+".join(pair): pair for pair in combinations(starts, 2)}
+            if len(starts) <= MOST_PAIRED
+            else {f"{len(starts)} controllers": tuple(starts)}
+        )
+        for subject, members in groups.items():
+            skew = measure_skew([start for member in members for start in starts[member]], report.budget)
             if skew is not None:
-                subject, skew_ns = "+".join(pair), skew.at_most_ns
+                skew_ns = skew.at_most_ns
                 self._count("pair", subject, "moves", 1)
                 self._count("pair", subject, "sum_ns", skew_ns)
                 self._count("pair", subject, f"bin {find_bin(skew_ns)}", 1)

@@ -10,6 +10,7 @@ from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
 from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
 from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
+from orchestrator.coordinator.journal.sqlite.learned_table import LearnedTable
 from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
 from orchestrator.coordinator.journal.sqlite.point_store import PointStore
 from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
@@ -39,6 +40,7 @@ READ_ONLY_JOURNAL_CALLS = frozenset(
         ApprovalTable.load_approval,
         CommandTable.list_commands,
         StatisticsTable.read_rows,
+        LearnedTable.load_times,
         PointStore.read_rows,
         SqliteJournal.list_reservations,
         SqliteJournal.list_positions,

@@ -164,7 +164,7 @@ def test_jobs_of_an_older_version_keep_their_checksums(tmp_path: Path) -> None:
     journal.accept_job("a", "a", JOB, utc(1))
     columns = [f"ALTER TABLE jobs DROP COLUMN {name}" for name in ("proposed", "request_digest", "continues")]
     columns.append("ALTER TABLE point_rows DROP COLUMN flown")
-    for statement in ("DROP TABLE approvals", "DROP TABLE commands", *columns):
+    for statement in ("DROP TABLE approvals", "DROP TABLE commands", "DROP TABLE learned", *columns):
         journal.database.execute(statement)
     journal.database.execute("PRAGMA user_version=9")
     journal.close()

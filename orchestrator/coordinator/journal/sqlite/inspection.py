@@ -25,6 +25,7 @@ from orchestrator.model.jobs.job import Job
 from orchestrator.model.messages import MAX_EPOCH
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.approval import JobApproval
+from orchestrator.model.operation.learned import LearnedTimes
 from orchestrator.model.positions.entries import SavedPosition
 from orchestrator.model.problems import describe_first_error
 from orchestrator.model.queue import QueueStop
@@ -68,6 +69,7 @@ _BODIES = (
     _BodyTable("approvals", "job_id", JobApproval, "approve its plan again: `tutti job approve`"),
     _BodyTable("positions", "name", SavedPosition, "save it again: `tutti position save`"),
     _BodyTable("alarms", "id", AlarmRecord, _AGAIN),
+    _BodyTable("learned", "controller", LearnedTimes, "nothing is needed: it is learned again"),
     _BodyTable("alarm_notices", "change", AlarmRecord, _AGAIN),
     _BodyTable("alarm_history", "number", AlarmRecord, _LOST, checked=False),
 )

@@ -27,6 +27,7 @@ from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
 from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
 from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
 from orchestrator.coordinator.journal.sqlite.job_states import insert_transition, is_queued
+from orchestrator.coordinator.journal.sqlite.learned_table import LearnedTable
 from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
 from orchestrator.coordinator.journal.sqlite.point_store import PointStore
 from orchestrator.coordinator.journal.sqlite.rows import (
@@ -95,7 +96,7 @@ class SqliteJournal:
             self._values = StoredValues(self._db)
             self.point_rows = PointRows(self._db, self._path)
             self.alarms = AlarmTables(self._db, self._path)
-            self.statistics = StatisticsTable(self._db, self._path)
+            self.statistics, self.learned = StatisticsTable(self._db, self._path), LearnedTable(self._db, self._path)
             self.approvals = ApprovalTable(self._db, self._path)
             self.commands = CommandTable(self._db, self._path)
             self.points = PointStore(self._path if self._path == ":memory:" else f"{self._path}-points")

@@ -4,7 +4,7 @@ import sqlite3
 
 from orchestrator.coordinator.journal.records import JournalError
 
-VERSION = 13
+VERSION = 14
 SCHEMA_WITH_COPIES = 6  # the first one that keeps single values twice
 
 SCHEMA = """
@@ -119,6 +119,9 @@ ALTER TABLE jobs ADD COLUMN continues TEXT;
 """,
     12: """
 ALTER TABLE point_rows ADD COLUMN flown TEXT;
+""",
+    13: """
+CREATE TABLE learned (controller TEXT PRIMARY KEY, body TEXT NOT NULL, crc INTEGER NOT NULL) STRICT;
 """,
 }
 

@@ -1,1 +1,0 @@
-"""How the work of a fleet grows with its controllers: counts and processor times, in virtual time and live."""
