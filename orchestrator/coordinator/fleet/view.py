@@ -1,5 +1,6 @@
 """The coordinator's view of the fleet: every controller's last state, its information, its events."""
 
+import asyncio
 from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -149,8 +150,7 @@ class FleetView:
 
     def make_absence(self, controller: str, reason: str) -> Refusal:
         """The refusal for a controller whose adapter does not answer. reason: as far as the bus knows it."""
-        slow_start = self.describe_slow_start(controller)
-        if slow_start is not None:
+        if (slow_start := self.describe_slow_start(controller)) is not None:
             return Refusal("absent", f"{controller}: {slow_start}", SLOW_REMEDY, controller)
         return Refusal("absent", f"{controller}: {reason}", "is its adapter host running?", controller)
 
@@ -179,11 +179,15 @@ class FleetView:
 
     async def query_info(self, controller: str) -> ControllerInfo:
         """Identity and capabilities of the controller; queried once per instance of its adapter. Raises `BusError`."""
-        known_info, state = self._infos.get(controller), self._states.get(controller)
-        if known_info is not None and state is not None and known_info.instance == state.instance:
-            return known_info
-        info = self._infos[controller] = await self.ask_info(controller)
+        info = self.find_info(controller)
+        if info is None:
+            info = self._infos[controller] = await self.ask_info(controller)
         return info
+
+    def find_info(self, controller: str) -> ControllerInfo | None:
+        """Identity and capabilities of the adapter that runs now, if they are known."""
+        info, state = self._infos.get(controller), self._states.get(controller)
+        return info if info is not None and state is not None and info.instance == state.instance else None
 
     async def require_info(self, controller: str) -> ControllerInfo:
         """The same. Raises `Refusal`."""
@@ -246,7 +250,7 @@ class FleetView:
         if instance != told[0]:
             self._last_event[controller] = told  # events before the first contact with that adapter are not needed
         elif last < told[1]:
-            self._spawn_gap_query(controller, last)
+            self._tasks.spawn(self._query_missed_events(controller, last))
 
     def _receive_event(self, sample: BusSample) -> None:
         try:
@@ -259,17 +263,14 @@ class FleetView:
         if instance == event.instance and event.seq <= last:
             return
         if instance == event.instance and event.seq > last + 1:
-            self._spawn_gap_query(event.controller, last)
-            return
-        self._deliver_event(event)
+            self._tasks.spawn(self._query_missed_events(event.controller, last))
+        else:
+            self._deliver_event(event)
 
     def _deliver_event(self, event: ControllerEvent) -> None:
         self._last_event[event.controller] = (event.instance, event.seq)
         for listener in list(self._listeners):
             listener(event)
-
-    def _spawn_gap_query(self, controller: str, after: int) -> None:
-        self._tasks.spawn(self._query_missed_events(controller, after))
 
     async def _query_missed_events(self, controller: str, after: int) -> None:
         """Query the events that were missed; the one that revealed the gap is among them."""
@@ -292,6 +293,14 @@ class FleetView:
                 event.instance != self._last_event.get(controller, ("", 0))[0]
             ):
                 self._deliver_event(event)
+
+
+async def prefetch_infos(view: FleetView, controllers: Iterable[str]) -> None:
+    """Query the identities and capabilities that are not known yet, all at once. A controller that does not answer is
+    left to the query that needs it."""
+    new_controllers = [name for name in controllers if view.find_info(name) is None]
+    if len(new_controllers) > 1:
+        await asyncio.gather(*map(view.query_info, new_controllers), return_exceptions=True)
 
 
 def find_answering_states(view: FleetView, axes: Iterable[str]) -> dict[str, ControllerState]:

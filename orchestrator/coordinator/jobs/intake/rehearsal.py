@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.bus.base import BusError
+from orchestrator.coordinator.fleet.view import prefetch_infos
 from orchestrator.coordinator.jobs.check import forecast_at_once, forecast_step
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
 from orchestrator.coordinator.jobs.services import JobServices
@@ -47,6 +48,7 @@ class JobRehearsal:
         chunks: dict[str, ChunkAbility] = {}
         probes: dict[str, ProbeAbilities] = {}
         alone_times: dict[str, float | None] = {}
+        await prefetch_infos(view, view.fleet.controllers)
         for name in view.fleet.controllers:
             # A controller that does not answer is planned by the fleet file.
             with suppress(BusError):
