@@ -51,6 +51,8 @@ if TYPE_CHECKING:
 MAX_COUNTS = 2**31  # controllers and drives keep positions in 32 bits
 MAX_POSITIONS, MAX_DESCRIPTION = 1_000, 200  # named positions, characters
 MAX_FRAMES = 200
+WITHOUT_REFERENCES = object()
+"""Context in which a fleet with a controller that is known to be wrong is validated: names are not looked up."""
 MIN_SCALE, MAX_SCALE = Fraction(1, 10**6), 10**12  # counts per unit
 
 
@@ -668,9 +670,10 @@ class Fleet(Model):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _check_names(cls, data: Any, handler: ModelWrapValidatorHandler["Fleet"]) -> "Fleet":
+    def _check_names(cls, data: Any, handler: ModelWrapValidatorHandler["Fleet"], info: ValidationInfo) -> "Fleet":
         """Check references by the names that the file has, also when other parts of it are wrong."""
-        return validate_with(find_reference_problems(data), cls.__name__, lambda: handler(data))
+        problems = [] if info.context is WITHOUT_REFERENCES else find_reference_problems(data)
+        return validate_with(problems, cls.__name__, lambda: handler(data))
 
     @model_validator(mode="after")
     def _check_virtual(self) -> "Fleet":

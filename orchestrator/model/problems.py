@@ -13,6 +13,8 @@ MAX_DESCRIBED = 1_000
 """Mistakes that are described. pydantic describes all of them or none, at some 2 µs and 1 kB each: 300,000 unknown
 fields took a second and 375 MB."""
 
+SUMMARY_REMEDY = "correct those of one kind first"
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -21,6 +23,11 @@ class Problem:
     place: tuple[str | int, ...]
     text: str
     found: Any = None
+
+    @property
+    def is_summary(self) -> bool:
+        """Whether it stands for more mistakes than are described."""
+        return not self.place and self.text.endswith(SUMMARY_REMEDY)
 
     @property
     def field(self) -> str:
@@ -41,7 +48,7 @@ def counts_too_many(error: ValidationError) -> bool:
 def summarise_problems(error: ValidationError) -> Problem:
     """What is said of more mistakes than are described."""
     text = f"has {error.error_count()} mistakes, of which at most {MAX_DESCRIBED} are listed"
-    return Problem((), f"{text}; correct those of one kind first")
+    return Problem((), f"{text}; {SUMMARY_REMEDY}")
 
 
 def read_problems(error: ValidationError) -> list[Problem]:

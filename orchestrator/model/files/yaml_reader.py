@@ -8,6 +8,7 @@ document ends with a message that names the line.
 import re
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, cast
 
 import yaml
@@ -41,6 +42,7 @@ _OTHER_INT = re.compile(r"0o[0-7]+\Z|0x[0-9a-fA-F]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _INFINITE = re.compile(r"([-+]?)\.(inf|Inf|INF)\Z")
 _NAN = frozenset((".nan", ".NaN", ".NAN"))
+_VARIABLE = re.compile(r"(?<=[^\s{\[,:])\{[a-z][a-z0-9_]*([+-][0-9]+)?\}")  # of a fleet file, after other text
 _NUMBER_START = frozenset("0123456789+-.")
 
 _BOMS = {
@@ -53,19 +55,22 @@ _BOMS = {
 
 @dataclass(frozen=True, slots=True)
 class YamlProblem:
-    """One mistake in a document. line: counts from 1. path: keys and indices that lead to it."""
+    """One mistake in a document. line: counts from 1. path: keys and indices that lead to it. file: another one than
+    that which is read, a fragment of it."""
 
     line: int
     path: tuple[str | int, ...]
     text: str
+    file: str = ""
 
 
 class YamlError(TuttiError, ValueError):
-    """A document that cannot be used, with all of its mistakes that were found."""
+    """A document that cannot be used, with all of its mistakes that were found. is_unread: the file cannot be read."""
 
-    def __init__(self, problems: list[YamlProblem]) -> None:
+    def __init__(self, problems: list[YamlProblem], *, is_unread: bool = False) -> None:
         super().__init__("\n".join(f"line {problem.line}: {problem.text}" for problem in problems))
         self.problems = problems
+        self.is_unread = is_unread
 
 
 @dataclass(slots=True)
@@ -73,7 +78,8 @@ class YamlNode:
     """A value with the place where it stands.
 
     line: of its key, else of itself; counts from 1. children: by key or index, None for a scalar. text: a scalar as it
-    is written. size: number of nodes below and with it.
+    is written. size: number of nodes below and with it. file: that it is from; empty: the document itself. written: the
+    key or index of an expanded entry as its file has it, e.g. `stage-{n}`; None: the same.
     """
 
     line: int
@@ -81,6 +87,15 @@ class YamlNode:
     children: "dict[str, YamlNode] | list[YamlNode] | None" = None
     text: str = ""
     size: int = 1
+    file: str = ""
+    written: str | int | None = None
+
+    def update_value(self) -> None:
+        """Make the value of a mapping or list from those of its children."""
+        if isinstance(self.children, dict):
+            self.value = {key: child.value for key, child in self.children.items()}
+        elif self.children is not None:
+            self.value = [child.value for child in self.children]
 
     def entries(self) -> "Iterator[tuple[str | int, YamlNode]]":
         """Keys or indices with their nodes."""
@@ -119,6 +134,17 @@ def explain_mark(data: bytes) -> str:
 def explain_byte(byte: int) -> str:
     """What is wrong with a byte that is no UTF-8."""
     return f"byte 0x{byte:02x} is not UTF-8 text; save the file as UTF-8 (in Windows-1252, 0xb5 is µ)"
+
+
+def read_yaml_file(path: Path) -> YamlNode:
+    """Read the one document in the file at `path`, in bounded time and memory. Raises `YamlError`."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        text = error.strerror if isinstance(error, OSError) else error
+        raise YamlError([YamlProblem(1, (), f"cannot be read: {text}")], is_unread=True) from None
+    return read_yaml(decode_text(data))
 
 
 def read_yaml(text: str) -> YamlNode:
@@ -322,13 +348,8 @@ class _DocumentReader:
     def _close_block(self) -> None:
         block = self._open.pop()
         node = block.node
-        if isinstance(node.children, dict):
-            node.value = {key: child.value for key, child in node.children.items()}
-            node.size += sum(child.size for child in node.children.values())
-        else:
-            assert node.children is not None
-            node.value = [child.value for child in node.children]
-            node.size += sum(child.size for child in node.children)
+        node.update_value()
+        node.size += sum(child.size for _, child in node.entries())
         self._note_anchor(block.anchor, node)
         # Its children are counted already.
         size, node.size = node.size, 1
@@ -351,8 +372,11 @@ class _DocumentReader:
 def _suggest_quotes(text: str, line: int) -> str:
     """The remedy for `{gantry.x: ${width}}`, in which YAML takes the second `{` for a mapping; empty elsewhere."""
     lines = text.splitlines()
-    if not 0 <= line < len(lines) or "${" not in lines[line]:
+    if not 0 <= line < len(lines):
         return ""
+    if "${" not in lines[line]:
+        variable = _VARIABLE.search(lines[line])
+        return "" if variable is None else f"; inside braces and brackets write a value with {variable[0]} in quotes"
     return '; inside braces and brackets write a parameter in quotes: "${name}"'
 
 

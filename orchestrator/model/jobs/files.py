@@ -1,8 +1,9 @@
 """Read fleet and job files: YAML in, models out; every mistake is named with file, line, field, value and remedy."""
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,9 +11,11 @@ from pydantic import ValidationError
 
 from orchestrator.model.base import Model
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.expansion.fragments import expand_fleet
 from orchestrator.model.explain import list_problems
-from orchestrator.model.files.yaml_reader import MAX_BYTES, YamlError, YamlNode, decode_text, read_yaml
-from orchestrator.model.fleet import Fleet
+from orchestrator.model.files.yaml_reader import YamlError, YamlNode, YamlProblem, read_yaml, read_yaml_file
+from orchestrator.model.fleet import WITHOUT_REFERENCES, Controller, Fleet
+from orchestrator.model.fleet_names import find_reference_problems
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.jobs.table_files import read_tables
 from orchestrator.model.problems import Problem
@@ -21,18 +24,21 @@ from orchestrator.model.steps.tree import find_scans
 
 M = TypeVar("M", bound=Model)
 
+FLEET_SCHEMA = "tutti.fleet/"
+_NUMBER = re.compile(r"[0-9]+")
 MAX_PROBLEMS = 50  # that are listed; what follows is usually the same again
 
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
     """One mistake in a file. line: counts from 1; 0 in what a program has made. field: the path of keys, e.g.
-    `steps[2].to`."""
+    `steps[2].to`. pattern: the same as its short form has it, `controllers.stage-{n}.link`; empty: it has none."""
 
     file: str
     line: int
     field: str
     text: str
+    pattern: str = ""
 
     def __str__(self) -> str:
         location = f"{self.file}:{self.line}" if self.line else self.file
@@ -43,24 +49,43 @@ class FileError(TuttiError, ValueError):
     """A file that cannot be used. The text lists its problems in the order of lines, one per line."""
 
     def __init__(self, problems: Iterable[FileProblem]) -> None:
-        self.problems = tuple(dict.fromkeys(sorted(problems, key=lambda problem: problem.line)))
+        self.problems = _merge_members(dict.fromkeys(sorted(problems, key=lambda problem: problem.line)))
         shown_lines = [str(problem) for problem in self.problems[:MAX_PROBLEMS]]
         if len(self.problems) > MAX_PROBLEMS:
             shown_lines.append(f"… and {len(self.problems) - MAX_PROBLEMS} more")
         super().__init__("\n".join(shown_lines))
 
 
+def _merge_members(problems: Iterable[FileProblem]) -> tuple[FileProblem, ...]:
+    """Each mistake of a short form once, with the number of further entries that have it; numbers in it may differ."""
+    alike: dict[tuple[str, int, str, str], list[FileProblem]] = {}
+    for problem in problems:
+        pattern = problem.pattern or problem.field
+        text = _NUMBER.sub("0", problem.text) if problem.pattern else problem.text
+        alike.setdefault((problem.file, problem.line, pattern, text), []).append(problem)
+    return tuple(
+        replace(first, text=f"{first.text} (the same in {len(rest)} more of {first.pattern})") if rest else first
+        for first, *rest in alike.values()
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class LoadedFile:
-    """A file that was read: its name, and the places of its values."""
+    """A file that was read: its name, and the places of its values. problems: mistakes of the short forms of a fleet
+    file."""
 
     name: str
     root: YamlNode
+    problems: tuple[Problem, ...] = ()
 
     def problem(self, place: Sequence[str | int], text: str) -> FileProblem:
         """A mistake at a place: keys and indices. What is not in the file is reported where it would stand."""
-        node, field = _locate(self.root, place)
-        return FileProblem(self.name, node.line, field, text)
+        node, field, pattern = _locate(self.root, place)
+        return FileProblem(node.file or self.name, node.line, field, text, pattern)
+
+    def find_folder(self, place: Sequence[str | int]) -> Path:
+        """The folder of the file, or of the fragment, that a place is from."""
+        return Path(self.find_node(place).file or self.name).parent
 
     def find_node(self, place: Sequence[str | int]) -> YamlNode:
         """The node at a place, or the last one that leads there."""
@@ -84,26 +109,31 @@ def locate_point_files(job: Job, folder: Path) -> Job:
 
 def read_file(path: Path) -> LoadedFile:
     """Read the YAML file at `path`, in bounded time and memory. Raises `FileError`."""
-    name = str(path)
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise FileError([FileProblem(name, 1, "", f"cannot be read: {error.strerror}")]) from None
-    except ValueError as error:  # a path with a NUL
-        raise FileError([FileProblem(name, 1, "", f"cannot be read: {error}")]) from None
-    try:
-        return read_document(decode_text(data), name)
+        return _load(read_yaml_file(path), str(path), path)
     except YamlError as error:
-        raise _make_file_error(error, name) from None
+        raise _make_file_error(error, str(path)) from None
 
 
 def read_document(text: str, name: str) -> LoadedFile:
     """Read YAML. name: stands for the file in errors. Raises `FileError`."""
     try:
-        return LoadedFile(name, read_yaml(text))
+        return _load(read_yaml(text), name, None)
     except YamlError as error:
         raise _make_file_error(error, name) from None
+
+
+def _load(root: YamlNode, name: str, path: Path | None) -> LoadedFile:
+    """A fleet file is expanded here, for all that read one. path: None: it is no file. Raises `YamlError`."""
+    schema = root.find_child("schema")
+    if schema is None or not schema.text.startswith(FLEET_SCHEMA):
+        return LoadedFile(name, root)
+    expanded_fleet = expand_fleet(root, path)
+    file = LoadedFile(name, expanded_fleet.root, expanded_fleet.problems)
+    if expanded_fleet.failures:
+        failures = (_locate_problem(problem, name) for problem in expanded_fleet.failures)
+        raise FileError([*failures, *(file.problem(problem.place, problem.text) for problem in file.problems)])
+    return file
 
 
 def parse_document(text: str, model: type[M], name: str) -> M:
@@ -115,10 +145,13 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
     """Make a model of what was read. Tables that a fleet file names are read beside it. Raises `FileError` with every
     mistake."""
     require_mapping(file, model)
-    fleet_tables = read_tables(file.root.value if model is Fleet else {}, Path(file.name).parent)
+    fleet_tables = read_tables(file.root.value if model is Fleet else {}, file.find_folder)
     checked_file, problems = validate_value(fleet_tables.value or file.root.value, model)
     problems = [problem for problem in problems if not fleet_tables.is_known(problem)]
-    if checked_file is None or fleet_tables.problems:
+    if model is Fleet and any(problem.is_summary for problem in problems):
+        problems = _list_by_controller(file.root.value, problems)
+    problems = _add_short_problems(file.problems, problems)
+    if checked_file is None or fleet_tables.problems or file.problems:
         table_problems = [*fleet_tables.problems, *filter(None, map(fleet_tables.locate, problems))]
         raise FileError(
             [
@@ -131,6 +164,34 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
             ]
         )
     return checked_file
+
+
+def _list_by_controller(value: Mapping[str, Any], summary: Sequence[Problem]) -> list[Problem]:
+    """All mistakes of a fleet with too many, by one controller after the other: those of a short form are the same, and
+    only together too many. summary: the mistakes as they are, which stand where it is not for the controllers."""
+    controllers: Mapping[str, Any] = value["controllers"] if isinstance(value.get("controllers"), dict) else {}
+    single_problems = [
+        replace(problem, place=("controllers", name, *problem.place))
+        for name, fields in controllers.items()
+        for problem in validate_part(fields, Controller)[1]
+    ]
+    if not single_problems:
+        return [*summary]
+    first_wrong = str(single_problems[0].place[1])
+    one_controller = {**value, "controllers": {first_wrong: controllers[first_wrong]}}
+    _, section_problems = validate_part(one_controller, Fleet, context=WITHOUT_REFERENCES)
+    return [*single_problems, *section_problems, *find_reference_problems(value)]
+
+
+def _add_short_problems(short: Sequence[Problem], problems: Sequence[Problem]) -> list[Problem]:
+    """Mistakes of short forms with those of the fleet, except for what a short form that is wrong has left there."""
+    known = {problem.place for problem in short}
+    others = [
+        problem
+        for problem in problems
+        if not any(problem.place[:length] in known for length in range(1, len(problem.place) + 1))
+    ]
+    return [*short, *others]
 
 
 def require_mapping(file: LoadedFile, model: type[Model]) -> None:
@@ -159,19 +220,24 @@ def validate_value(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, 
     return checked_value, problems
 
 
-def validate_part(value: Mapping[str, Any], model: type[M]) -> tuple[M | None, list[Problem]]:
-    """Make a model of plain values, which may be a part of a file; or None, and every mistake."""
+def validate_part(
+    value: Mapping[str, Any], model: type[M], *, context: object = None
+) -> tuple[M | None, list[Problem]]:
+    """Make a model of plain values, which may be a part of a file; or None, and every mistake. context: for the
+    validators of the model."""
     try:
         # As JSON, because that is where pydantic is strict about text and numbers, but not about enums and lists.
-        return model.model_validate_json(json.dumps(value), strict=True), []
+        return model.model_validate_json(json.dumps(value), strict=True, context=context), []
     except ValidationError as error:
         return None, list_problems(error, model)
 
 
 def _make_file_error(error: YamlError, name: str) -> FileError:
-    return FileError(
-        [FileProblem(name, problem.line, format_place(problem.path), problem.text) for problem in error.problems]
-    )
+    return FileError(_locate_problem(problem, name) for problem in error.problems)
+
+
+def _locate_problem(problem: YamlProblem, name: str) -> FileProblem:
+    return FileProblem(problem.file or name, problem.line, format_place(problem.path), problem.text)
 
 
 def _example_line(model: type[Model]) -> str:
@@ -192,14 +258,15 @@ def _find_tags(node: YamlNode) -> list[Any]:
     return [fields[key].value for key in ("do", "kind", "type") if key in fields]
 
 
-def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, str]:
-    """Find the node at `location`, and its path as text.
+def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, str, str]:
+    """Find the node at `location`, its path as text, and this path as a short form has it, empty without one.
 
     pydantic adds union tags (`move`, `tcp`) and `[key]` marks, which the file does not have: they are skipped. A last
     part that is not in the file, a missing field, belongs to the path.
     """
-    node, path = root, list[str | int]()
+    node, path, written = root, list[str | int](), list[str | int]()
     absent: str | int | None = None
+    is_short = False
     tagged_node: YamlNode | None = None
     for part in location:
         if node is not tagged_node and part in _find_tags(node):
@@ -212,6 +279,9 @@ def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, st
         absent = None
         node = entry_below
         path.append(part if isinstance(part, int) else str(part))
+        written.append(path[-1] if node.written is None else node.written)
+        is_short = is_short or node.written is not None
     if isinstance(absent, str) and not absent.startswith("[") and isinstance(node.children, dict):
         path.append(absent)
-    return node, format_place(path)
+        written.append(absent)
+    return node, format_place(path), format_place(written) if is_short else ""

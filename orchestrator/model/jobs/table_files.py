@@ -6,7 +6,7 @@ a row is reported with its line there.
 """
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -19,6 +19,7 @@ from orchestrator.model.units import Unit, UnitError, parse_quantity
 
 ERRORS = ("error", "uncertainty")
 MAX_BYTES = 1_000_000
+Place = tuple[str | int, ...]
 PLACE_PARTS = (5, 4)  # of a table: controllers, name, axes, name, correction; virtual, name, tables, name
 
 
@@ -76,19 +77,23 @@ class FleetTables:
         return TableProblem(table.name, table.lines[number] if isinstance(number, int) else 1, problem.text)
 
 
-def read_tables(value: Mapping[str, Any], folder: Path) -> FleetTables:
-    """Read all tables below `folder` that a fleet file names. A table of an axis that has mistakes is left out of the
-    value; one of a group keeps the name of its file, see `is_known`."""
-    tables: dict[tuple[str | int, ...], TableFile] = {}
+def read_tables(value: Mapping[str, Any], find_folder: Callable[[Place], Path]) -> FleetTables:
+    """Read all tables that a fleet file names. find_folder: where the table of a place is looked for.
+
+    A table of an axis that has mistakes is left out of the value; one of a group keeps the name of its file, see
+    `is_known`.
+    """
+    tables: dict[Place, TableFile] = {}
     controllers: dict[str, Any] = dict(_read_mapping(value, "controllers"))
     for name in controllers:
         axes = dict(_read_mapping(controllers[name], "axes"))
         for axis, fields in axes.items():
             correction = _read_mapping(fields, "correction")
-            table = _read_named(folder, correction, ("position",), fields)
+            place = ("controllers", name, "axes", axis, "correction")
+            table = _read_named(find_folder(place), correction, ("position",), fields)
             if table is None:
                 continue
-            tables["controllers", name, "axes", axis, "correction"] = table
+            tables[place] = table
             other_fields = {key: entry for key, entry in fields.items() if key != "correction"}
             axes[axis] = other_fields if table.problems else {**other_fields, "correction": table.fill(correction)}
         controllers[name] = {**controllers[name], "axes": axes} if axes else controllers[name]
@@ -97,10 +102,11 @@ def read_tables(value: Mapping[str, Any], folder: Path) -> FleetTables:
         filled_tables = dict(_read_mapping(group, "tables"))
         for key, options in list(filled_tables.items()):
             axis = _read_mapping(_read_mapping(group, "axes"), _read_text(options, "axis"))
-            table = _read_named(folder, options, _read_by(options), axis)
+            place = ("virtual", name, "tables", key)
+            table = _read_named(find_folder(place), options, _read_by(options), axis)
             if table is None:
                 continue
-            tables["virtual", name, "tables", key] = table
+            tables[place] = table
             filled_tables[key] = options if table.problems else table.fill(options)
         groups[name] = {**group, "tables": filled_tables} if filled_tables else group
     return FleetTables({**value, "controllers": controllers, "virtual": groups} if tables else value, tables)
