@@ -21,7 +21,6 @@ from orchestrator.gateway.preview import draw_path
 from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
 from orchestrator.model.errors import Refusal
-from orchestrator.model.fleet import Fleet
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.queue import format_utc, shift_utc
 from orchestrator.model.report import StepRecording
@@ -29,6 +28,7 @@ from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import iterate_steps
 from orchestrator.model.templates.file_schema import make_job_file_schema
+from orchestrator.model.templates.fleet_schema import make_fleet_file_schema
 from orchestrator.monitor.export.csv_table import CsvTable
 from orchestrator.plan.forecast.present import look_at_axes
 from orchestrator.runtime.trace_frames import FrameList
@@ -278,7 +278,7 @@ class FleetReads:
         kind = request.values["kind"]
         if kind not in ("job", "fleet"):
             raise Refusal("no-file", f"there is no schema {kind[:40]!r}; there are: fleet, job", "choose one of them")
-        return JSONResponse(Fleet.model_json_schema() if kind == "fleet" else make_job_file_schema())
+        return JSONResponse(make_fleet_file_schema() if kind == "fleet" else make_job_file_schema())
 
     async def _read_openapi(self, _: ReadRequest) -> Response:
         return JSONResponse(make_openapi(list(self.readers)))

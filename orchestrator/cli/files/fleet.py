@@ -70,6 +70,16 @@ def check(file: Path, connect: str, fleet: str | None, *, live: bool, as_json: b
     with_fleet(connect, fleet or loaded_fleet.fleet, compare_adapters)
 
 
+@fleet.command(epilog="Example: tutti fleet expand hall.fleet.yaml > hall.json")
+@click.argument("file", type=click.Path(path_type=Path))
+def expand(file: Path) -> None:
+    """Print the fleet file FILE as the fleet has it, as JSON, which is a fleet file too.
+
+    `count`, `each` and `include` are carried out, tables of corrections are filled in, and defaults are written out.
+    """
+    print_json(load_or_fail(file).to_plain())
+
+
 @fleet.command(epilog="Example: tutti fleet init --make smc4000 --make smc30:3 -o lab.fleet.yaml")
 @click.option("--make", "makes", multiple=True, required=True, metavar="MAKE[:COUNT]", help="Controllers of a make.")
 @click.option("-o", "--out", type=click.Path(path_type=Path), default=None, help="The file to write; default: stdout.")

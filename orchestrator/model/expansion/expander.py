@@ -91,8 +91,8 @@ class TreeExpander:
         for key, child in node.children.items():
             for body, member_scope in self.list_entry(child, scope, (*place, key)):
                 name = str(self._fill_text(key, member_scope, (*place, key)))
-                below = replace(member_scope, is_free=scope.is_free or key in FREE_SECTIONS)
-                entry = self.expand(body, below, (*place, name))
+                inner_scope = replace(member_scope, is_free=scope.is_free or key in FREE_SECTIONS)
+                entry = self.expand(body, inner_scope, (*place, name))
                 entry.line = child.line
                 entry.written = key if member_scope.variables is not None else None
                 self._add_entry(children, name, entry, (*place, name))
@@ -110,7 +110,7 @@ class TreeExpander:
         first_entry = children.setdefault(name, entry)
         if first_entry is entry or any(problem.place == place for problem in self.problems[-1:]):
             return  # the last one: a variable that is not there leaves several entries with one name
-        lines = " and ".join(f"{found.file or 'line'} {found.line}" for found in (first_entry, entry))
+        lines = " and ".join(f"{twin.file or 'line'} {twin.line}" for twin in (first_entry, entry))
         text = f"is there twice, from {lines}; give each its own name, with all variables that change in it"
         self.problems.append(Problem(place, text))
 

@@ -76,8 +76,8 @@ class _FleetExpander:
             for key, child in node.children.items():
                 self._add_section(section, key, child, scope, (*place, key))
         else:
-            below = Scope(scope.file, scope.variables, name == "integrations", scope.used)
-            self.expander.extend(section, node, below, place)
+            section_scope = Scope(scope.file, scope.variables, name == "integrations", scope.used)
+            self.expander.extend(section, node, section_scope, place)
         section.update_value()
 
     def include_all(self, node: YamlNode, scope: Scope, chain: tuple[Path, ...]) -> None:
@@ -87,11 +87,11 @@ class _FleetExpander:
             return
         items = include.children if isinstance(include.children, list) else [include]
         for number, item in enumerate(items):
-            place = (INCLUDE, number) if isinstance(include.children, list) else (INCLUDE,)
-            for body, member_scope in self.expander.list_entry(item, scope, place):
+            item_place = (INCLUDE, number) if isinstance(include.children, list) else (INCLUDE,)
+            for body, member_scope in self.expander.list_entry(item, scope, item_place):
                 try:
-                    entry = self.expander.expand(body, member_scope, place)
-                    self._include(_read_inclusion(entry, member_scope, place, chain))
+                    entry = self.expander.expand(body, member_scope, item_place)
+                    self._include(_read_inclusion(entry, member_scope, item_place, chain))
                 except YamlError as error:
                     self.expander.failures += error.problems
 
@@ -105,10 +105,10 @@ class _FleetExpander:
         names = [name for name in fragment.value if name in SECTIONS]
         self.add_sections(fragment, scope, names)
         self.include_all(fragment, scope, (*inclusion.chain, inclusion.path))
-        unused = [name for name in inclusion.values if name not in scope.used]
-        if unused:
-            known_names = ", ".join(sorted(scope.used | values.keys() - set(unused))) or "none"
-            raise inclusion.fail(f"{inclusion.path} has no variable {unused[0]}; its variables: {known_names}")
+        unused_names = [name for name in inclusion.values if name not in scope.used]
+        if unused_names:
+            known_names = ", ".join(sorted(scope.used | values.keys() - set(unused_names))) or "none"
+            raise inclusion.fail(f"{inclusion.path} has no variable {unused_names[0]}; its variables: {known_names}")
 
     def _read_fragment(self, inclusion: _Inclusion) -> YamlNode:
         """The fragment, read once and checked. Raises `YamlError`."""
@@ -188,10 +188,8 @@ def _check_fragment(root: YamlNode, path: Path) -> None:
         line = root.line if schema is None else schema.line
         text = f"a fragment is a mapping that starts with `schema: {FRAGMENT_SCHEMA}`"
         raise YamlError([YamlProblem(line, (SCHEMA,), text, str(path))])
-    allowed = (*SECTIONS, SCHEMA, INCLUDE, DEFAULTS)
+    wrong_fields = {key: child for key, child in root.entries() if key not in (*SECTIONS, SCHEMA, INCLUDE, DEFAULTS)}
     text = f"a fragment may have: {', '.join(SECTIONS)}, {DEFAULTS}, {INCLUDE}; write others into the fleet file"
-    problems = [
-        YamlProblem(child.line, (str(key),), text, str(path)) for key, child in root.entries() if key not in allowed
-    ]
+    problems = [YamlProblem(child.line, (key,), text, str(path)) for key, child in wrong_fields.items()]
     if problems:
         raise YamlError(problems)

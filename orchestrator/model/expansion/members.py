@@ -68,7 +68,7 @@ def _combine_values(node: YamlNode) -> list[Variables]:
     """All combinations of the values of the mapping form; the last variable changes first."""
     values = {name: _read_values(name, child) for name, child in _read_names(node)}
     _require_number(EACH, math.prod(map(len, values.values())))
-    return [dict(zip(values, chosen, strict=True)) for chosen in itertools.product(*values.values())]
+    return [dict(zip(values, combination, strict=True)) for combination in itertools.product(*values.values())]
 
 
 def _read_names(node: YamlNode) -> Iterator[tuple[str, YamlNode]]:

@@ -44,9 +44,9 @@ def fill_text(text: str, variables: Variables, used: set[str]) -> Any:
 
     Raises `VariableError`.
     """
-    whole = _PARTS.fullmatch(text)
-    if whole is not None and whole[1]:
-        return _find_value(whole, variables, used).value
+    whole_text = _PARTS.fullmatch(text)
+    if whole_text is not None and whole_text[1]:
+        return _find_value(whole_text, variables, used).value
     return _PARTS.sub(lambda part: _find_value(part, variables, used).text if part[1] else part[0][0], text)
 
 
@@ -60,6 +60,6 @@ def _find_value(part: re.Match[str], variables: Variables, used: set[str]) -> Va
     if offset is None:
         return variable
     if type(variable.value) is not int:
-        raise VariableError(f"{part[0]}: only a whole number can be added to, and {name} is {variable.text!r}")
+        raise VariableError(f"{part[0]}: only a whole_text number can be added to, and {name} is {variable.text!r}")
     number = variable.value + int(offset)
     return Variable(number, str(number))

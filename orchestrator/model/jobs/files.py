@@ -64,8 +64,10 @@ def _merge_members(problems: Iterable[FileProblem]) -> tuple[FileProblem, ...]:
         text = _NUMBER.sub("0", problem.text) if problem.pattern else problem.text
         alike.setdefault((problem.file, problem.line, pattern, text), []).append(problem)
     return tuple(
-        replace(first, text=f"{first.text} (the same in {len(rest)} more of {first.pattern})") if rest else first
-        for first, *rest in alike.values()
+        replace(same[0], text=f"{same[0].text} (the same in {len(same) - 1} more of {same[0].pattern})")
+        if len(same) > 1
+        else same[0]
+        for same in alike.values()
     )
 
 
@@ -185,13 +187,13 @@ def _list_by_controller(value: Mapping[str, Any], summary: Sequence[Problem]) ->
 
 def _add_short_problems(short: Sequence[Problem], problems: Sequence[Problem]) -> list[Problem]:
     """Mistakes of short forms with those of the fleet, except for what a short form that is wrong has left there."""
-    known = {problem.place for problem in short}
-    others = [
+    known_places = {problem.place for problem in short}
+    other_problems = [
         problem
         for problem in problems
-        if not any(problem.place[:length] in known for length in range(1, len(problem.place) + 1))
+        if not any(problem.place[:length] in known_places for length in range(1, len(problem.place) + 1))
     ]
-    return [*short, *others]
+    return [*short, *other_problems]
 
 
 def require_mapping(file: LoadedFile, model: type[Model]) -> None:
@@ -205,9 +207,9 @@ def require_mapping(file: LoadedFile, model: type[Model]) -> None:
 def _require_kind(file: LoadedFile, model: type[Model]) -> None:
     """Raises `FileError`, and nothing about the fields, for a fleet file in place of a job file, or the reverse."""
     schema, example = str(file.root.value.get("schema")), _example_line(model)
-    kind = next((kind for kind in ("fleet", "job") if schema.startswith(f"tutti.{kind}/")), None)
+    kind = next((kind for kind in ("fleet", "fragment", "job") if schema.startswith(f"tutti.{kind}/")), None)
     if kind is not None and f"tutti.{kind}/" not in example:
-        needed_kind = "job" if kind == "fleet" else "fleet"
+        needed_kind = "fleet" if model is Fleet else "job"
         problem = file.problem(("schema",), f"this is a {kind} file; a {needed_kind} file is needed here: {example}")
         raise FileError([problem])
 
@@ -264,7 +266,7 @@ def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, st
     pydantic adds union tags (`move`, `tcp`) and `[key]` marks, which the file does not have: they are skipped. A last
     part that is not in the file, a missing field, belongs to the path.
     """
-    node, path, written = root, list[str | int](), list[str | int]()
+    node, path, keys = root, list[str | int](), list[str | int]()
     absent: str | int | None = None
     is_short = False
     tagged_node: YamlNode | None = None
@@ -279,9 +281,9 @@ def _locate(root: YamlNode, location: Sequence[str | int]) -> tuple[YamlNode, st
         absent = None
         node = entry_below
         path.append(part if isinstance(part, int) else str(part))
-        written.append(path[-1] if node.written is None else node.written)
+        keys.append(path[-1] if node.written is None else node.written)
         is_short = is_short or node.written is not None
     if isinstance(absent, str) and not absent.startswith("[") and isinstance(node.children, dict):
         path.append(absent)
-        written.append(absent)
-    return node, format_place(path), format_place(written) if is_short else ""
+        keys.append(absent)
+    return node, format_place(path), format_place(keys) if is_short else ""
