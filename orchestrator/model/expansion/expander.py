@@ -5,12 +5,13 @@ from dataclasses import dataclass, field, replace
 
 from orchestrator.model.expansion.members import COUNT, EACH, ITEM, MemberError, list_members
 from orchestrator.model.expansion.variables import VariableError, Variables, fill_text, is_variable_name
-from orchestrator.model.files.yaml_reader import MAX_ENTRIES, MAX_NODES, YamlError, YamlNode, YamlProblem
+from orchestrator.model.files.yaml_reader import MAX_ENTRIES, YamlError, YamlNode, YamlProblem
 from orchestrator.model.problems import Problem
 
 # What users define below is theirs alone: `each` is an ordinary key there.
 FREE_SECTIONS = frozenset(("options", "integrations"))
 
+MAX_EXPANDED = 500_000  # values of a whole fleet
 Place = tuple[str | int, ...]
 
 
@@ -36,20 +37,24 @@ class TreeExpander:
     def __init__(self) -> None:
         self.problems: list[Problem] = []
         self.failures: list[YamlProblem] = []
+        self._places: set[Place] = set()  # of problems
         self._count = 0
+
+    def note_problem(self, place: Place, text: str) -> None:
+        """Add a mistake of one entry."""
+        self._places.add(place)
+        self.problems.append(Problem(place, text))
 
     def expand(self, node: YamlNode, scope: Scope, place: Place) -> YamlNode:
         """The expanded copy of a node. Raises `YamlError` for a tree that becomes too large."""
         self._count += 1
-        if self._count > MAX_NODES:
-            raise _too_large(node, scope, place, f"makes more than {MAX_NODES} values")
+        if self._count > MAX_EXPANDED:
+            raise _too_large(node, scope, place, f"makes more than {MAX_EXPANDED} values")
         if node.children is None:
             return self._fill(node, scope, place)
         expanded_node = YamlNode(node.line, children={} if isinstance(node.children, dict) else [], file=scope.file)
         if self._is_bare_variable(node, scope):
-            self.problems.append(
-                Problem(place, f'write a variable that stands alone in quotes: "{{{next(iter(node.value))}}}"')
-            )
+            self.note_problem(place, f'write a variable that stands alone in quotes: "{{{next(iter(node.value))}}}"')
         self.extend(expanded_node, node, scope, place)
         expanded_node.update_value()
         return expanded_node
@@ -73,7 +78,7 @@ class TreeExpander:
             body = other_fields[ITEM]
             if len(other_fields) > 1:
                 text = "beside `item` nothing but `count` or `each` has a meaning; write the fields into it"
-                self.problems.append(Problem((*place, ITEM), text))
+                self.note_problem(place, text)
         controls = {
             key: self.expand(fields[key], replace(scope, is_free=True), place) for key in (COUNT, EACH) if key in fields
         }
@@ -84,7 +89,7 @@ class TreeExpander:
             self.failures.append(YamlProblem(line, (*place, key), str(error), scope.file))
             return
         for variables in members:
-            yield body, scope.add(variables)
+            yield from self.list_entry(body, scope.add(variables), place)
 
     def _extend_mapping(self, children: dict[str, YamlNode], node: YamlNode, scope: Scope, place: Place) -> None:
         assert isinstance(node.children, dict)
@@ -108,11 +113,11 @@ class TreeExpander:
 
     def _add_entry(self, children: dict[str, YamlNode], name: str, entry: YamlNode, place: Place) -> None:
         first_entry = children.setdefault(name, entry)
-        if first_entry is entry or any(problem.place == place for problem in self.problems[-1:]):
-            return  # the last one: a variable that is not there leaves several entries with one name
+        if first_entry is entry or place in self._places:
+            return  # a variable that is not there leaves several entries with one name
         lines = " and ".join(f"{twin.file or 'line'} {twin.line}" for twin in (first_entry, entry))
         text = f"is there twice, from {lines}; give each its own name, with all variables that change in it"
-        self.problems.append(Problem(place, text))
+        self.note_problem(place, text)
 
     def _require_space(self, number: int, node: YamlNode, scope: Scope, place: Place) -> None:
         if number > MAX_ENTRIES:
@@ -129,7 +134,7 @@ class TreeExpander:
         try:
             return fill_text(text, scope.variables, scope.used)
         except VariableError as error:
-            self.problems.append(Problem(place, str(error)))
+            self.note_problem(place, str(error))
             return text
 
     def _is_bare_variable(self, node: YamlNode, scope: Scope) -> bool:

@@ -51,6 +51,7 @@ class _FleetExpander:
     root: YamlNode
     expander: TreeExpander = field(default_factory=TreeExpander)
     _files: dict[Path, YamlNode] = field(default_factory=dict[Path, YamlNode])
+    _resolved: dict[Path, Path] = field(default_factory=dict[Path, Path])
     _count: int = 0
 
     def add_sections(self, node: YamlNode, scope: Scope, names: Iterable[str]) -> None:
@@ -67,7 +68,7 @@ class _FleetExpander:
                 parent.children[name] = self.expander.expand(node, scope, place)
             else:
                 text = f"stands in {scope.file or 'the fleet file'} too, line {node.line}; leave one of the two out"
-                self.expander.problems.append(Problem(place, text))
+                self.expander.note_problem(place, text)
             return
         if section is None:
             section = YamlNode(node.line, children={} if isinstance(node.children, dict) else [], file=scope.file)
@@ -110,11 +111,17 @@ class _FleetExpander:
             known_names = ", ".join(sorted(scope.used | values.keys() - set(unused_names))) or "none"
             raise inclusion.fail(f"{inclusion.path} has no variable {unused_names[0]}; its variables: {known_names}")
 
+    def _resolve(self, path: Path) -> Path:
+        """What identifies a file, however it is named; it costs system calls, and so is kept."""
+        if path not in self._resolved:
+            self._resolved[path] = path.resolve()
+        return self._resolved[path]
+
     def _read_fragment(self, inclusion: _Inclusion) -> YamlNode:
         """The fragment, read once and checked. Raises `YamlError`."""
         path, names = inclusion.path, [str(path) for path in inclusion.chain]
-        key = path.resolve()
-        if key in {earlier_path.resolve() for earlier_path in inclusion.chain}:
+        key = self._resolve(path)
+        if key in map(self._resolve, inclusion.chain):
             raise inclusion.fail(f"includes itself: {' includes '.join([*names, str(path)])}")
         if len(inclusion.chain) > MAX_CHAIN:
             raise inclusion.fail(f"more than {MAX_CHAIN} fragments include each other: {' includes '.join(names)}")

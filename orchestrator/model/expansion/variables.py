@@ -60,6 +60,6 @@ def _find_value(part: re.Match[str], variables: Variables, used: set[str]) -> Va
     if offset is None:
         return variable
     if type(variable.value) is not int:
-        raise VariableError(f"{part[0]}: only a whole_text number can be added to, and {name} is {variable.text!r}")
+        raise VariableError(f"{part[0]}: only a whole number can be added to, and {name} is {variable.text!r}")
     number = variable.value + int(offset)
     return Variable(number, str(number))

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +25,7 @@ from orchestrator.model.steps.tree import find_scans
 M = TypeVar("M", bound=Model)
 
 FLEET_SCHEMA = "tutti.fleet/"
+_SEPARATOR = re.compile(r"[.\[]")
 _NUMBER = re.compile(r"[0-9]+")
 MAX_PROBLEMS = 50  # that are listed; what follows is usually the same again
 
@@ -64,10 +65,10 @@ def _merge_members(problems: Iterable[FileProblem]) -> tuple[FileProblem, ...]:
         text = _NUMBER.sub("0", problem.text) if problem.pattern else problem.text
         alike.setdefault((problem.file, problem.line, pattern, text), []).append(problem)
     return tuple(
-        replace(same[0], text=f"{same[0].text} (the same in {len(same) - 1} more of {same[0].pattern})")
-        if len(same) > 1
-        else same[0]
-        for same in alike.values()
+        replace(members[0], text=f"{members[0].text} (the same in {len(members) - 1} more of {members[0].pattern})")
+        if len(members) > 1
+        else members[0]
+        for members in alike.values()
     )
 
 
@@ -152,17 +153,17 @@ def parse_file(file: LoadedFile, model: type[M]) -> M:
     problems = [problem for problem in problems if not fleet_tables.is_known(problem)]
     if model is Fleet and any(problem.is_summary for problem in problems):
         problems = _list_by_controller(file.root.value, problems)
-    problems = _add_short_problems(file.problems, problems)
+    short_problems = [file.problem(problem.place, problem.text) for problem in file.problems]
     if checked_file is None or fleet_tables.problems or file.problems:
         table_problems = [*fleet_tables.problems, *filter(None, map(fleet_tables.locate, problems))]
+        located_problems = [
+            file.problem(problem.place, problem.text) for problem in problems if not fleet_tables.locate(problem)
+        ]
         raise FileError(
             [
                 *(FileProblem(problem.file, problem.line, "", problem.text) for problem in table_problems),
-                *(
-                    file.problem(problem.place, problem.text)
-                    for problem in problems
-                    if not fleet_tables.locate(problem)
-                ),
+                *short_problems,
+                *_leave_out_consequences(located_problems, short_problems),
             ]
         )
     return checked_file
@@ -185,15 +186,17 @@ def _list_by_controller(value: Mapping[str, Any], summary: Sequence[Problem]) ->
     return [*single_problems, *section_problems, *find_reference_problems(value)]
 
 
-def _add_short_problems(short: Sequence[Problem], problems: Sequence[Problem]) -> list[Problem]:
-    """Mistakes of short forms with those of the fleet, except for what a short form that is wrong has left there."""
-    known_places = {problem.place for problem in short}
-    other_problems = [
-        problem
-        for problem in problems
-        if not any(problem.place[:length] in known_places for length in range(1, len(problem.place) + 1))
-    ]
-    return [*short, *other_problems]
+def _leave_out_consequences(problems: Sequence[FileProblem], short: Sequence[FileProblem]) -> list[FileProblem]:
+    """The mistakes but for those that a wrong short form has left at its place."""
+    wrong_fields = {problem.field for problem in short}
+    return [problem for problem in problems if not wrong_fields & {*_list_fields_above(problem.field)}]
+
+
+def _list_fields_above(field: str) -> Iterator[str]:
+    """A field and all that contain it: `groups.a[1]`, `groups.a`, `groups`."""
+    yield field
+    for separator in _SEPARATOR.finditer(field):
+        yield field[: separator.start()]
 
 
 def require_mapping(file: LoadedFile, model: type[Model]) -> None:
