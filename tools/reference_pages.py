@@ -91,6 +91,13 @@ def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
     return "\n".join([head, *model_tables(schema, title)])
 
 
+def fleet_page() -> str:
+    """The page of fleet files: the fields of a fleet, and how entries are written in short."""
+    head, first_table = file_page("fleet", Fleet.model_json_schema(), "Fleet").split("\n## ", 1)
+    text = "Entries that stand for many (`count`, `each`) and fragments (`include`): [how-to](../how-to/write-a-fleet.md#many-controllers-that-are-alike)."
+    return f"{head}{text}\n\n## {first_table}"
+
+
 def job_page() -> str:
     """The page of job files: the fields of a job, and the parts of its file alone: parameters and button."""
     declarations = model_tables(ParameterDeclarations.model_json_schema(), "Parameters")
@@ -182,7 +189,7 @@ def _shorten_types(signature: str) -> str:
 def pages() -> dict[str, str]:
     """The generated pages by file name."""
     return {
-        "fleet-file.md": file_page("fleet", Fleet.model_json_schema(), "Fleet"),
+        "fleet-file.md": fleet_page(),
         "job-file.md": job_page(),
         "command-line.md": command_page(),
         "python.md": python_page(),

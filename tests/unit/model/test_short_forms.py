@@ -1,14 +1,18 @@
 """Short forms in fleet files: entries for many, variables, fragments; their mistakes by file, line and member."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
+from orchestrator.cli.main import main
 from orchestrator.gateway.fleet_files import compare_fleet
 from orchestrator.model.expansion import expander, fragments
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet, parse_document, read_document
+from orchestrator.model.templates.fleet_schema import make_fleet_file_schema, make_fragment_schema
 from orchestrator.runtime.checked import load_checked_fleet
 
 EXAMPLES = Path(__file__).parents[3] / "deploy" / "examples"
@@ -373,3 +377,24 @@ def test_the_example_passes_the_check_of_its_makes() -> None:
     assert list(fleet.controllers)[-4:] == ["load-east-left", "load-east-right", "load-west-left", "load-west-right"]
     assert fleet.groups["row-2"] == ["stage-2-1.x", "stage-2-2.x", "stage-2-3.x", "stage-2-4.x"]
     assert fleet.controllers["stage-1-3"].simulate.drift_ppm == 13
+
+
+# For editors
+
+
+def test_the_schemas_accept_short_forms_where_entries_stand() -> None:
+    schema, fragment = make_fleet_file_schema(), make_fragment_schema()
+    models = schema["$defs"]
+    (controllers,) = schema["properties"]["controllers"]["patternProperties"].items()
+    assert re.search(controllers[0], "stage-{n+1}") and not re.search(controllers[0], "Stage")
+    assert {"count", "each", "adapter"} <= models["Controller"]["properties"].keys()
+    assert {"$ref": "#/$defs/ShortItem"} in schema["properties"]["home_order"]["items"]["anyOf"]
+    port = models["TcpLink"]["properties"]["port"]["anyOf"]
+    assert any(re.search(option.get("pattern", "$^"), "{n}") for option in port)
+    assert "controllers" not in schema["required"] and "include" in schema["properties"]
+    assert fragment["properties"]["schema"]["const"] == "tutti.fragment/1" and "queue" not in fragment["properties"]
+
+
+def test_the_whole_fleet_is_printed() -> None:
+    shown = CliRunner().invoke(main, ["fleet", "expand", str(EXAMPLES / "hall.fleet.yaml")])
+    assert parse_document(shown.output, Fleet, "shown") == load_checked_fleet(EXAMPLES / "hall.fleet.yaml")
