@@ -94,7 +94,8 @@ def file_page(kind: str, schema: dict[str, Any], title: str) -> str:
 def fleet_page() -> str:
     """The page of fleet files: the fields of a fleet, and how entries are written in short."""
     head, first_table = file_page("fleet", Fleet.model_json_schema(), "Fleet").split("\n## ", 1)
-    text = "Entries that stand for many (`count`, `each`) and fragments (`include`): [how-to](../how-to/write-a-fleet.md#many-controllers-that-are-alike)."
+    section = "../how-to/write-a-fleet.md#many-controllers-that-are-alike"
+    text = f"Entries that stand for many (`count`, `each`) and fragments (`include`): [how-to]({section})."
     return f"{head}{text}\n\n## {first_table}"
 
 

@@ -145,7 +145,7 @@ def expand_fleet(root: YamlNode, path: Path | None) -> ExpandedFleet:
     include = root.children.get(INCLUDE)
     if include is not None and path is None:
         text = (
-            "text that arrives without its folder can include nothing; `tutti fleet expand FILE` writes the whole fleet"
+            "text without its folder can include nothing; give the whole fleet, as the command `fleet expand` prints it"
         )
         raise YamlError([YamlProblem(include.line, (INCLUDE,), text)])
     work = _FleetExpander(YamlNode(root.line, children={}))

@@ -89,11 +89,11 @@ def read_tables(value: Mapping[str, Any], find_folder: Callable[[Place], Path]) 
         axes = dict(_read_mapping(controllers[name], "axes"))
         for axis, fields in axes.items():
             correction = _read_mapping(fields, "correction")
-            place = ("controllers", name, "axes", axis, "correction")
-            table = _read_named(find_folder(place), correction, ("position",), fields)
+            table_place = ("controllers", name, "axes", axis, "correction")
+            table = _read_named(find_folder(table_place), correction, ("position",), fields)
             if table is None:
                 continue
-            tables[place] = table
+            tables[table_place] = table
             other_fields = {key: entry for key, entry in fields.items() if key != "correction"}
             axes[axis] = other_fields if table.problems else {**other_fields, "correction": table.fill(correction)}
         controllers[name] = {**controllers[name], "axes": axes} if axes else controllers[name]
@@ -102,11 +102,11 @@ def read_tables(value: Mapping[str, Any], find_folder: Callable[[Place], Path]) 
         filled_tables = dict(_read_mapping(group, "tables"))
         for key, options in list(filled_tables.items()):
             axis = _read_mapping(_read_mapping(group, "axes"), _read_text(options, "axis"))
-            place = ("virtual", name, "tables", key)
-            table = _read_named(find_folder(place), options, _read_by(options), axis)
+            table_place = ("virtual", name, "tables", key)
+            table = _read_named(find_folder(table_place), options, _read_by(options), axis)
             if table is None:
                 continue
-            tables[place] = table
+            tables[table_place] = table
             filled_tables[key] = options if table.problems else table.fill(options)
         groups[name] = {**group, "tables": filled_tables} if filled_tables else group
     return FleetTables({**value, "controllers": controllers, "virtual": groups} if tables else value, tables)

@@ -16,6 +16,7 @@ WITHOUT_JSON = {
     "completion": "what it prints is a script",
     "record start": "it records until it is interrupted",
     "router": "runs in the foreground; --print-config is JSON",
+    "fleet expand": "what it prints is JSON already",
     "schema": "what it prints is JSON already",
 }
 

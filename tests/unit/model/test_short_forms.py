@@ -369,7 +369,11 @@ def test_the_page_expands_a_text_and_refuses_one_that_needs_other_files() -> Non
     checked = compare_fleet(HALL, running)
     assert checked["problems"] == [] and len(checked["configuration"]["controllers"]) == 250
     (problem,) = compare_fleet(f"{HALL}include: pair.yaml\n", running)["problems"]
-    assert problem["line"] == 11 and problem["place"] == "include" and "`tutti fleet expand FILE`" in problem["text"]
+    assert (
+        problem["line"] == 11
+        and problem["place"] == "include"
+        and "as the command `fleet expand` prints it" in problem["text"]
+    )
 
 
 def test_the_example_passes_the_check_of_its_makes() -> None:
