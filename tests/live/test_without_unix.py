@@ -34,6 +34,7 @@ RUNS: list[tuple[str, int, str]] = [
     ("completion bash", 0, "_tutti_completion()"),
     ("fleet init --make smc4000 -o lab.fleet.yaml", 0, "1 controllers, 2 axes"),
     ("fleet check {examples}/demo.fleet.yaml", 0, "no problem found"),
+    ("fleet expand {examples}/hall.fleet.yaml", 0, '"tutti.fleet/1"'),
     ("zones check {examples}/zones.fleet.yaml", 0, "3 bodies, 4 rules"),
     ("job check {examples}/demo.job.yaml --fleet {examples}/demo.fleet.yaml", 0, "no problem found"),
     ("job parameters {examples}/scan.template.job.yaml", 0, "length of a line"),
