@@ -43,7 +43,7 @@ class LightDriver(Driver):
         self._config = setup.config
         self._indices = {name: axis_index(setup.config, name) for name in setup.config.axes}
         self._link: Link | None = None
-        self._lights = LightClock()
+        self._estimate = LightClock()
         self._mover = LightMover(self, setup.clock)
         self._slots = MoveSlots(MoveSlot(self._mover))
         self._power_ups = 0
@@ -59,21 +59,18 @@ class LightDriver(Driver):
             raise LinkClosed(f"{self._setup.controller} is not connected")
         return self._link
 
-    def find_mapping(self) -> TickMapping | None:
-        return self._lights.find_mapping()
-
     def clock_mapping(self) -> TickMapping | None:
-        return self._lights.find_mapping()
+        return self._estimate.find_mapping()
 
     async def connect(self) -> ControllerIdentity:
         await self.close()
         self._link = await self._setup.open_link()
-        self._lights = LightClock()
+        self._estimate = LightClock()
         _, _, reply = await exchange(self._link, IDENTITY)
         if not reply[2:].startswith(b"tutti light "):
             raise ControllerFault("other-model", f"it calls itself {reply[2:60]!r}", "correct `adapter`")
         state = await self.read_state()
-        if any(bits & 1 for _, _, bits in state.axes):
+        if state.is_moving:
             raise ControllerFault("moving", "the controller moves", "wait for its end, or stop it: `tutti stop`")
         return ControllerIdentity("light", reply[2:].decode("ascii", "replace"), self._setup.controller)
 
@@ -95,10 +92,10 @@ class LightDriver(Driver):
     async def read_state(self) -> LightState:
         """Read the state, and the clock."""
         state = await read_state(self.link)
-        self._lights.add_sample(state.sent_ns, state.received_ns, state.ticks)
+        self._estimate.add_sample(state.sent_ns, state.received_ns, state.ticks)
         if self._power_ups and state.power_ups != self._power_ups:
-            self._restarted, self._lights = True, LightClock()
-            self._lights.add_sample(state.sent_ns, state.received_ns, state.ticks)
+            self._restarted, self._estimate = True, LightClock()
+            self._estimate.add_sample(state.sent_ns, state.received_ns, state.ticks)
         self._power_ups = state.power_ups
         return state
 
@@ -146,7 +143,7 @@ class LightDriver(Driver):
         ramp = min(full_ramp(self._config, name) for name in axes)
         await exchange(self.link, home_request(self._mask_of(axes), speed, ramp))
         state = await self.read_state()
-        while any(bits & 1 for _, _, bits in state.axes):
+        while state.is_moving:
             await sleep_ns(self._setup.clock, HOMING_POLL_NS)
             state = await self.read_state()
         failures: dict[str, Refusal] = {}

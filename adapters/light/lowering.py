@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import ceil
 
 from adapters.contract import Lowered, require_start_class
+from adapters.light.clock import TICK_NS
 from adapters.light.wire import AxisPart
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.estimator import TickMapping
@@ -62,7 +63,7 @@ def lower_profiles(
         raise Refusal("start-class", "a light controller drives no trigger line", "use an output of another controller")
     if mapping is None:
         raise Refusal("no-clock", "the controller's clock has not been read yet", "try again in a second")
-    factor = mapping.tick_ns / 1000.0  # host seconds per second of the crystal
+    factor = mapping.tick_ns / TICK_NS  # host seconds per second of the crystal
     parts = tuple(
         _make_part(config, name, profile, factor, start) for name, profile in profiles.items() if not profile.is_still
     )

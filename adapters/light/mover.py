@@ -7,6 +7,7 @@ from math import ceil
 from typing import Protocol
 
 from adapters.contract import HostInterval, LoadPlace, Lowered, MoveOutcome
+from adapters.light.clock import TICK_NS
 from adapters.light.lowering import LightLowered
 from adapters.light.wire import UNLOAD, LightState, MoveState, exchange, load_request, release_request
 from adapters.toolkit.host_start import moving_intervals, resting_intervals
@@ -31,7 +32,7 @@ class LightDevice(Protocol):
         """Read its state, and its clock."""
         ...
 
-    def find_mapping(self) -> TickMapping | None:
+    def clock_mapping(self) -> TickMapping | None:
         """The present estimate of its clock."""
         ...
 
@@ -121,9 +122,7 @@ class LightMover:
         end_ns = move.t0_ns + longest_ns + move.mapping.bound_at_ns(move.t0_ns + longest_ns) + NS_PER_MS
         await self._sleep_until(end_ns)
         state = await self._device.read_state()
-        while state.move_state is MoveState.MOVING or (
-            state.move_state is MoveState.STOPPED and any(bits & 1 for _, _, bits in state.axes)
-        ):
+        while state.move_state is MoveState.MOVING or (state.move_state is MoveState.STOPPED and state.is_moving):
             if self._clock.now_ns() > end_ns + OVERDUE_NS:
                 raise ControllerFault("overdue", "the move does not end", "stop it: `tutti stop`")
             await self._sleep_until(self._clock.now_ns() + BRAKING_POLL_NS)
@@ -136,7 +135,8 @@ class LightMover:
             end = self._to_interval(state.end_tick)
             return MoveOutcome("stopped", {**resting, **dict.fromkeys(movers, end)}, "stopped on request")
         start = self._to_interval(state.start_tick)
-        ends = {name: _later(start, move.lowered.durations_s[name]) for name in movers}
+        ppm = move.mapping.drift_ppm
+        ends = {name: _later(start, move.lowered.durations_s[name], ppm) for name in movers}
         return MoveOutcome("done", {**resting, **ends})
 
     def wake(self) -> None:
@@ -154,7 +154,7 @@ class LightMover:
             timer.cancel()
 
     def _to_interval(self, tick: int) -> HostInterval:
-        mapping = self._device.find_mapping()
+        mapping = self._device.clock_mapping()
         assert mapping is not None  # its state was read
         at_ns = mapping.to_host_ns(tick)
         bound_ns = mapping.bound_at_ns(at_ns)
@@ -166,7 +166,7 @@ class LightMover:
         return self._move
 
 
-def _later(interval: HostInterval, seconds: float) -> HostInterval:
-    """The interval so much later, with what both clocks may have drifted apart meanwhile, and the tick it ends at."""
-    ns, margin_ns = round(seconds * NS_PER_S), ceil(seconds * 5_000) + 1000
+def _later(interval: HostInterval, seconds: float, ppm: float) -> HostInterval:
+    """The interval so much later. ppm: by how much both clocks may drift apart meanwhile; a tick is added."""
+    ns, margin_ns = round(seconds * NS_PER_S), ceil(seconds * ppm * 1e3 + TICK_NS)
     return HostInterval(interval.earliest_ns + ns - margin_ns, interval.latest_ns + ns + margin_ns)

@@ -75,6 +75,11 @@ class LightState(NamedTuple):
     def axes(self) -> list[tuple[int, float, int]]:
         return list(_AXIS.iter_unpack(self.rest[_STATE.size - _TICKS.stop :]))
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether any axis moves."""
+        return any(bits & 1 for _, _, bits in self.axes)
+
 
 async def exchange(link: Link, request: bytes) -> tuple[int, int, bytes]:
     """Send a request; return when, when its reply came, and the reply. Raises `LinkClosed`, `ControllerFault`, and

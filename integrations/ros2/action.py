@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from integrations.ros2.goals import ABORTED, CANCELED, CANCELING, UNKNOWN, Goal, GoalBook, GoalRunner
-from integrations.ros2.joints import Joint, find_read_ns, find_utc_ns, join_ns, split_ns
+from integrations.ros2.joints import Joint, find_read_ns, find_utc_ns, join_ns
 from integrations.ros2.messages import CANCEL_GOAL, FEEDBACK, GET_RESULT, LOG, SEND_GOAL, STATUSES, TRAJECTORY
 from integrations.ros2.node import Request, RosNode
 from integrations.ros2.trajectory import BadGoal, read_goal
@@ -30,7 +30,7 @@ class TrajectoryAction:
         tolerance: float,
         runner: GoalRunner,
     ) -> None:
-        self._make, self._name = node.types.make, name
+        self._types, self._make, self._name = node.types, node.types.make, name
         self._joints, self._tolerance, self._runner = joints, tolerance, runner
         self._book = GoalBook()
         self._tasks = TaskOwner()
@@ -64,10 +64,10 @@ class TrajectoryAction:
         setpoint = np.array([state.commanded * size for state, size in states])
         read_ns = find_read_ns(newest)
         since_ns = 0 if goal.t0_ns is None or read_ns is None else max(0, read_ns - goal.t0_ns)
-        duration = self._make("builtin_interfaces/msg/Duration", **split_ns(since_ns))
+        duration = self._types.make_duration(since_ns)
         feedback = self._make(
             f"{TRAJECTORY}_Feedback",
-            header=self._make_header(find_utc_ns(newest)),
+            header=self._types.make_header(find_utc_ns(newest)),
             joint_names=[joint.name for joint in joints],
             desired=self._make_point(setpoint, duration),
             actual=self._make_point(actual, duration),
@@ -98,7 +98,7 @@ class TrajectoryAction:
         self._publish_statuses()
 
     def _respond_goal(self, request: Request, now_ns: int, *, accepted: bool) -> None:
-        stamp = self._make_time(now_ns)
+        stamp = self._types.make_time(now_ns)
         request.respond(self._make(f"{SEND_GOAL}_Response", accepted=accepted, stamp=stamp))
 
     def _note_end(self, goal: Goal, task: "asyncio.Task[None]") -> None:
@@ -149,21 +149,15 @@ class TrajectoryAction:
 
     def _write_log(self, level: int, text: str) -> None:
         LOGGER.warning("%s: %s", self._name, text)
-        stamp = self._make_time(time.time_ns())
+        stamp = self._types.make_time(time.time_ns())
         fields = {"name": self._name, "msg": text, "file": "", "function": "", "line": 0}
         self._log.publish(self._make(LOG, stamp=stamp, level=level, **fields))
-
-    def _make_time(self, at_ns: int) -> Any:
-        return self._make("builtin_interfaces/msg/Time", **split_ns(at_ns))
-
-    def _make_header(self, at_ns: int) -> Any:
-        return self._make("std_msgs/msg/Header", stamp=self._make_time(at_ns), frame_id="")
 
     def _make_id(self, goal_id: bytes) -> Any:
         return self._make("unique_identifier_msgs/msg/UUID", uuid=np.frombuffer(goal_id, np.uint8))
 
     def _make_info(self, goal: Goal) -> Any:
-        stamp = self._make_time(goal.stamp_ns)
+        stamp = self._types.make_time(goal.stamp_ns)
         return self._make("action_msgs/msg/GoalInfo", goal_id=self._make_id(goal.id), stamp=stamp)
 
     def _make_point(self, positions: Any, duration: Any) -> Any:
@@ -173,5 +167,5 @@ class TrajectoryAction:
 
     def _make_no_points(self) -> Any:
         fields: dict[str, list[Any]] = {"transforms": [], "velocities": [], "accelerations": []}
-        duration = self._make("builtin_interfaces/msg/Duration", **split_ns(0))
+        duration = self._types.make_duration(0)
         return self._make("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", **fields, time_from_start=duration)

@@ -10,6 +10,8 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from integrations.ros2.joints import split_ns
+
 TRAJECTORY = "control_msgs/action/FollowJointTrajectory"
 SEND_GOAL, GET_RESULT, CANCEL_GOAL = f"{TRAJECTORY}_SendGoal", f"{TRAJECTORY}_GetResult", "action_msgs/srv/CancelGoal"
 FEEDBACK, STATUSES = f"{TRAJECTORY}_FeedbackMessage", "action_msgs/msg/GoalStatusArray"
@@ -72,6 +74,18 @@ class MessageTypes:
     def make(self, name: str, /, **fields: Any) -> Any:
         """A message of a type."""
         return self._store.types[name](**fields)
+
+    def make_time(self, at_ns: int) -> Any:
+        """An instant, ns since 1970."""
+        return self.make("builtin_interfaces/msg/Time", **split_ns(at_ns))
+
+    def make_duration(self, length_ns: int) -> Any:
+        """A duration, ns."""
+        return self.make("builtin_interfaces/msg/Duration", **split_ns(length_ns))
+
+    def make_header(self, at_ns: int) -> Any:
+        """The header of a message without a frame."""
+        return self.make("std_msgs/msg/Header", stamp=self.make_time(at_ns), frame_id="")
 
     def encode(self, message: Any) -> bytes:
         """The CDR of a message."""

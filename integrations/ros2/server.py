@@ -7,7 +7,7 @@ import numpy as np
 
 from integrations.ros2.action import TrajectoryAction
 from integrations.ros2.goals import GoalRunner
-from integrations.ros2.joints import NS_PER_S, Joint, find_utc_ns, make_joints, split_ns
+from integrations.ros2.joints import NS_PER_S, Joint, find_utc_ns, make_joints
 from integrations.ros2.messages import JOINT_STATE, MessageTypes
 from integrations.ros2.node import RosNode, Topic, open_session
 from integrations.ros2.settings import RosSettings, fill_settings
@@ -56,10 +56,9 @@ def publish_joints(topic: Topic, types: MessageTypes, reading: StateReading, joi
     axes = {joints[axis]: state for axis, state in reading.axes.items() if axis in joints}
     if not axes or not topic.is_wanted:
         return
-    stamp = types.make("builtin_interfaces/msg/Time", **split_ns(find_utc_ns(reading)))
     message = types.make(
         JOINT_STATE,
-        header=types.make("std_msgs/msg/Header", stamp=stamp, frame_id=""),
+        header=types.make_header(find_utc_ns(reading)),
         name=[joint.name for joint in axes],
         position=np.array([state.position * joint.size for joint, state in axes.items()]),
         velocity=np.array([state.velocity * joint.size for joint, state in axes.items()]),

@@ -155,16 +155,15 @@ def make_sync_fleet(name: str, seed: int, **limits: float) -> Fleet:
     return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "sync", **plain, "controllers": controllers})
 
 
-def make_light(number: int, host: str, axes: int = 4) -> dict[str, Any]:
-    """Return a light controller of several axes."""
+def make_light(number: int, host: str) -> dict[str, Any]:
+    """Return a light controller of four axes."""
     limits = {"velocity": 200, "acceleration": 1000}
     axis = {"unit": "mm", "scale": 1000, "limits": limits, "homing": {"speed": 40}}
-    names = ("x", "y", "z", "w")[:axes]
     return {
         "adapter": "light",
         "host": host,
         "link": {"kind": "process", "device": f"light-{number}"},
-        "axes": {name: {**axis, "motors": [str(motor)]} for motor, name in enumerate(names, 1)},
+        "axes": {name: {**axis, "motors": [str(motor)]} for motor, name in enumerate("xyzw", 1)},
     }
 
 

@@ -28,7 +28,7 @@ CONFIG = {
     "axes": {"x": AXIS, "y": {**AXIS, "motors": ["2"]}},
 }
 CASE = Case(CONFIG, {"axes": 2}, "process")
-LACKS = ("jog", "output", "input", "limit", "line", "trigger", "sooner", "bus", "half the distance", "another move")
+LACKS = ("this make cannot jog an axis", "this make cannot wait for an input", "this make has no outputs")
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_contract(check: ContractCheck) -> None:
     try:
         check.run(CASE)
     except NotApplicable as reason:
-        assert any(word in f"{check.title} {reason}" for word in LACKS), reason
+        assert str(reason).startswith(LACKS), reason
         pytest.skip(str(reason))
 
 

@@ -1,8 +1,6 @@
 """States of the demo fleet on a broker that is not ours (Debian's `mosquitto`)."""
 
 import json
-import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -14,25 +12,24 @@ from typing import Any
 import paho.mqtt.client as paho
 import pytest
 from click.testing import CliRunner
+from ecosystem.programs import require_program
 from ecosystem.waits import LIMIT_S, wait_until
 
 from orchestrator.cli.main import main
 from orchestrator.runtime.live.fleet import find_free_port
 from tutti.testing import LiveTestbed
 
-BROKER = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 CALL = "from orchestrator.cli.entry import main; main()"
 
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[int]:
     """The port of a broker of this test."""
-    if BROKER is None:
-        pytest.skip("the system's package mosquitto is not installed")
+    program = require_program("mosquitto")
     port = find_free_port()
     config = tmp_path / "mosquitto.conf"
     config.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\n")
-    process = subprocess.Popen([BROKER, "-c", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen([program, "-c", str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         wait_until(lambda: is_open(port))
         yield port

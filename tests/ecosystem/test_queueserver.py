@@ -1,7 +1,5 @@
 """The RunEngine manager of bluesky-queueserver, with devices that it makes from the fleet file, moves the demo fleet."""
 
-import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -10,12 +8,12 @@ from typing import Any
 
 import pytest
 from bluesky_queueserver_api.zmq import REManagerAPI
+from ecosystem.programs import require_program
 from ecosystem.waits import wait_until
 
 from orchestrator.runtime.live.fleet import find_free_port
 from tutti.testing import LiveTestbed, find_example
 
-STORE = shutil.which("redis-server", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 STARTUP = """
 from bluesky import RunEngine
 from bluesky.plans import scan
@@ -49,10 +47,9 @@ user_groups:
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[str]:
     """The address of a store of queues of this test."""
-    if STORE is None:
-        pytest.skip("the system's package redis-server is not installed")
+    program = require_program("redis-server")
     port = find_free_port()
-    words = [STORE, "--port", str(port), "--bind", "127.0.0.1", "--save", "", "--dir", str(tmp_path)]
+    words = [program, "--port", str(port), "--bind", "127.0.0.1", "--save", "", "--dir", str(tmp_path)]
     with subprocess.Popen(words, stdout=subprocess.DEVNULL) as process:
         yield f"127.0.0.1:{port}"
         process.terminate()

@@ -3,7 +3,6 @@ the crate hiroz."""
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import Any
 import pytest
 import zenoh
 from click.testing import CliRunner
+from ecosystem.programs import require_program
 from ecosystem.ros2_sdk import (
     ACTION,
     GET_RESULT_HASH,
@@ -285,9 +285,7 @@ def test_another_axis_of_a_controller_in_use_is_aborted(
 @pytest.mark.timeout(3600)  # it is built once, which takes half an hour on a slow core
 def test_an_action_client_in_rust(server: LiveTestbed) -> None:
     """hiroz looks for the action in the graph by its tokens, and waits for its result without an end."""
-    cargo = shutil.which("cargo")
-    if cargo is None:
-        pytest.skip("the system's package cargo is not installed")
+    cargo = require_program("cargo")
     build = [
         cargo,
         "build",

@@ -8,6 +8,8 @@ from contextlib import ExitStack, contextmanager, suppress
 
 import click
 
+from orchestrator.clock.input_thread import READ_BYTES
+
 HAS_PANELS = sys.platform != "win32"
 """Whether a panel can have the whole terminal: each key as it is, and a screen of its own."""
 
@@ -18,8 +20,6 @@ if sys.platform == "win32":
 else:
     import termios
     import tty
-
-    READ_BYTES = 4096
 
     def forget_typed_ahead() -> None:
         """Drop what was typed before something was shown; nothing, if the input is no terminal."""

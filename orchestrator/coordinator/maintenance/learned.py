@@ -49,8 +49,7 @@ class LearnedTimesKeeper:
 
     async def close(self) -> None:
         """Keep what was learned until now."""
-        with suppress(JournalError, Refusal):
-            await self._save()
+        await self._save()
 
     async def forget_times(self, request: ForgetTimes) -> Reply:
         """Forget the times of controllers, here and in the journal. Raises `JournalError`, `Refusal` for a controller
@@ -72,9 +71,10 @@ class LearnedTimesKeeper:
         now_ns = self._access.clock.now_ns()
         if self._steps >= SAVE_STEPS and (self._saved_ns is None or now_ns - self._saved_ns >= SAVE_NS):
             self._steps, self._saved_ns = 0, now_ns
-            self._access.tasks.spawn(self.close(), vital=False)
+            self._access.tasks.spawn(self._save(), vital=False)
 
     async def _save(self) -> None:
+        """Write what was learned; what a journal does not take is learned again."""
         utc = self._access.clock.utc()
         times = [
             LearnedTimes(
@@ -88,7 +88,8 @@ class LearnedTimesKeeper:
         ]
         learned_times = [entry for entry in times if entry.shares or entry.durations_ns]
         if learned_times:
-            await self._execute(self._store.save_times, learned_times)
+            with suppress(JournalError):
+                await self._execute(self._store.save_times, learned_times)
 
     def _find_digest(self, controller: str) -> str:
         """The digest of the configuration of a controller, or of all; empty for one that the fleet does not have."""

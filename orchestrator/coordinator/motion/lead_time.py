@@ -157,10 +157,9 @@ class LeadTimeEstimator:
 
     def list_shares(self, controller: str) -> dict[str, float]:
         """The arming shares of a controller that are known, by kind: the largest of late."""
+        histories = {kind: self._shares.get((kind, controller)) for kind in get_args(ArmKind)}
         return {
-            kind: history.longest
-            for (kind, member), history in self._shares.items()
-            if member == controller and history.is_known
+            kind: history.longest for kind, history in histories.items() if history is not None and history.is_known
         }
 
     def list_durations(self) -> dict[str, float]:
