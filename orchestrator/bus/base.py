@@ -9,7 +9,7 @@ A bus stores no values: a reader queries the last value of a key (`request`), an
 expressions are checked (`orchestrator.bus.expression`); a malformed one raises `ValueError`.
 """
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from enum import Enum
 from typing import NamedTuple, Protocol
 
@@ -72,6 +72,18 @@ A request on a wildcard, which any tool may send to look around, gets values and
 """
 
 
+class ServedGroup(Protocol):
+    """Keys that one declaration serves, and that may become others meanwhile."""
+
+    def find_handler(self, key: str) -> RequestHandler | None:
+        """What answers a request on `key`; None: nothing, as if the key was not served."""
+        ...
+
+    def list_values(self) -> Iterable[str]:
+        """The keys that have values: a request on a wildcard is answered with those that match, and with no others."""
+        ...
+
+
 class BusDeclaration(Protocol):
     """A subscription, a served key, a presence token or a watch; it is active until undeclared."""
 
@@ -103,6 +115,10 @@ class Bus(Protocol):
         """Answer requests on matching keys. Requests are handled concurrently."""
         ...
 
+    async def serve_group(self, expression: str, group: ServedGroup) -> BusDeclaration:
+        """Answer requests on the keys of `group` that match `expression`, by one declaration for all of them."""
+        ...
+
     async def request(self, key: str, payload: bytes, timeout_s: float, server: str | None = None) -> bytes:
         """Send a request and return the first valid reply. An error reply counts only if no valid one arrives.
 
@@ -132,6 +148,11 @@ class Bus(Protocol):
 
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         """Call `callback(key, present)` with the present tokens and with every change."""
+        ...
+
+    async def watch_subscribers(self, expression: str, callback: Callable[[bool], None]) -> BusDeclaration:
+        """Call `callback` with whether any process subscribes to a key that matches `expression`: soon with true if one
+        does, and with every change."""
         ...
 
     def report_double_answers(self, callback: Callable[[str], None]) -> None:

@@ -14,14 +14,16 @@ import random
 from collections.abc import Callable
 from functools import partial
 
-from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler
+from orchestrator.bus.answering import FindAnswers, answer_expression, answer_group
+from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler, ServedGroup
 from orchestrator.bus.budgets import find_most_bytes, is_estop_key
-from orchestrator.bus.expression import check_expression, check_key, check_put, expressions_intersect
+from orchestrator.bus.expression import check_expression, check_key, check_put
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
 from orchestrator.bus.memory.network import Network
 from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
 from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
+from orchestrator.bus.memory.subscriptions import SubscriberWatch, Subscription, SubscriptionBoard
 from orchestrator.bus.memory.traffic import Uncounted
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
@@ -41,25 +43,6 @@ QUEUE_LIMIT = 1000
 """Maximum droppable samples that wait for a process that does not run; more are lost."""
 
 
-class _Subscription:
-    """The subscription of one process."""
-
-    def __init__(self, bus: "MemoryBus", expression: str, callback: Callable[[BusSample], None]) -> None:
-        self.bus = bus
-        self.expression = expression
-        self.context = contextvars.copy_context()
-        self._callback = callback
-        self._stands = True
-
-    def deliver_sample(self, sample: BusSample) -> None:
-        if self._stands and self.bus.alive:
-            self._callback(sample)
-
-    async def undeclare(self) -> None:
-        self._stands = False
-        self.bus.net.remove_subscription(self)
-
-
 class MemoryNet:
     """The shared medium. Only the code that injects faults holds it; processes get the result of `join_process`."""
 
@@ -77,8 +60,6 @@ class MemoryNet:
         self._queue_limit = queue_limit
         self._context = contextvars.copy_context()
         self._buses: dict[str, MemoryBus] = {}
-        self._subscriptions: list[_Subscription] = []
-        self._routes: dict[str, list[tuple[MemoryBus, list[_Subscription]]]] = {}
         self._sides: dict[str, int] = {}
         self._lost_sides: dict[str, int] = {}
         self._cuts = 0
@@ -87,6 +68,7 @@ class MemoryNet:
         self._lossy: dict[str, float] = {}
         self.traffic = Uncounted()  # replaced by what counts
         self.network = Network(seed)
+        self.subscriptions = SubscriptionBoard(self)
         self.presence = PresenceBoard(self)
         self.requests = RequestBoard(self)
 
@@ -270,20 +252,9 @@ class MemoryNet:
 
     # Samples
 
-    def add_subscription(self, subscription: _Subscription) -> None:
-        self.traffic.count_declared(subscription.bus.name)
-        self._subscriptions.append(subscription)
-        self._routes.clear()
-
-    def remove_subscription(self, subscription: _Subscription) -> None:
-        if subscription in self._subscriptions:
-            self._subscriptions.remove(subscription)
-            self._routes.clear()
-
     def drop_declarations(self, bus: "MemoryBus") -> None:
         """Remove the subscriptions and served keys of a process."""
-        self._subscriptions = [subscription for subscription in self._subscriptions if subscription.bus is not bus]
-        self._routes.clear()
+        self.subscriptions.remove_process(bus)
         self.requests.remove_servers(bus)
 
     def send_sample(self, sender: "MemoryBus", sample: BusSample, priority: Priority) -> None:
@@ -291,28 +262,18 @@ class MemoryNet:
         share = self._lossy.get(sender.name, 0.0) if priority is Priority.STATE else 0.0
         lane = (sender.name, sample.key, priority)
         self.traffic.count_sent(sender.name, sample.key, len(sample.payload))
-        for receiver, subscriptions in self._find_receivers(sample.key):
+        for receiver, subscriptions in self.subscriptions.find_receivers(sample.key):
             if self.is_cut(sender, receiver) or (share and self._rng.random() < share):
                 continue
             at_ns = max(self.arrival_ns(sender, receiver, priority), receiver.last_arrivals_ns.get(lane, 0))
             receiver.last_arrivals_ns[lane] = at_ns
             self.schedule_call(at_ns, partial(self._deliver_sample, sender, receiver, subscriptions, sample, priority))
 
-    def _find_receivers(self, key: str) -> "list[tuple[MemoryBus, list[_Subscription]]]":
-        route = self._routes.get(key)
-        if route is None:
-            by_bus: dict[str, tuple[MemoryBus, list[_Subscription]]] = {}
-            for subscription in self._subscriptions:
-                if expressions_intersect(subscription.expression, key):
-                    by_bus.setdefault(subscription.bus.name, (subscription.bus, []))[1].append(subscription)
-            route = self._routes[key] = list(by_bus.values())
-        return route
-
     def _deliver_sample(
         self,
         sender: "MemoryBus",
-        receiver: "MemoryBus",
-        subscriptions: list[_Subscription],
+        receiver: BusProcess,
+        subscriptions: list[Subscription],
         sample: BusSample,
         priority: Priority,
     ) -> None:
@@ -340,7 +301,7 @@ def _are_apart(sides: dict[str, int], one: BusProcess, other: BusProcess) -> boo
     return sides[one.name] != sides[other.name]
 
 
-def _call_subscriptions(subscriptions: list[_Subscription], sample: BusSample) -> None:
+def _call_subscriptions(subscriptions: list[Subscription], sample: BusSample) -> None:
     loop = asyncio.get_running_loop()
     for subscription in subscriptions:
         loop.call_soon(subscription.deliver_sample, sample, context=subscription.context)
@@ -377,13 +338,19 @@ class MemoryBus(RequestingBus):
         self, expression: str, callback: Callable[[BusSample], None], *, direct: bool = False
     ) -> BusDeclaration:
         self._check_open()
-        subscription = _Subscription(self, check_expression(expression), callback)
-        self.net.add_subscription(subscription)
+        subscription = Subscription(self.net.subscriptions, self, check_expression(expression), callback)
+        self.net.subscriptions.add_subscription(subscription)
         return subscription
 
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
+        return self._add_server(expression, answer_expression(expression, handler))
+
+    async def serve_group(self, expression: str, group: ServedGroup) -> BusDeclaration:
+        return self._add_server(expression, answer_group(group))
+
+    def _add_server(self, expression: str, find_answers: FindAnswers) -> BusDeclaration:
         self._check_open()
-        served_expression = ServedExpression(self.net.requests, self, check_expression(expression), handler)
+        served_expression = ServedExpression(self.net.requests, self, check_expression(expression), find_answers)
         self.net.requests.add_server(served_expression)
         return served_expression
 
@@ -413,6 +380,12 @@ class MemoryBus(RequestingBus):
         self.net.traffic.count_declared(self.name)
         watch = PresenceWatch(self.net.presence, self, check_expression(expression), callback)
         self.net.presence.add_watch(watch)
+        return watch
+
+    async def watch_subscribers(self, expression: str, callback: Callable[[bool], None]) -> BusDeclaration:
+        self._check_open()
+        watch = SubscriberWatch(self.net.subscriptions, self, check_expression(expression), callback)
+        self.net.subscriptions.add_watch(watch)
         return watch
 
     @property

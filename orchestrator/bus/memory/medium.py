@@ -78,7 +78,8 @@ class BusProcess(Protocol):
 
     given_up: the other processes count it as gone, because it has been silent for a lease.
     incoming: what waits for it while it is hung. max_message_bytes: it leaves out larger messages. server: its name in
-    replies. computer: where it runs; "": beside the router.
+    replies. computer: where it runs; "": beside the router. last_arrivals_ns: when the last sample of each sender, key
+    and priority arrives: their order is kept.
     """
 
     name: str
@@ -89,6 +90,7 @@ class BusProcess(Protocol):
     hung: bool
     given_up: bool
     incoming: CallQueue
+    last_arrivals_ns: dict[tuple[str, str, Priority], int]
 
     def send_call(self, priority: Priority, call: Callable[[], None]) -> None:
         """Make the process send something: now, or when it runs again."""

@@ -2,12 +2,13 @@
 
 import asyncio
 import contextvars
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
+from orchestrator.bus.answering import FindAnswers
 from orchestrator.bus.base import BusSample, Priority, RequestHandler, RequestRefused
 from orchestrator.bus.budgets import describe_large_request, find_most_bytes
-from orchestrator.bus.expression import expressions_intersect, is_silent_on, is_wild
+from orchestrator.bus.expression import expressions_intersect, is_wild
 from orchestrator.bus.memory.medium import BusProcess, Medium
 from orchestrator.bus.outcome import RequestOutcome
 
@@ -15,10 +16,10 @@ from orchestrator.bus.outcome import RequestOutcome
 class ServedExpression:
     """A process that serves an expression."""
 
-    def __init__(self, requests: "RequestBoard", bus: BusProcess, expression: str, handler: RequestHandler) -> None:
+    def __init__(self, requests: "RequestBoard", bus: BusProcess, expression: str, find_answers: FindAnswers) -> None:
         self.bus = bus
         self.expression = expression
-        self.handler = handler
+        self.find_answers = find_answers
         self.context = contextvars.copy_context()
         self.stands = True
         self._requests = requests
@@ -122,39 +123,44 @@ class RequestBoard:
         loop.call_soon(self._start_handler, served, question, context=served.context)
 
     def _start_handler(self, served: ServedExpression, question: _PendingRequest) -> None:
-        if not served.stands or is_silent_on(served.expression, question.outcome.key):
-            self._queue_reply(served, question, None)
+        answers = served.find_answers(question.outcome.key) if served.stands else ()
+        if not answers:
+            self._queue_replies(served, question, [])
             return
-        key = served.expression if is_wild(question.outcome.key) else question.outcome.key
         size, process_bytes = len(question.payload), served.bus.max_message_bytes
+        key = answers[0][0]
         if size > find_most_bytes("request", key, process_bytes):
             text = describe_large_request(key, size, process_bytes)
-            self._queue_reply(served, question, partial(question.outcome.add_refusal, served.bus.server, text))
+            self._queue_replies(served, question, [partial(question.outcome.add_refusal, served.bus.server, text)])
             return
         context = served.context.copy()
-        task = asyncio.get_running_loop().create_task(self._run_handler(served, question), context=context)
+        task = asyncio.get_running_loop().create_task(self._run_handlers(served, question, answers), context=context)
         self._handling[task] = served
         task.add_done_callback(self._handling.pop, context=context)
 
-    async def _run_handler(self, served: ServedExpression, question: _PendingRequest) -> None:
-        asked_key = question.outcome.key
-        key = served.expression if is_wild(asked_key) else asked_key
+    async def _run_handlers(
+        self, served: ServedExpression, question: _PendingRequest, answers: Sequence[tuple[str, RequestHandler]]
+    ) -> None:
+        replies = [await self._run_handler(served, question, key, handler) for key, handler in answers]
+        self._queue_replies(served, question, [reply for reply in replies if reply is not None])
+
+    async def _run_handler(
+        self, served: ServedExpression, question: _PendingRequest, key: str, handler: RequestHandler
+    ) -> Callable[[], None] | None:
+        """The call that adds the reply to the outcome of its request; None: there is no reply."""
+        outcome, server = question.outcome, served.bus.server
         try:
-            payload = await served.handler(BusSample(key, question.payload))
+            payload = await handler(BusSample(key, question.payload))
             if len(payload) > find_most_bytes("answer", key, question.asker.max_message_bytes):
                 raise RequestRefused(f"the answer on {key} is too large for this process")
         except RequestRefused as refusal:
-            answer = (
-                None if is_wild(asked_key) else partial(question.outcome.add_refusal, served.bus.server, str(refusal))
-            )
-            self._queue_reply(served, question, answer)
+            return None if is_wild(outcome.key) else partial(outcome.add_refusal, server, str(refusal))
         except Exception as error:
             text = f"{type(error).__name__} while answering {key}: {error}"
             asyncio.get_running_loop().call_exception_handler({"message": text, "exception": error})
-            self._queue_reply(served, question, partial(question.outcome.add_refusal, served.bus.server, text))
-        else:
-            self._net.traffic.count_sent(served.bus.name, "reply", len(payload))
-            self._queue_reply(served, question, partial(question.outcome.add_reply, served.bus.server, key, payload))
+            return partial(outcome.add_refusal, server, text)
+        self._net.traffic.count_sent(served.bus.name, "reply", len(payload))
+        return partial(outcome.add_reply, server, key, payload)
 
     def cancel_answers(self, bus: BusProcess) -> None:
         """A process leaves: pending answers are cancelled."""
@@ -162,22 +168,22 @@ class RequestBoard:
             if served_expression.bus is bus:
                 task.cancel()
 
-    def _queue_reply(
-        self, served: ServedExpression, question: _PendingRequest, answer: Callable[[], None] | None
+    def _queue_replies(
+        self, served: ServedExpression, question: _PendingRequest, replies: Sequence[Callable[[], None]]
     ) -> None:
-        served.bus.send_call(Priority.EVENT, partial(self._send_back, served, question, answer))
+        served.bus.send_call(Priority.EVENT, partial(self._send_back, served, question, replies))
 
     def _send_back(
-        self, served: ServedExpression, question: _PendingRequest, answer: Callable[[], None] | None
+        self, served: ServedExpression, question: _PendingRequest, replies: Sequence[Callable[[], None]]
     ) -> None:
-        def deliver_reply() -> None:
+        def deliver_replies() -> None:
             if not self._net.is_cut(served.bus, question.asker):
                 self._net.traffic.count_received(question.asker.name, self._net.clock.now_ns())
                 self._net.deliver_call(question.asker, Priority.EVENT, settle_request)
 
         def settle_request() -> None:
-            if answer is not None:
-                answer()
+            for add_reply in replies:
+                add_reply()
             question.remove_server(served)
 
-        self._net.schedule_call(self._net.arrival_ns(served.bus, question.asker), deliver_reply)
+        self._net.schedule_call(self._net.arrival_ns(served.bus, question.asker), deliver_replies)

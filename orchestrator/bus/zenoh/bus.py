@@ -22,15 +22,16 @@ from typing import TypeVar
 import zenoh
 from zenoh.handlers import Callback
 
-from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler, RequestRefused
-from orchestrator.bus.expression import check_expression, check_key, check_put, is_silent_on, is_wild
-from orchestrator.bus.limits import MAX_ANSWERING, MAX_MESSAGE_BYTES, MAX_STATES_QUEUED, LossCounter, is_stop
+from orchestrator.bus.answering import FindAnswers, answer_expression, answer_group
+from orchestrator.bus.base import BusClosed, BusDeclaration, BusSample, Priority, RequestHandler, ServedGroup
+from orchestrator.bus.expression import check_expression, check_key, check_put, is_wild
+from orchestrator.bus.limits import MAX_MESSAGE_BYTES, MAX_STATES_QUEUED, LossCounter
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
+from orchestrator.bus.zenoh.answerer import REFUSED, QueryAnswerer, require_sendable
 from orchestrator.bus.zenoh.intake import PayloadIntake
 from orchestrator.bus.zenoh.sessions import CONNECT_TIMEOUT_S, open_session
 from orchestrator.bus.zenoh.threads import LoopInbox, SenderThread, run_in_thread
-from orchestrator.clock.owner import TaskOwner
 
 CLOSE_TIMEOUT_S = 1.0
 """For each of: sending what is left, closing the sessions. Zenoh's own close waits 10 s for a router that hangs."""
@@ -48,9 +49,6 @@ session may detect some milliseconds later."""
 _QUERY_MARGIN_S = 0.5
 """Zenoh gives up a query this long after its sender."""
 
-_REFUSED = "text/plain;refused"
-"""Encoding of a refusal. Error replies that Zenoh makes itself (a timeout) have another one."""
-
 T = TypeVar("T")
 A = TypeVar("A")
 
@@ -67,12 +65,6 @@ def _to_priority(sample: zenoh.Sample) -> Priority:
     if sample.priority == zenoh.Priority.REAL_TIME:
         return Priority.ESTOP
     return Priority.STATE if sample.priority == zenoh.Priority.DATA else Priority.EVENT
-
-
-def _require_sendable(what: str, payload: bytes) -> None:
-    """Raises `RequestRefused` for a payload that no process would take."""
-    if len(payload) > MAX_MESSAGE_BYTES:
-        raise RequestRefused(f"the {what} has {len(payload)} bytes; at most {MAX_MESSAGE_BYTES} are sent")
 
 
 def _make_direct_callback(arrive: Callable[[A], None], end: Callable[[], None] | None = None) -> "Callback[A]":
@@ -117,7 +109,7 @@ class ZenohBus(RequestingBus):
         self._standing: dict[_ZenohDeclaration, Callable[[], None]] = {}
         self._disconnects = 0
         self._asking: list[RequestOutcome] = []
-        self._answering = TaskOwner()
+        self._answerer = QueryAnswerer(self._loop, self._sure_sender)
         # Held only so that it is not undeclared.
         self._transports = sure.info.declare_transport_events_listener(_make_direct_callback(self._transport_event))
 
@@ -166,26 +158,28 @@ class ZenohBus(RequestingBus):
         return declaration
 
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
+        return await self._serve(expression, answer_expression(expression, handler))
+
+    async def serve_group(self, expression: str, group: ServedGroup) -> BusDeclaration:
+        return await self._serve(expression, answer_group(group))
+
+    async def _serve(self, expression: str, find_answers: FindAnswers) -> BusDeclaration:
         declaration = _ZenohDeclaration(self._standing)
 
-        def start_answer(query: zenoh.Query, payload: bytes) -> None:
-            request_key = str(query.key_expr)
-            if not declaration.stands or self._closed or is_silent_on(expression, request_key):
+        def start_answers(query: zenoh.Query, payload: bytes) -> None:
+            if not declaration.stands or self._closed:
                 query.drop()
-                return
-            if len(self._answering.pending) >= MAX_ANSWERING and not is_stop(request_key):
-                self._refuse_query(query, f"busy: {MAX_ANSWERING} requests are being answered; try again")
-                return
-            self._answering.spawn(self._answer_query(query, payload, expression, handler))
+            else:
+                self._answerer.start_answers(query, payload, find_answers)
 
         def receive_query(query: zenoh.Query) -> None:
             question_key = str(query.key_expr)
             key = expression if is_wild(question_key) else question_key
             payload = b"" if query.payload is None else self._intake.take_payload(query.payload, key, "request")
             if payload is None:
-                self._refuse_query(query, self._intake.describe_large_query(query, key))
+                self._answerer.refuse_query(query, self._intake.describe_large_query(query, key))
                 return
-            self._inbox.queue_call(Priority.EVENT, partial(start_answer, query, payload), len(payload))
+            self._inbox.queue_call(Priority.EVENT, partial(start_answers, query, payload), len(payload))
 
         check_expression(expression)
         queryable = await self._run_declaration(
@@ -204,43 +198,9 @@ class ZenohBus(RequestingBus):
             return 0, partial(outcome.add_refusal, server, f"the answer on {key} is too large for this process")
         return len(payload), partial(outcome.add_reply, server, key, payload)
 
-    def _refuse_query(self, query: zenoh.Query, text: str) -> None:
-        def send_refusal() -> None:
-            with query:
-                query.reply_err(text, encoding=_REFUSED)
-
-        self._sure_sender.queue_call(Priority.EVENT, send_refusal)
-
-    async def _answer_query(self, query: zenoh.Query, payload: bytes, expression: str, handler: RequestHandler) -> None:
-        question_key = str(query.key_expr)
-        key = expression if is_wild(question_key) else question_key
-        try:
-            answer = await handler(BusSample(key, payload))
-            _require_sendable("answer", answer)
-            reply = partial(query.reply, key, answer, express=True)
-        except RequestRefused as refusal:
-            if is_wild(question_key):
-                query.drop()
-                return
-            reply = partial(query.reply_err, str(refusal), encoding=_REFUSED)
-        except asyncio.CancelledError:
-            query.drop()
-            raise
-        except Exception as error:
-            text = f"{type(error).__name__} while answering {key}: {error}"
-            self._loop.call_exception_handler({"message": text, "exception": error})
-            reply = partial(query.reply_err, text, encoding=_REFUSED)
-
-        def send_reply() -> None:
-            # Dropping the query tells its sender that no more replies come from here.
-            with query:
-                reply()
-
-        self._sure_sender.queue_call(Priority.EVENT, send_reply)
-
     async def _collect_replies(self, outcome: RequestOutcome, payload: bytes, timeout_s: float) -> None:
         self._check_open()
-        _require_sendable("request", payload)
+        require_sendable("request", payload)
         disconnects = self._disconnects
         unsure = False
 
@@ -249,7 +209,7 @@ class ZenohBus(RequestingBus):
             server = "" if replier is None else str(replier.zid)
             if reply.ok is not None:
                 size, answer = self._take_answer(reply.ok, server, outcome)
-            elif reply.err is not None and str(reply.err.encoding) == _REFUSED:
+            elif reply.err is not None and str(reply.err.encoding) == REFUSED:
                 answer = partial(outcome.add_refusal, server, reply.err.payload.to_string())
             else:
                 answer = wait_for_transport
@@ -328,6 +288,27 @@ class ZenohBus(RequestingBus):
         declaration.attach(subscriber.undeclare)
         return declaration
 
+    async def watch_subscribers(self, expression: str, callback: Callable[[bool], None]) -> BusDeclaration:
+        declaration = _ZenohDeclaration(self._standing)
+
+        def notify_change(*, matches: bool) -> None:
+            if declaration.stands:
+                callback(matches)
+
+        def receive_status(status: zenoh.MatchingStatus) -> None:
+            self._inbox.queue_call(Priority.EVENT, partial(notify_change, matches=status.matching))
+
+        def declare() -> zenoh.Publisher:
+            publisher = self._lossy.declare_publisher(expression)
+            # It lasts as long as its publisher, which a background listener does not keep alive.
+            publisher.declare_matching_listener(_make_direct_callback(receive_status))
+            return publisher
+
+        check_expression(expression)
+        publisher = await self._run_declaration(declare)
+        declaration.attach(publisher.undeclare)
+        return declaration
+
     @property
     def backlog(self) -> int:
         return self._lossy_sender.backlog + self._sure_sender.backlog
@@ -338,7 +319,7 @@ class ZenohBus(RequestingBus):
         self._closed = True
         for outcome in self._asking:
             outcome.end_by_error(BusClosed(f"the bus was closed during a request for {outcome.key}"))
-        self._answering.cancel_all()
+        self._answerer.cancel_all()
         self._inbox.close()
         is_stuck = await run_in_thread("bus-close", self._flush_senders)
         closings = threading.Semaphore(0)

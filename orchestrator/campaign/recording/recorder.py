@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, Literal, get_args
 
-from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler
+from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler, ServedGroup
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.campaign.recording.row_recorder import RowRecorder
 from orchestrator.campaign.recording.start_recorder import StartRecorder
@@ -206,6 +206,9 @@ class RecordedBus:
     async def serve(self, expression: str, handler: RequestHandler) -> BusDeclaration:
         return await self._bus.serve(expression, self._recorder.starts.watch_handler(expression, handler))
 
+    async def serve_group(self, expression: str, group: ServedGroup) -> BusDeclaration:
+        return await self._bus.serve_group(expression, group)
+
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
         return await self._bus.request_all(expression, payload, timeout_s)
 
@@ -217,6 +220,9 @@ class RecordedBus:
 
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         return await self._bus.watch(expression, callback)
+
+    async def watch_subscribers(self, expression: str, callback: Callable[[bool], None]) -> BusDeclaration:
+        return await self._bus.watch_subscribers(expression, callback)
 
     def report_double_answers(self, callback: Callable[[str], None]) -> None:
         self._bus.report_double_answers(callback)
