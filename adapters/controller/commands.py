@@ -198,7 +198,7 @@ class ControllerCommands:
         kept_axes = self._components.leases.apply_request(request)
         # The requester gets the state at once, others with the next poll or heartbeat; not at each renewal.
         is_changed = self._components.leases.holders != old_holders
-        return LeaseReply(state=self._publisher.current_state() if is_changed else None, kept=kept_axes)
+        return LeaseReply(state=self._publisher.answer_state() if is_changed else None, kept=kept_axes)
 
     async def _handle_enable(self, request: EnableRequest) -> Reply:
         self._require_idle(request)

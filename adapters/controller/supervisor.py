@@ -4,9 +4,7 @@ Everything here is common to all makes; make-specific code is behind `Driver`.
 """
 
 import asyncio
-from contextlib import suppress
-
-from pydantic import ValidationError
+from collections.abc import Iterable
 
 from adapters.controller.attempt_pauses import FIRST_NS, AttemptPauses
 from adapters.controller.commands import ControllerCommands
@@ -15,12 +13,11 @@ from adapters.controller.evaluation import ReadingEvaluation
 from adapters.controller.state.context import ControllerContext
 from adapters.controller.state.store import PersistentMemory
 from adapters.controller.stops import ControllerStops
-from orchestrator.bus.base import BusDeclaration, RequestHandler
+from orchestrator.bus.base import RequestHandler
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.link.base import LinkClosed, LinkRefused
 from orchestrator.model.errors import ControllerFault, Refusal
-from orchestrator.model.messages import KeptEstop
-from orchestrator.model.state import ControllerState, FaultReport
+from orchestrator.model.state import EstopLatch, FaultReport
 
 HEARTBEAT_NS = 400 * NS_PER_MS  # an adapter that is silent for 0.7 s counts as dead
 
@@ -31,25 +28,23 @@ class ControllerSupervisor:
     def __init__(self, context: ControllerContext, remembered: PersistentMemory) -> None:
         self.controller = context.controller
         self._context = context
-        self._bus, self._keys, self._clock, self._log = context.bus, context.keys, context.clock, context.log
+        self._clock, self._log = context.clock, context.log
         self._parts = parts = build_components(context, remembered)
         self.stops = ControllerStops(context, parts)
         parts.polling.listener = ReadingEvaluation(context, parts, self.stops)
         self._commands = ControllerCommands(context, parts, self.stops)
         self._pauses = AttemptPauses(context.clock)
         self._keeping: asyncio.Task[None] | None = None
-        self._declared: list[BusDeclaration] = []
+        self.is_served = False
+        """Whether requests to the controller are answered."""
 
-    async def start(self) -> None:
-        """Start serving the controller on the bus; start latched if any other controller of the fleet is latched."""
-        self._declared = [
-            *await self._parts.publisher.serve_queries(),
-            await self._bus.serve(self._keys.command(self.controller), self._commands.answer_command),
-        ]
-        await self._adopt_fleet_latch()
-        self._declared.append(
-            await self._bus.announce(self._keys.live("controller", self.controller, self._context.instance))
-        )
+    async def start(self, latches: Iterable[EstopLatch]) -> None:
+        """Start serving the controller, latched by `latches`, which are kept by other processes of the fleet."""
+        self.is_served = True
+        for latch in latches:
+            self._parts.fence.latch_estop(latch)
+        await self.stops.persist_latch()
+        self._parts.fence.allow_adoption()
         self._keeping = self._parts.tasks.spawn(self._keep_connected())
 
     @property
@@ -59,42 +54,20 @@ class ControllerSupervisor:
 
     async def close(self) -> None:
         """Leave the bus and close the link. The controller stays as it is."""
-        declarations, self._declared = self._declared, []
-        for declaration in declarations:
-            await declaration.undeclare()
+        self.is_served = False
         self._parts.tasks.cancel_all()
         await self._context.driver.close()
 
-    @property
-    def command_handler(self) -> RequestHandler | None:
-        """The handler of the controller's commands; None while it is not on the bus."""
-        return self._commands.answer_command if self._declared else None
+    def find_handler(self, leaf: str) -> RequestHandler | None:
+        """The handler of the controller's commands (`cmd`), or of one of its values; None while it is not served."""
+        if not self.is_served:
+            return None
+        return self._commands.answer_command if leaf == "cmd" else self._parts.publisher.value_handlers.get(leaf)
 
     @property
     def is_moving(self) -> bool:
         """Whether any axis moves, as far as is known."""
         return self._parts.publisher.is_moving
-
-    async def _adopt_fleet_latch(self) -> None:
-        """Latch what any other process of the fleet has latched; only then can this controller be adopted."""
-        replies, kept_latches = await asyncio.gather(
-            self._bus.request_all(self._keys.state(), b"", timeout_s=1.0),
-            self._bus.request_all(self._keys.kept_estop(), b"", timeout_s=1.0),
-        )
-        for key in sorted(kept_latches):
-            with suppress(ValidationError):
-                latch = KeptEstop.read_message(kept_latches[key]).estop
-                if latch is not None:
-                    self._parts.fence.latch_estop(latch)
-        for key in sorted(replies):
-            try:
-                state = ControllerState.read_message(replies[key])
-            except ValidationError:
-                continue
-            if state.estop is not None and state.controller != self.controller:
-                self._parts.fence.latch_estop(state.estop)
-        await self.stops.persist_latch()
-        self._parts.fence.allow_adoption()
 
     # Connection
 

@@ -15,8 +15,11 @@ from adapters.controller.state.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
 from adapters.host.fleet_time import FleetTime
+from adapters.host.frames import FrameSource, HostFrames
+from adapters.host.kept_latches import find_kept_latches
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from adapters.host.makes import find_make_or_substitute
+from adapters.host.served import ServedControllers, ServedHost
 from adapters.toolkit.firing import apply_writer_delay
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample, RequestHandler
 from orchestrator.bus.keys import FleetKeys
@@ -88,6 +91,9 @@ class AdapterHost:
         self._lowering_lock = asyncio.Lock()
         self._sessions = SessionSigns(environment.clock)
         own_controllers = {c: config for c, config in fleet.controllers.items() if config.host == name}
+        bus, keys, clock = environment.bus, environment.keys, environment.clock
+        source = FrameSource(name, environment.instance, bus, keys, clock, self._fleet_ns)
+        self._frames = HostFrames(source, own_controllers)
         self.supervisors = {
             controller: self._create_supervisor(controller, config) for controller, config in own_controllers.items()
         }
@@ -130,6 +136,7 @@ class AdapterHost:
             bus=around.bus,
             keys=around.keys,
             clock=around.clock,
+            outlet=self._frames,
             open_link=open_link,
             current_link=lambda: line.link,
             trace=line.trace,
@@ -153,15 +160,25 @@ class AdapterHost:
     async def start(self) -> None:
         """Subscribe, announce the host, and start all supervisors."""
         bus, keys = self._environment.bus, self._environment.keys
+        served_host = ServedHost(keys, self._name, self._answer_batch, self._frames.answer_states)
         self._declared = [
             await bus.subscribe(keys.estop, self._handle_estop),
             await bus.subscribe(keys.leader, self._handle_leadership),
             await bus.subscribe(keys.session(), self._sessions.receive_sign),
             await bus.announce(keys.live("host", self._name, self._environment.instance)),
+            await bus.serve_group(
+                keys.served_by_host(self._name), ServedHost(keys, self._name, self._answer_batch, states)
+            ),
         ]
+        # A router with keys lets a host declare what it may serve, and no wildcard that others serve as well.
+        has_keys = self._environment.certificate is not None
+        controllers = ServedControllers(keys, self.supervisors, self._frames.send_before_reply)
+        for expression in map(keys.served_of_controller, self.supervisors if has_keys else (None,)):
+            self._declared.append(await bus.serve_group(expression, controllers))
+        await self._frames.start()
+        latches = await find_kept_latches(bus, keys)
         for unit in self.supervisors.values():
-            await unit.start()
-        self._declared.append(await bus.serve(keys.batch_command(self._name), self._batch_answers.answer_batch))
+            await unit.start(latches)
         self._owner.spawn(self._watch_coordinator(), vital=True)
 
     @property
@@ -173,14 +190,20 @@ class AdapterHost:
     async def close(self) -> None:
         for unit in self.supervisors.values():
             await unit.close()
+        await self._frames.close()
         for declaration in self._declared:
             await declaration.undeclare()
         self._batch_answers.cancel_all()
         self._owner.cancel_all()
 
+    async def _answer_batch(self, sample: BusSample) -> bytes:
+        reply = await self._batch_answers.answer_batch(sample)
+        self._frames.send_before_reply()
+        return reply
+
     def _handler_of(self, controller: str) -> RequestHandler | None:
         unit = self.supervisors.get(controller)
-        return None if unit is None else unit.command_handler
+        return None if unit is None else unit.find_handler("cmd")
 
     async def _replace_supervisor(self, controller: str, config: Controller) -> None:
         """Replace a supervisor; the new one keeps the memory of the old one, and must be adopted."""
@@ -188,7 +211,7 @@ class AdapterHost:
         await self.supervisors[controller].close()
         unit = self.supervisors[controller] = self._create_supervisor(controller, config)
         self._log.info("another configuration", controller=controller, digest=config.digest)
-        await unit.start()
+        await unit.start(await find_kept_latches(self._environment.bus, self._environment.keys))
 
     # The e-stop
 

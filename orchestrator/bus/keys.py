@@ -88,6 +88,26 @@ class FleetKeys:
     def _controller_key(self, ctl: str | None, leaf: str) -> str:
         return f"{self.prefix}/ctl/{_make_chunk(ctl, 'controller')}/{leaf}"
 
+    def controller(self, ctl: str | None = None) -> str:
+        """The expression for all that is published about a controller, and for the values that its adapter serves."""
+        return self._controller_key(ctl, "*")
+
+    def host_states(self, host: str | None = None) -> str:
+        """Frames with the states of a host's controllers; published by the host, and served: all of them."""
+        return f"{self.prefix}/host/{_make_chunk(host, 'host')}/states"
+
+    def host_events(self, host: str | None = None) -> str:
+        """Frames with the events of a host's controllers; published by the host."""
+        return f"{self.prefix}/host/{_make_chunk(host, 'host')}/events"
+
+    def served_by_host(self, host: str) -> str:
+        """The expression for all that a host serves under its own name."""
+        return f"{self.prefix}/host/{_make_chunk(host, 'host')}/**"
+
+    def served_of_controller(self, ctl: str | None = None) -> str:
+        """The expression that a host serves for a controller, or for all (None): it answers for its own ones only."""
+        return f"{self.prefix}/ctl/**" if ctl is None else self._controller_key(ctl, "**")
+
     def batch_command(self, host: str | None = None, verb: str | None = None) -> str:
         """A command to several controllers of an adapter host; served by the host."""
         return f"{self.prefix}/host/{_make_chunk(host, 'host')}/cmd/{_make_chunk(verb, 'verb')}"

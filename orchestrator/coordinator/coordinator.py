@@ -2,7 +2,7 @@
 
 import asyncio
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -47,7 +47,6 @@ from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import COMPARING, AdoptedReply, AdoptRequest, LeaderHeartbeat
-from orchestrator.model.state import ControllerState
 from orchestrator.model.version import OTHER_VERSION, PartVersion, require_version
 
 T = TypeVar("T")
@@ -146,7 +145,7 @@ class Coordinator:
         await self._latch_keeper.start(self.leadership.coordinator)
         await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self.leadership.on_lost = self._lose_leadership
-        self._view.add_state_listener(self._receive_state)
+        self._view.add_arrival_listener(self._adopt_arrived)
         self._virtual.start()
         await self._view.start()
         bus, keys = self._environment.bus, self._environment.keys
@@ -191,17 +190,23 @@ class Coordinator:
 
     # Adoption of every controller that is published and not adopted by this leader yet
 
-    def _receive_state(self, state: ControllerState) -> None:
-        controller = state.controller
-        is_ours = self._view.adopted.get(controller) == state.instance and state.epoch == self.leadership.epoch
-        if is_ours or controller in self._adopting or self.leadership.over or not self.leadership.epoch:
+    def _adopt_arrived(self, controllers: Collection[str]) -> None:
+        if self.leadership.over or not self.leadership.epoch:
             return
+        for controller in controllers:
+            state = self._view.arrived_states.get(controller)
+            if state is None or controller in self._adopting:
+                continue
+            if self._view.adopted.get(controller) != state.instance or state.epoch != self.leadership.epoch:
+                self._begin_adoption(controller, state.instance)
+
+    def _begin_adoption(self, controller: str, instance: str) -> None:
         refusal = self._view.find_refusal(controller)
         if refusal is not None:
             self._alarms.note_version(controller, refusal)
             return
         self._adopting.add(controller)
-        self._spawn(self._adopt_controller(controller, state.instance))
+        self._spawn(self._adopt_controller(controller, instance))
 
     async def _adopt_controller(self, controller: str, instance: str) -> None:
         try:

@@ -44,6 +44,7 @@ def _find_reading(keys: FleetKeys) -> Rights:
     return Rights(
         subscribes=(keys.everything, ANY_STATE),
         queries=(
+            keys.host_states(),
             keys.state(),
             keys.event(),
             keys.info(),
@@ -94,7 +95,10 @@ def _make_host(keys: FleetKeys, name: str, hosts: Mapping[str, Sequence[str]]) -
     rights = (
         _find_reading(keys)
         + _find_own(keys, "host", name)
-        + Rights(serves=(keys.batch_command(name), keys.kept_estop(f"guardian-{name}")))
+        + Rights(
+            puts=(keys.host_states(name), keys.host_events(name)),
+            serves=(keys.served_by_host(name), keys.kept_estop(f"guardian-{name}")),
+        )
     )
     for controller in hosts.get(name, ()):
         published_states = (
@@ -103,10 +107,9 @@ def _make_host(keys: FleetKeys, name: str, hosts: Mapping[str, Sequence[str]]) -
             keys.clock(controller),
             keys.link(controller),
         )
-        served_states = (keys.state(controller), keys.event(controller), keys.clock(controller), keys.info(controller))
         rights += Rights(
             puts=(*published_states, keys.log("controller", controller)),
-            serves=(*served_states, keys.trace(controller), keys.command(controller)),
+            serves=(keys.served_of_controller(controller),),
             tokens=(keys.live("controller", controller),),
         )
     return rights

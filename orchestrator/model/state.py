@@ -168,6 +168,11 @@ class ControllerState(Model):
         default=0, description="The last event's number, so that a reader that missed it can query it."
     )
 
+    def is_older_than(self, other: "ControllerState") -> bool:
+        """Whether the same start of the adapter has made `other` after this one."""
+        own_mark, other_mark = (self.seq, self.fleet_ns or 0), (other.seq, other.fleet_ns or 0)
+        return self.instance == other.instance and own_mark < other_mark
+
 
 class AxisEvidence(Model):
     """When an axis started and ended, by its controller's own evidence.

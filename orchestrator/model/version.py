@@ -30,7 +30,7 @@ class ProtocolVersion(NamedTuple):
         return f"{self.major}.{self.minor}"
 
 
-PROTOCOL = ProtocolVersion(1, 5)
+PROTOCOL = ProtocolVersion(1, 6)
 """That of this Tutti. The minor one rises with each release that adds to the messages, the major one when a message of
 before can no longer be read. `tests/compat` has the messages of each."""
 

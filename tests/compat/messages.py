@@ -4,16 +4,17 @@
 
 import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
 from cluster.test_bus_page import EXAMPLES, requests
 from cluster.worlds import demo_job, job, run_fleet, virtual_demo_fleet
 
-from orchestrator.bus.base import BusDeclaration, BusSample, Priority
+from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler, ServedGroup
 from orchestrator.bus.memory.bus import MemoryBus
 from orchestrator.bus.service_verbs import SERVICE_VERBS
+from orchestrator.bus.states.frame import FrameHeader
 from orchestrator.model.base import Model
 from orchestrator.model.messages import (
     BatchReply,
@@ -39,6 +40,8 @@ _ANSWERS: dict[str, type[Model]] = {
     "leads": LeaderHeartbeat,
     "time": TimeReply,
 }
+_FRAMES = ("host.states", "host.events")
+"""Their messages are a header, which is kept, and lines, which are messages of other keys."""
 _REQUESTS: dict[str, type[Model]] = {"ctl.event": EventsRequest, "ctl.trace": TraceRequest}
 
 
@@ -60,6 +63,8 @@ def name_key(key: str) -> str:
 def find_model(name: GoldenName, verbs: dict[str, tuple[type[Model], type[Model]]]) -> type[Model] | None:
     """The model of a message; None: it has none. verbs: of controllers, request and reply."""
     family, _, verb = name.key.rpartition(".")
+    if name.key in _FRAMES:
+        return FrameHeader
     if name.part == "published":
         parts = name.key.split(".")
         middle = ["x"] if parts[0] in _SHORT | _LAST | {"lease"} else []
@@ -88,6 +93,10 @@ class MessageLog:
         if not payload.startswith(b"{") or key.split("/")[3] == "log":
             return  # a line of a log has no model
         name = GoldenName(name_key(key), part)
+        if name.key in _FRAMES and part != "request":
+            payload, *lines = payload.split(b"\n")
+            for line, text in zip(json.loads(payload)["lines"], lines, strict=True):
+                self.add(f"tutti/v1/f/ctl/{line}", part, text)
         known = self.found.get(name)
         if name.key.startswith("host.cmd.") and part != "published":
             self._add_inner(name, payload)
@@ -105,25 +114,49 @@ class MessageLog:
             self.add(f"tutti/v1/f/ctl/{controller}/cmd/{verb}", name.part, text.encode())
 
 
+class LoggedGroup:
+    """A group whose answers are logged."""
+
+    def __init__(self, group: ServedGroup, log_answers: Callable[[RequestHandler], RequestHandler]) -> None:
+        self._group, self._log_answers = group, log_answers
+
+    def find_handler(self, key: str) -> RequestHandler | None:
+        handler = self._group.find_handler(key)
+        return None if handler is None else self._log_answers(handler)
+
+    def list_values(self) -> Iterable[str]:
+        return self._group.list_values()
+
+
 def record_messages() -> dict[GoldenName, bytes]:
     """What goes over the bus of the demo fleet while it works, by kind; the same at each call."""
     log = MessageLog()
-    put, serve = MemoryBus.put, MemoryBus.serve
+    put, serve, serve_group = MemoryBus.put, MemoryBus.serve, MemoryBus.serve_group
 
     def put_and_log(self: MemoryBus, key: str, payload: bytes, priority: Priority = Priority.STATE) -> None:
         log.add(key, "published", payload)
         put(self, key, payload, priority)
 
-    async def serve_and_log(self: MemoryBus, expression: str, handler: Callable[..., Any]) -> BusDeclaration:
+    def log_answers(handler: Callable[..., Any]) -> RequestHandler:
         async def answer_and_log(sample: BusSample) -> bytes:
             answer: bytes = await handler(sample)
             log.add(sample.key, "request", sample.payload)
             log.add(sample.key, "answer", answer)
             return answer
 
-        return await serve(self, expression, answer_and_log)
+        return answer_and_log
 
-    with patch.object(MemoryBus, "put", put_and_log), patch.object(MemoryBus, "serve", serve_and_log):
+    async def serve_and_log(self: MemoryBus, expression: str, handler: Callable[..., Any]) -> BusDeclaration:
+        return await serve(self, expression, log_answers(handler))
+
+    async def serve_group_and_log(self: MemoryBus, expression: str, group: ServedGroup) -> BusDeclaration:
+        return await serve_group(self, expression, LoggedGroup(group, log_answers))
+
+    with (
+        patch.object(MemoryBus, "put", put_and_log),
+        patch.object(MemoryBus, "serve", serve_and_log),
+        patch.object(MemoryBus, "serve_group", serve_group_and_log),
+    ):
         run_fleet(_work, virtual_demo_fleet())
     return dict(sorted(log.found.items()))
 
@@ -150,6 +183,7 @@ async def _work(fleet: VirtualFleet) -> None:
         payload = json.dumps(request).encode() if fields else b""
         await client.bus.request(f"{client.keys.prefix}/{key}".replace("{id}", "gantry"), payload, 30.0)
     await client.bus.request_all(client.keys.leader_answer(), b"", 1.0)
+    await client.bus.request_all(client.keys.host_states(), b"", 1.0)
     await client.estop("golden")
     await asyncio.sleep(1.0)
     await client.bus.request_all(client.keys.kept_estop(), b"", 1.0)

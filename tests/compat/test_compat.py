@@ -56,7 +56,7 @@ def test_stored_messages_are_read_and_keep_their_fields(
     losses: list[str] = []
     without: list[str] = []
     files = sorted((FOLDER / version).glob("*.json"))
-    assert len(files) > 100
+    assert files and (version != "1.5" or len(files) > 100)
     for path in files:
         key, part, _ = path.name.rsplit(".", 2)
         text = path.read_text(encoding="utf-8")
@@ -69,8 +69,10 @@ def test_stored_messages_are_read_and_keep_their_fields(
     assert without == []
 
 
-def test_every_key_of_the_page_has_a_message_of_this_version() -> None:
-    names = {path.name.rsplit(".", 2)[0] for path in (FOLDER / str(PROTOCOL)).glob("*.json")}
+def test_every_key_of_the_page_has_a_message() -> None:
+    """A version has the messages that it has added or changed."""
+    assert str(PROTOCOL) in VERSIONS
+    names = {path.name.rsplit(".", 2)[0] for version in VERSIONS for path in (FOLDER / version).glob("*.json")}
     page = {
         key for title in ("To watch", "To act") for keys, _ in section(title) for key in re.findall(r"`([^`]+)`", keys)
     }

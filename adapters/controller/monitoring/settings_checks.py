@@ -35,5 +35,5 @@ class SettingsChecks:
             if refusal.code != SETTING_CHANGED:
                 raise
             await self._polling.poll_and_publish()
-            return SettingsChecked(state=self._publisher.current_state())
+            return SettingsChecked(state=self._publisher.answer_state())
         return SettingsChecked()

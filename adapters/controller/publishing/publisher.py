@@ -18,8 +18,9 @@ from adapters.controller.state.leases import MotionLeases
 from adapters.controller.state.loaded_steps import LoadedSteps
 from adapters.controller.state.status import ControllerStatus
 from adapters.controller.state.store import PersistentMemory
-from orchestrator.bus.base import BusDeclaration, BusSample, Priority
+from orchestrator.bus.base import BusSample, RequestHandler
 from orchestrator.bus.decoding import read_request
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Axis, DigitalInput, DigitalOutput
 from orchestrator.model.messages import TraceRequest
@@ -39,7 +40,8 @@ from orchestrator.model.state import (
     ReadPosition,
 )
 
-STATES_PER_CLOCK = 10  # states between two publications of what changes slowly
+STATES_PER_BACKGROUND = 10  # of a controller that moves, between two publications of what changes slowly
+BACKGROUND_NS = 10 * NS_PER_S  # at rest
 _NONE = Fraction(0)
 
 
@@ -61,7 +63,7 @@ class StatePublisher:
         self._context = context
         self._controller, self._config, self._driver = context.controller, context.config, context.driver
         self._learning = context.driver if isinstance(context.driver, LearningDriver) else None
-        self._bus, self._keys, self._clock = context.bus, context.keys, context.clock
+        self._clock = context.clock
         self._fence = sources.fence
         self._remembered = sources.remembered
         self._status = sources.status
@@ -69,18 +71,20 @@ class StatePublisher:
         self._leases = sources.leases
         self._events = EventRing(context.instance)
         self._state_seq = 0
+        self._background_ns = 0
         self.published_ns = 0
 
-    async def serve_queries(self) -> list[BusDeclaration]:
-        """Serve the last state, missed events, the controller's information and its clock."""
-        keys, bus = self._keys, self._bus
-        return [
-            await bus.serve(keys.state(self._controller), self._answer_state),
-            await bus.serve(keys.event(self._controller), self._answer_events),
-            await bus.serve(keys.info(self._controller), self._answer_info),
-            await bus.serve(keys.clock(self._controller), self._answer_clock),
-            await bus.serve(keys.trace(self._controller), self._answer_trace),
-        ]
+    @property
+    def value_handlers(self) -> Mapping[str, RequestHandler]:
+        """What answers queries for the state, missed events, the controller's information, its clock and its trace, by
+        the last word of their keys."""
+        return {
+            "state": self._answer_state,
+            "event": self._answer_events,
+            "info": self._answer_info,
+            "clock": self._answer_clock,
+            "trace": self._answer_trace,
+        }
 
     async def _answer_clock(self, _: BusSample) -> bytes:
         mapping = self._clock_mapping()
@@ -125,8 +129,12 @@ class StatePublisher:
         """Whether any axis moves, as far as is known."""
         return self.current_mode() in ("moving", "jogging", "homing", "stopping")
 
-    def current_state(self) -> ControllerState:
-        """Return the full state as known now."""
+    def answer_state(self) -> ControllerState:
+        """Return the full state as known now, to be given out as an answer."""
+        self._context.outlet.note_answer(self._controller)
+        return self._make_state()
+
+    def _make_state(self) -> ControllerState:
         reading, armed_step = self._status.reading, self._steps.present
         return ControllerState(
             controller=self._controller,
@@ -152,23 +160,29 @@ class StatePublisher:
         )
 
     def publish_state(self) -> ControllerState:
-        """Publish the state, and from time to time the clock mapping; return the state."""
+        """Publish the state, and from time to time what changes slowly; return the state."""
         self._state_seq += 1
         self.published_ns = self._clock.now_ns()
-        state = self.current_state()
-        self._bus.put(self._keys.state(self._controller), state.to_json(), Priority.STATE)
-        if self._state_seq % STATES_PER_CLOCK == 0:
+        state = self._make_state()
+        if self._is_background_due(state):
+            self._background_ns = self.published_ns
             self._publish_background()
+        self._context.outlet.offer_state(state)
         return state
+
+    def _is_background_due(self, state: ControllerState) -> bool:
+        """Whether to publish what changes slowly: with every tenth state of a controller that moves."""
+        is_tenth = self._state_seq % STATES_PER_BACKGROUND == 0 and state.mode not in ("idle", "fault", "offline")
+        return is_tenth or self.published_ns >= self._background_ns + BACKGROUND_NS
 
     def _publish_background(self) -> None:
         """Publish what changes slowly: the clock mapping, and the bytes on the link."""
         mapping, trace = self._clock_mapping(), self._context.trace
         if mapping is not None:
             clock_state = clock_mapping(self._controller, mapping, self._clock.now_ns())
-            self._bus.put(self._keys.clock(self._controller), clock_state.to_json(), Priority.STATE)
+            self._context.outlet.put_value(self._controller, "clock", clock_state.to_json())
         totals = LinkTotals(controller=self._controller, bytes_out=trace.bytes_out, bytes_in=trace.bytes_in)
-        self._bus.put(self._keys.link(self._controller), totals.to_json(), Priority.STATE)
+        self._context.outlet.put_value(self._controller, "link", totals.to_json())
 
     def _axis_state(self, name: str, reading: ControllerReading | None) -> AxisState:
         axis = self._config.axes[name]
@@ -253,7 +267,7 @@ class StatePublisher:
             positions=self._positions_behind(armed_step) if armed_step is not None and kind == "done" else {},
             fault=fault,
         )
-        self._bus.put(self._keys.event(self._controller), self._events.add_event(event), Priority.EVENT)
+        self._context.outlet.put_event(self._controller, self._events.add_event(event))
         about = {"controller": self._controller, "kind": kind, "job": event.job, "step": event.step}
         self._context.log.info(text, **about, epoch=self._fence.epoch)
         if kind in ("fault", "failed", "offline"):
@@ -264,7 +278,7 @@ class StatePublisher:
     # Replies
 
     async def _answer_state(self, _: BusSample) -> bytes:
-        return self.current_state().to_json()
+        return self.answer_state().to_json()
 
     async def _answer_events(self, sample: BusSample) -> bytes:
         return self._events.events_after(read_request(EventsRequest, sample, "").after).to_json()

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from adapters.contract import Driver, Make
+from adapters.controller.publishing.outlet import StateOutlet
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
@@ -24,6 +25,7 @@ class ControllerContext:
     """Everything that the components of one controller's supervisor share.
 
     instance: identifies this start of the supervisor.
+    outlet: publishes states, events and what changes slowly.
     current_link: returns the link that was opened last, which may be closed by now; None: no link has been opened yet.
     scale: returns fleet time, or None before the first message of a coordinator.
     follow_leader: called with the coordinator that has adopted the controller.
@@ -39,6 +41,7 @@ class ControllerContext:
     bus: Bus
     keys: FleetKeys
     clock: Clock
+    outlet: StateOutlet
     open_link: OpenLink
     current_link: Callable[[], Link | None]
     trace: TraceRing

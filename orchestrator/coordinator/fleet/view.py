@@ -2,24 +2,25 @@
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Callable, Collection, Iterable
+from typing import TypeVar
 
 from pydantic import ValidationError
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find_only_server
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
+from orchestrator.bus.states.feed import Arrival, ControllerFeed
+from orchestrator.bus.states.frame import Confirmation
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
-from orchestrator.clock.owner import TaskOwner
 from orchestrator.clock.start_limit import SLOW_NS
+from orchestrator.coordinator.fleet.controller_events import ControllerEvents, EventListener
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import (
     AxisState,
-    ControllerEvent,
     ControllerInfo,
     ControllerState,
     EventsReply,
@@ -28,23 +29,24 @@ from orchestrator.model.state import (
 )
 from orchestrator.model.units import Unit
 
-# An adapter that is silent for this long is dead or unreachable. It publishes 5 times a second; in motion only after
-# polls, which wait for requests to other controllers on the line.
+T = TypeVar("T")
+
+# An adapter that is silent for this long is dead or unreachable. Its host says at least every 0.4 s which states still
+# hold; in motion only after polls, which wait for requests to other controllers on the line.
 SILENT_NS = 700 * NS_PER_MS
 # added for each of them: a poll takes up to four exchanges of 25 ms, on the slowest lines
 OTHER_NS = 80 * NS_PER_MS
-
-OVERTAKEN_NS = 30 * NS_PER_MS  # a state may arrive this much before an event that it counts
 
 QUERY_S = 1.0  # for an adapter to answer a query
 
 SLOW_REMEDY = "wait; its computer is slow, or overloaded"
 
-EventListener = Callable[[ControllerEvent], None]
+StateListener = Callable[[ControllerState], None]
+Remove = Callable[[], None]
 
 
 class FleetView:
-    """Subscribes to all controllers of the fleet file, and to no others."""
+    """Follows all controllers of the fleet file, and no others: a `FeedReceiver`."""
 
     def __init__(self, fleet: Fleet, bus: Bus, keys: FleetKeys, clock: Clock, log: ProcessLog) -> None:
         self.fleet = fleet
@@ -52,7 +54,11 @@ class FleetView:
         self._keys = keys
         self._clock = clock
         self._log = log
-        self._states: dict[str, ControllerState] = {}
+        self._feed = ControllerFeed(bus, keys, clock, self, self._find_host)
+        self.arrived_states: dict[str, ControllerState] = {}
+        """By controller: the last state as it has arrived; its instants may be older than what is known."""
+        self._confirmed: dict[str, Confirmation] = {}
+        """By controller: what the last frame says of its state, if that was not applied to it yet."""
         self._heard_ns: dict[str, int] = {}
         self._stated_ns: dict[str, int] = {}
         self._asked: dict[str, tuple[int, ControllerState]] = {}
@@ -67,33 +73,32 @@ class FleetView:
         self.refused: dict[str, tuple[str, Refusal]] = {}
         """By controller: the instance of its adapter that is not adopted because of its version, and why."""
         self._infos: dict[str, ControllerInfo] = {}
-        self._last_event: dict[str, tuple[str, int]] = {}
-        self._awaited: dict[str, tuple[str, int]] = {}
-        self._listeners: list[EventListener] = []
-        self._state_listeners: list[Callable[[ControllerState], None]] = []
+        self._events = ControllerEvents(self._request_events, clock, log)
+        self._state_listeners: list[StateListener] = []
+        self._listeners_by_controller: dict[str, list[StateListener]] = {}
+        self._arrival_listeners: list[Callable[[Collection[str]], None]] = []
         self.on_unknown: Callable[[str], None] = lambda _: None
         """Called with the name of a controller that publishes states, and that the fleet file does not have."""
         self._declared: list[BusDeclaration] = []
         self._slow_starts_ns: dict[str, int] = {}
         """By adapter host that is slow to start: when its start began."""
-        self._tasks = TaskOwner()
 
     async def start(self) -> None:
-        self._declared = [
-            await self._bus.subscribe(self._keys.state(), self._receive_state),
-            await self._bus.subscribe(self._keys.event(), self._receive_event),
-            await self._bus.watch(self._keys.slow_start(), self._receive_slow_start),
-        ]
-        for payload in (await self._bus.request_all(self._keys.state(), b"", QUERY_S)).values():
-            self._receive_state(BusSample("", payload))
+        self._declared = [await self._bus.watch(self._keys.slow_start(), self._receive_slow_start)]
+        await self._feed.start()
 
     async def close(self) -> None:
+        await self._feed.close()
         for declaration in self._declared:
             await declaration.undeclare()
 
     def last_state(self, controller: str) -> ControllerState | None:
-        """The last state, however old."""
-        return self._states.get(controller)
+        """The last state, however old, with the instants of its last reading."""
+        state = self.arrived_states.get(controller)
+        confirmation = self._confirmed.pop(controller, None)
+        if state is not None and confirmation is not None:
+            state = self.arrived_states[controller] = confirmation.apply(state)
+        return state
 
     def is_silent(self, controller: str) -> bool:
         """Whether the controller's adapter has been silent for too long."""
@@ -103,7 +108,7 @@ class FleetView:
     def axis_now(self, axis: str) -> AxisState | None:
         """The state of `controller.axis`; None while its controller is offline or silent."""
         controller, name = split_name(axis)
-        state = self._states.get(controller)
+        state = self.arrived_states.get(controller)
         if state is None or self.is_silent(controller) or state.mode == "offline":
             return None
         return state.axes.get(name)
@@ -113,7 +118,7 @@ class FleetView:
         instant."""
         positions: dict[str, ReadPosition] = {}
         for axis in axes:
-            axis_now, state = self.axis_now(axis), self._states.get(split_name(axis)[0])
+            axis_now, state = self.axis_now(axis), self.last_state(split_name(axis)[0])
             if axis_now is not None and state is not None and state.read_within is not None:
                 unit = Unit(axis_now.unit)
                 positions[axis] = ReadPosition(position=axis_now.position, unit=unit, read=state.read_within)
@@ -124,21 +129,20 @@ class FleetView:
         if self.is_silent(controller):
             return "its adapter is silent"
         # An adapter that restarted quickly was not silent for long, but has lost the state of its work.
-        state = self._states.get(controller)
+        state = self.arrived_states.get(controller)
         anew = state is not None and instance is not None and state.instance != instance
         return "its adapter has restarted" if anew else None
 
     def has_all_events(self, controller: str, since_ns: int) -> bool:
         """Whether a state has arrived since `since_ns`, and every event that it counts."""
-        state = self._states.get(controller)
+        state = self.arrived_states.get(controller)
         if state is None or self._stated_ns[controller] < since_ns:
             return False
-        instance, last = self._last_event.get(controller, ("", 0))
-        return instance == state.instance and last >= state.event_seq
+        return self._events.has_all(state)
 
     def find_refusal(self, controller: str) -> Refusal | None:
         """Why the controller's adapter, as it runs now, is not adopted because of its version; None: it may be."""
-        state, refusal = self._states.get(controller), self.refused.get(controller)
+        state, refusal = self.arrived_states.get(controller), self.refused.get(controller)
         return refusal[1] if refusal is not None and state is not None and state.instance == refusal[0] else None
 
     def describe_slow_start(self, controller: str) -> str | None:
@@ -186,7 +190,7 @@ class FleetView:
 
     def find_info(self, controller: str) -> ControllerInfo | None:
         """Identity and capabilities of the adapter that runs now, if they are known."""
-        info, state = self._infos.get(controller), self._states.get(controller)
+        info, state = self._infos.get(controller), self.arrived_states.get(controller)
         return info if info is not None and state is not None and info.instance == state.instance else None
 
     async def require_info(self, controller: str) -> ControllerInfo:
@@ -202,25 +206,80 @@ class FleetView:
         server = self.servers.get(controller)
         return ControllerInfo.read_message(await self._bus.request(self._keys.info(controller), b"", QUERY_S, server))
 
-    def add_event_listener(self, listener: EventListener) -> Callable[[], None]:
+    def add_event_listener(self, listener: EventListener) -> Remove:
         """Call `listener` with every event; the result removes the listener."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
+        return self._events.add_listener(listener)
 
-    def add_state_listener(self, listener: Callable[[ControllerState], None]) -> Callable[[], None]:
-        """Call `listener` with every state; the result removes the listener."""
-        self._state_listeners.append(listener)
-        return lambda: self._state_listeners.remove(listener)
+    def add_state_listener(self, listener: StateListener, controllers: Iterable[str] | None = None) -> Remove:
+        """Call `listener` with every state of `controllers` (None: of all) that has changed, and now and then with one
+        that has not; the result removes the listener."""
+        if controllers is None:
+            return add_to(self._state_listeners, listener)
+        removals = [
+            add_to(self._listeners_by_controller.setdefault(controller, []), listener) for controller in controllers
+        ]
+        return lambda: run_all(removals)
+
+    def add_arrival_listener(self, listener: Callable[[Collection[str]], None]) -> Remove:
+        """Call `listener` with the controllers whose states have arrived, or hold still, once for each message of a
+        host: the listener that needs that they are there, and not only what has changed."""
+        return add_to(self._arrival_listeners, listener)
+
+    async def follow_closely(self, controller: str) -> BusDeclaration:
+        """Let every reading of a controller arrive as a state, until the result is undeclared; otherwise those of one
+        at rest arrive only when they differ."""
+        return await self._bus.subscribe(
+            self._keys.state(controller), lambda sample: self.take_arrival(Arrival("", [sample], {}))
+        )
 
     # Inside
 
-    def _receive_state(self, sample: BusSample) -> None:
+    def take_arrival(self, arrival: Arrival) -> None:
+        """Take what one message of a host has brought."""
+        arrived = dict.fromkeys(arrival.confirmations)
+        for sample in arrival.samples:
+            kind = sample.key.rpartition("/")[2]
+            if kind == "event":
+                self._receive_event(sample)
+            elif kind == "state" and (controller := self._receive_state(sample)) is not None:
+                arrived[controller] = None
+        now_ns = self._clock.now_ns()
+        for controller, confirmation in arrival.confirmations.items():
+            seen_ns = now_ns - confirmation.age_ns
+            if controller in self.arrived_states and seen_ns > self._heard_ns[controller]:
+                self._heard_ns[controller] = self._stated_ns[controller] = seen_ns
+                self._confirmed[controller] = confirmation
+                self._events.expect(self.arrived_states[controller])
+        for listener in list(self._arrival_listeners):
+            listener(arrived)
+
+    def _find_host(self, controller: str) -> str | None:
+        config = self.fleet.controllers.get(controller)
+        return None if config is None else config.host
+
+    def take_bad_frame(self, text: str) -> None:
+        """A frame of a host was left out."""
+        self._log.warning(text)
+
+    def _receive_state(self, sample: BusSample) -> str | None:
+        """Store a state; return its controller, None if it cannot be read."""
         try:
             state = ControllerState.read_message(sample.payload)
         except ValidationError as error:
             self._log.warning(f"a state that cannot be read on {sample.key}: {first_error_text(error)}")
-        else:
-            self._store_state(state)
+            return None
+        self._store_state(state)
+        return state.controller
+
+    def _receive_event(self, sample: BusSample) -> None:
+        event = self._events.receive(sample)
+        if event is not None:
+            self._heard_ns[event.controller] = self._clock.now_ns()
+
+    async def _request_events(self, controller: str, after: int) -> EventsReply:
+        request, server = EventsRequest(after=after), self.servers.get(controller)
+        payload = await self._bus.request(self._keys.event(controller), request.to_json(), QUERY_S, server)
+        return EventsReply.read_message(payload)
 
     def _receive_slow_start(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback
         host = key.split("/")[-2]
@@ -230,69 +289,30 @@ class FleetView:
             self._slow_starts_ns.pop(host, None)
 
     def _store_state(self, state: ControllerState) -> None:
-        if state.controller not in self.fleet.controllers:
-            self.on_unknown(state.controller)
+        controller, known = state.controller, self.arrived_states.get(state.controller)
+        if controller not in self.fleet.controllers:
+            self.on_unknown(controller)
             return
-        self._states[state.controller] = state
-        self._heard_ns[state.controller] = self._stated_ns[state.controller] = self._clock.now_ns()
-        mark = (state.instance, state.event_seq)
-        if mark not in (self._last_event.get(state.controller), self._awaited.get(state.controller)):
-            self._awaited[state.controller] = mark
-            self._clock.call_at_ns(
-                self._clock.now_ns() + OVERTAKEN_NS, partial(self._query_last_event, state.controller, mark)
-            )
-        for listener in list(self._state_listeners):
+        if known is not None and state.is_older_than(known):
+            return  # it was gathered in a frame while a newer one came as an answer
+        self.arrived_states[controller] = state
+        self._confirmed.pop(controller, None)
+        self._heard_ns[controller] = self._stated_ns[controller] = self._clock.now_ns()
+        self._events.expect(state)
+        for listener in [*self._state_listeners, *self._listeners_by_controller.get(controller, ())]:
             listener(state)
 
-    def _query_last_event(self, controller: str, told: tuple[str, int]) -> None:
-        """Query the last event, which may not be followed by another, if it has not arrived by itself meanwhile."""
-        instance, last = self._last_event.get(controller, ("", 0))
-        if instance != told[0]:
-            self._last_event[controller] = told  # events before the first contact with that adapter are not needed
-        elif last < told[1]:
-            self._tasks.spawn(self._query_missed_events(controller, last))
 
-    def _receive_event(self, sample: BusSample) -> None:
-        try:
-            event = ControllerEvent.read_message(sample.payload)
-        except ValidationError as error:
-            self._log.warning(f"an event that cannot be read on {sample.key}: {first_error_text(error)}")
-            return
-        self._heard_ns[event.controller] = self._clock.now_ns()
-        instance, last = self._last_event.get(event.controller, ("", 0))
-        if instance == event.instance and event.seq <= last:
-            return
-        if instance == event.instance and event.seq > last + 1:
-            self._tasks.spawn(self._query_missed_events(event.controller, last))
-        else:
-            self._deliver_event(event)
+def add_to(listeners: list[T], listener: T) -> Remove:
+    """Add a listener; the result removes it."""
+    listeners.append(listener)
+    return lambda: listeners.remove(listener)
 
-    def _deliver_event(self, event: ControllerEvent) -> None:
-        self._last_event[event.controller] = (event.instance, event.seq)
-        for listener in list(self._listeners):
-            listener(event)
 
-    async def _query_missed_events(self, controller: str, after: int) -> None:
-        """Query the events that were missed; the one that revealed the gap is among them."""
-        try:
-            request, server = EventsRequest(after=after), self.servers.get(controller)
-            payload = await self._bus.request(self._keys.event(controller), request.to_json(), QUERY_S, server)
-            reply = EventsReply.read_message(payload)
-        except BusError as error:
-            self._log.warning(f"events after {after} of {controller} are missing: {error}", controller=controller)
-            self._awaited.pop(controller, None)  # the next state triggers the query again
-            return
-        except ValidationError as error:
-            self._log.warning(f"events after {after} of {controller} cannot be read: {first_error_text(error)}")
-            self._awaited.pop(controller, None)
-            return
-        if reply.lost:
-            self._log.warning(f"{reply.lost} events of {controller} are lost for good", controller=controller)
-        for event in reply.events:
-            if (event.instance, event.seq) > self._last_event.get(controller, ("", 0)) or (
-                event.instance != self._last_event.get(controller, ("", 0))[0]
-            ):
-                self._deliver_event(event)
+def run_all(calls: Iterable[Callable[[], None]]) -> None:
+    """Make all calls."""
+    for call in calls:
+        call()
 
 
 async def prefetch_infos(view: FleetView, controllers: Iterable[str]) -> None:

@@ -1,5 +1,7 @@
 """The states of virtual axes, published as those of their real axes come."""
 
+from collections.abc import Collection
+
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.coordinator.fleet.lease_states import find_room
@@ -7,11 +9,10 @@ from orchestrator.coordinator.fleet.leases import LeaseRegistry
 from orchestrator.coordinator.fleet.view import FleetView, find_answering_states
 from orchestrator.model.messages import Request
 from orchestrator.model.operation.virtual_state import VirtualState, VirtualStates, observe_group
-from orchestrator.model.state import ControllerState
 
 
 class VirtualObserver:
-    """Publishes each group of virtual axes when a controller of its real axes has published."""
+    """Publishes each group of virtual axes when a controller of its real axes has published, or holds still."""
 
     def __init__(self, view: FleetView, bus: Bus, keys: FleetKeys, leases: LeaseRegistry) -> None:
         self._leases = leases
@@ -21,15 +22,16 @@ class VirtualObserver:
 
     def start(self) -> None:
         """Publish from now on, until the view is closed."""
-        self._view.add_state_listener(self._publish_groups)
+        self._view.add_arrival_listener(self._publish_groups)
 
     async def answer(self, request: Request) -> VirtualStates:
         """The states of all groups now."""
         del request
         return VirtualStates(groups=[self._observe(group) for group in self._view.fleet.virtual])
 
-    def _publish_groups(self, state: ControllerState) -> None:
-        for group in self._view.fleet.virtual_axes.groups_of.get(state.controller, ()):
+    def _publish_groups(self, controllers: Collection[str]) -> None:
+        groups_of = self._view.fleet.virtual_axes.groups_of
+        for group in dict.fromkeys(group for name in controllers for group in groups_of.get(name, ())):
             self._bus.put(self._keys.virtual(group), self._observe(group).to_json())
 
     def _observe(self, group: str) -> VirtualState:

@@ -61,6 +61,20 @@ _MODELS: Mapping[tuple[str, str], type[Model]] = MappingProxyType(
 _BY_FIRST: Mapping[str, type[Model]] = MappingProxyType(
     {"lease": LeaseState, "alarm": AlarmRecord, "alarm-request": AlarmRequest}
 )
+RECORDED_PARTS = (
+    "job",
+    "queue",
+    "virtual",
+    "leader",
+    "estop",
+    "estop-reset",
+    "lease",
+    "alarm",
+    "alarm-request",
+    "log",
+)
+"""First chunks of what is recorded beside the controllers, whose hosts publish them in frames."""
+
 # Signs of life: they repeat several times a second that nothing has changed.
 _NOT_RECORDED = frozenset({"session", "live"})
 # May be left out first when the disk is too slow: the next one replaces it.

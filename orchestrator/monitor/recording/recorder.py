@@ -10,10 +10,11 @@ from collections import Counter
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor, ThreadLock
 from orchestrator.monitor.recording.alarms import RecorderAlarms
-from orchestrator.monitor.recording.channels import find_channel
+from orchestrator.monitor.recording.channels import RECORDED_PARTS, find_channel
 from orchestrator.monitor.recording.writer import ReceivedMessage, RecordingWriter
 
 WRITE_NS = 200 * NS_PER_MS  # from one batch to the next
@@ -34,11 +35,23 @@ class FleetRecorder:
         self._queued: list[ReceivedMessage] = []
         self._bytes = 0
         self._dropped: Counter[str] = Counter()
-        self._subscription: BusDeclaration | None = None
+        self._feed = ControllerFeed(bus, keys, clock, self)
+        self._subscriptions: list[BusDeclaration] = []
 
     async def start(self) -> None:
-        """Take every message from here on."""
-        self._subscription = await self._bus.subscribe(f"{self._keys.prefix}/**", self._receive, direct=True)
+        """Take every message from here on. What hosts publish of their controllers is recorded by controller."""
+        for part in RECORDED_PARTS:
+            expression = f"{self._keys.prefix}/{part}/**"
+            self._subscriptions.append(await self._bus.subscribe(expression, self._receive, direct=True))
+        await self._feed.start()
+
+    def take_arrival(self, arrival: Arrival) -> None:
+        """Queue what a host has published."""
+        for sample in arrival.samples:
+            self._receive(sample)
+
+    def take_bad_frame(self, text: str) -> None:
+        """Record nothing of it: it has no key of a controller."""
 
     async def run(self) -> None:
         """Write what has come in, until cancelled."""
@@ -53,8 +66,9 @@ class FleetRecorder:
 
     async def close(self) -> None:
         """Write what is left, and end all recordings."""
-        if self._subscription is not None:
-            await self._subscription.undeclare()
+        await self._feed.close()
+        for subscription in self._subscriptions:
+            await subscription.undeclare()
         await self._write_queued()
         await self._execute(self._writer.close)
 

@@ -11,13 +11,15 @@ and brake.
 """
 
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from pydantic import ValidationError
 
 from adapters.host.leader_watch import COORDINATOR_LOST_NS
-from orchestrator.bus.base import BusSample, Priority
+from orchestrator.bus.base import Priority
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.probe import probe_router
 from orchestrator.clock.base import NS_PER_S, Clock, sleep_ns
@@ -58,12 +60,17 @@ class FleetRest:
     counts_ns: int
     _busy_ns: dict[str, int] = field(default_factory=dict[str, int])
 
-    def receive_state(self, sample: BusSample) -> None:
-        """Take a state; one that cannot be read changes nothing."""
-        try:
-            state = ControllerState.read_message(sample.payload)
-        except ValidationError:
-            return
+    def take_arrival(self, arrival: Arrival) -> None:
+        """Take what a host has published; what cannot be read changes nothing."""
+        for sample in arrival.samples:
+            if sample.key.endswith("/state"):
+                with suppress(ValidationError):
+                    self._take_state(ControllerState.read_message(sample.payload))
+
+    def take_bad_frame(self, text: str) -> None:
+        """The next frame says what this one would have said."""
+
+    def _take_state(self, state: ControllerState) -> None:
         if state.mode in RESTING_MODES:
             self._busy_ns.pop(state.controller, None)
         else:
@@ -160,7 +167,7 @@ async def watch_live_router(
         bus.put(keys.alarm_request(ROLE, ID), request.to_json(), Priority.EVENT)
 
     try:
-        await bus.subscribe(keys.state(), fleet_rest.receive_state)
+        await ControllerFeed(bus, keys, clock, fleet_rest).start()
         await RouterWatch(
             endpoint=endpoint,
             clock=clock,

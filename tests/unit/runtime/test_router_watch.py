@@ -7,6 +7,7 @@ from typing import Any
 from unit.controller_states import make_controller_state
 
 from orchestrator.bus.base import BusSample
+from orchestrator.bus.states.feed import Arrival
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.model.jobs.files import load_fleet
@@ -114,18 +115,22 @@ def test_a_router_of_others_is_an_alarm_only() -> None:
     assert world.alarms[0] is True and world.alarms[-1] is False and len(world.said) == 1
 
 
-def make_sample(controller: str, mode: Mode) -> BusSample:
-    return BusSample("k", make_controller_state(controller, mode=mode).to_json())
+def make_sample(controller: str, mode: Mode) -> Arrival:
+    return arrive(make_controller_state(controller, mode=mode).to_json())
+
+
+def arrive(payload: bytes) -> Arrival:
+    return Arrival("host", [BusSample("tutti/v1/lab/ctl/x/state", payload)], {})
 
 
 def test_a_fleet_rests_when_each_controller_does() -> None:
     async def main(clock: VirtualClock) -> None:
         rest = FleetRest(clock, NS_PER_S)
-        rest.receive_state(make_sample("a", "moving"))
-        rest.receive_state(make_sample("b", "idle"))
+        rest.take_arrival(make_sample("a", "moving"))
+        rest.take_arrival(make_sample("b", "idle"))
         assert rest.list_moving() == ["a"]
-        rest.receive_state(BusSample("k", b"not a state"))
-        rest.receive_state(make_sample("a", "offline"))
+        rest.take_arrival(arrive(b"not a state"))
+        rest.take_arrival(make_sample("a", "offline"))
         assert not rest.list_moving()
 
     run_virtual(main)
@@ -145,7 +150,7 @@ def test_a_state_in_motion_counts_no_longer_than_a_motion_without_the_router_las
         )
         clock.loop.create_task(router.run())
         for name in ("gantry", "forged"):
-            rest.receive_state(make_sample(name, "moving"))
+            rest.take_arrival(make_sample(name, "moving"))
         world.deaf = True
         await seconds(world, 30)
         assert len(world.restarts_ns) == 1
@@ -153,7 +158,7 @@ def test_a_state_in_motion_counts_no_longer_than_a_motion_without_the_router_las
         # States that arrive keep it from being restarted.
         world.deaf = True
         for _ in range(60):
-            rest.receive_state(make_sample("gantry", "moving"))
+            rest.take_arrival(make_sample("gantry", "moving"))
             await seconds(world, 1)
         assert len(world.restarts_ns) == 1
         assert world.said[-1].endswith("not at rest: gantry")

@@ -107,6 +107,7 @@ class HeldProbes:
             await services.view.require_info(controller_of(step.until)),
         )
         watch = InputWatch(services.fleet, services.leadership, step, watch_s, shows_moving=info.shows_inputs)
+        close_states = await services.view.follow_closely(controller_of(step.until))
         try:
             await watch.require_passive()
             motion_step = self._chain.begin_step(index, _make_move(planned_probe))
@@ -119,6 +120,7 @@ class HeldProbes:
             probe_report = planned_probe.make_report(*await self._find_contact(planned_probe, motion, watch, report))
         finally:
             watch.close()
+            await close_states.undeclare()
             for name in step.axes:
                 self._context.targets.forget_target(name)
         update = {"do": step.kind, "name": step.name or "", "state": "done", "reason": "", "refused": None}

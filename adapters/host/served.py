@@ -1,0 +1,64 @@
+"""What an adapter host answers, by two declarations for all its controllers: values and commands of each, requests to
+several, and all states."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+
+from adapters.controller.supervisor import ControllerSupervisor
+from orchestrator.bus.base import BusSample, RequestHandler
+from orchestrator.bus.keys import FleetKeys
+
+VALUES = ("state", "event", "info", "clock", "trace")
+
+
+class ServedControllers:
+    """The keys `ctl/{id}/…` of a host's controllers: a `ServedGroup`. It has no answer for those of other hosts.
+    before_reply: called before a command is answered."""
+
+    def __init__(
+        self, keys: FleetKeys, supervisors: Mapping[str, ControllerSupervisor], before_reply: Callable[[], None]
+    ) -> None:
+        self._prefix = f"{keys.prefix}/ctl/"
+        self._supervisors = supervisors
+        self._before_reply = before_reply
+
+    def find_handler(self, key: str) -> RequestHandler | None:
+        """The handler of a command, or of a value."""
+        controller, _, rest = key.removeprefix(self._prefix).partition("/")
+        supervisor = self._supervisors.get(controller)
+        if supervisor is None:
+            return None
+        family, _, verb = rest.partition("/")
+        handler = supervisor.find_handler(family)
+        if handler is None or bool(verb) != (family == "cmd"):
+            return None
+        return partial(self._answer_command, handler) if verb else handler
+
+    async def _answer_command(self, handler: RequestHandler, sample: BusSample) -> bytes:
+        reply = await handler(sample)
+        self._before_reply()
+        return reply
+
+    def list_values(self) -> Iterable[str]:
+        """The values of all controllers."""
+        return [f"{self._prefix}{controller}/{leaf}" for controller in self._supervisors for leaf in VALUES]
+
+
+class ServedHost:
+    """The keys `host/{name}/…`: a `ServedGroup`. batch: answers requests to several controllers. states: answers with
+    all states."""
+
+    def __init__(self, keys: FleetKeys, name: str, batch: RequestHandler, states: RequestHandler) -> None:
+        self._states_key = keys.host_states(name)
+        self._batch_prefix = keys.batch_command(name).removesuffix("*")
+        self._batch, self._states = batch, states
+
+    def find_handler(self, key: str) -> RequestHandler | None:
+        """The handler of a key."""
+        if key == self._states_key:
+            return self._states
+        return self._batch if key.startswith(self._batch_prefix) else None
+
+    def list_values(self) -> Iterable[str]:
+        """All states."""
+        return [self._states_key]
