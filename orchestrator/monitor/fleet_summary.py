@@ -44,17 +44,17 @@ def make_fleet_summary(
     ages = ages or {}
     without_permit = {axis.partition(".")[0] for axis in permits or {}}
     counts: Counter[str] = Counter()
-    named: dict[str, list[str]] = {kind: [] for kind in _NAMED}
+    names_by_kind: dict[str, list[str]] = {kind: [] for kind in _NAMED}
     for name, state in sorted(states.items()):
         kind = "silent" if name in ages else _find_kind(state)
         counts[kind if kind in TROUBLES else state.mode] += 1
         if kind is None and name in without_permit:
             kind = "without a permit"
         if kind is not None:
-            named[kind].append(f"{name}{_explain(state) if kind in TROUBLES else ''}")
+            names_by_kind[kind].append(f"{name}{_explain(state) if kind in TROUBLES else ''}")
     count_list = ", ".join(f"{count:,} {kind}" for kind, count in counts.most_common())
     head = Text(f"{len(states):,} controllers: {count_list}")
-    return Group(head, *(_make_line(kind, names) for kind, names in named.items() if names))
+    return Group(head, *(_make_line(kind, names) for kind, names in names_by_kind.items() if names))
 
 
 def _find_kind(state: ControllerState) -> str | None:

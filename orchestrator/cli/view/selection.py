@@ -39,9 +39,10 @@ async def _expand_name(tutti: "Tutti", states: "Mapping[str, ControllerState]", 
     axes = [f"{controller}.{axis}" for controller, state in states.items() for axis in state.axes]
     controllers = set(select_names([name], states))
     chosen_axes = [axis for axis in axes if controller_of(axis) in controllers] or select_names([name], axes)
-    if not chosen_axes:
-        groups = (await tutti.list_names()).groups
-        chosen_axes = [axis for group in select_names([name], groups) for axis in groups[group]]
+    if chosen_axes:
+        return chosen_axes
+    groups = (await tutti.list_names()).groups
+    chosen_axes = [axis for group in select_names([name], groups) for axis in groups[group]]
     if not chosen_axes:
         raise unknown_name("axis, group or controller", name, [*axes, *states, *groups])
     return chosen_axes
