@@ -39,8 +39,8 @@ def list_controllers(state: FleetState, pattern: str, mode: str, limit: int, aft
     except ValueError as error:
         raise Refusal("bad-request", f"name: {error}", "leave it out for all") from None
     entries = [(name, plain) for name, plain in state.list_controllers(names).items() if mode in ("", plain["mode"])]
-    rest = [(name, plain) for name, plain in entries if name > after]
-    answer: dict[str, Any] = {"total": len(entries), "controllers": dict(rest[:limit])}
-    if len(rest) > limit:
-        answer["next"] = make_cursor("/v1/controllers", rest[limit - 1][0])
+    entries_behind = [(name, plain) for name, plain in entries if name > after]
+    answer: dict[str, Any] = {"total": len(entries), "controllers": dict(entries_behind[:limit])}
+    if len(entries_behind) > limit:
+        answer["next"] = make_cursor("/v1/controllers", entries_behind[limit - 1][0])
     return answer

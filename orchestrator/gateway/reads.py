@@ -116,8 +116,8 @@ class FleetReads:
 
     async def _list_controllers(self, request: ReadRequest) -> Response:
         name, mode, cursor = (request.values.get(field, "") for field in ("name", "mode", "cursor"))
-        after = read_cursor("/v1/controllers", cursor)
-        return JSONResponse(list_controllers(self._hub.state, name, mode, request.read_int("limit", 100), after))
+        limit, last_name = request.read_int("limit", 100), read_cursor("/v1/controllers", cursor)
+        return JSONResponse(list_controllers(self._hub.state, name, mode, limit, last_name))
 
     async def _list_alarms(self, request: ReadRequest) -> Response:
         every = request.values.get("all", "") not in ("", "0", "false")
@@ -139,8 +139,8 @@ class FleetReads:
 
     async def _list_jobs(self, request: ReadRequest) -> Response:
         given_values = {name: request.values[name] for name in ("state", "name", "since") if request.values.get(name)}
-        before = read_cursor("/v1/jobs", request.values.get("cursor", ""))
-        fields = {**given_values, "limit": request.read_int("limit", 50), "before": before}
+        last_id = read_cursor("/v1/jobs", request.values.get("cursor", ""))
+        fields = {**given_values, "limit": request.read_int("limit", 50), "before": last_id}
         jobs = await self._commands.request(request.identity, "list", fields)
         if not isinstance(jobs, QueueState) or jobs.total <= len(jobs.jobs):
             return make_model_response(jobs)

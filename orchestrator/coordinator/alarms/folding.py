@@ -70,8 +70,8 @@ class AlarmFolding:
             if group.worded_ns is None and now_ns - oldest_ns < GATHER_NS:
                 continue
             joins = group.worded_ns is not None or len(group.waiting) >= FOLD_FROM
-            settled = [cause_id for cause_id, ns in group.waiting.items() if joins or now_ns - ns >= GATHER_NS]
-            for cause_id in settled:
+            settled_ids = [cause_id for cause_id, ns in group.waiting.items() if joins or now_ns - ns >= GATHER_NS]
+            for cause_id in settled_ids:
                 del group.waiting[cause_id]
                 yield cause_id, joins
 

@@ -7,7 +7,7 @@ from typing import Any
 from orchestrator.model.operation.troubles import TROUBLES, Trouble, find_trouble
 from orchestrator.model.state import ControllerState
 
-MAX_TROUBLED = 100  # names that are shown
+MAX_TROUBLED = 50  # names of each trouble that are shown
 
 
 class FleetCounts:
@@ -59,12 +59,13 @@ class FleetCounts:
 
     def _make(self, configured: int) -> dict[str, Any]:
         trouble_by_name: dict[str, Trouble] = {**self._troubled, **dict.fromkeys(self._silent, "silent")}
-        order = {trouble: rank for rank, trouble in enumerate(TROUBLES)}
-        worst = sorted(trouble_by_name.items(), key=lambda entry: (order[entry[1]], entry[0]))[:MAX_TROUBLED]
+        names_by_trouble: dict[Trouble, list[str]] = {trouble: [] for trouble in TROUBLES}
+        for name, trouble in sorted(trouble_by_name.items()):
+            names_by_trouble[trouble].append(name)
         return {
             "configured": configured,
             "controllers": len(self._modes),
             "modes": {mode: count for mode, count in sorted(self._count.items()) if count},
-            "troubles": dict(sorted(Counter(trouble_by_name.values()).items())),
-            "troubled": dict(worst),
+            "troubles": {trouble: len(names) for trouble, names in names_by_trouble.items() if names},
+            "troubled": {name: trouble for trouble, names in names_by_trouble.items() for name in names[:MAX_TROUBLED]},
         }
