@@ -150,7 +150,7 @@ async def _measure_updates() -> list[PageFigure]:
             socket.send(f'{{"n":0,{state}}}')
 
         await page.route("http://page.test/**", serve_file)
-        await page.route_web_socket("**/v1/stream", keep_socket)
+        await page.route_web_socket("**/v1/stream*", keep_socket)
         await page.goto("http://page.test/")
         await page.get_by_test_id("axis-c00.x").wait_for()
         await page.evaluate(_FEED, [patches, 1, WARM, FRAMES_AT_ONCE])

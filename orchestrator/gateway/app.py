@@ -282,7 +282,8 @@ class Gateway:
             await socket.send_denial_response(make_refusal_response(error, 401))
             return
         try:
-            need = read_query(socket.query_params.getlist("need"))
+            query = socket.query_params
+            need = read_query(query.getlist("need"), query.get("most", ""), len(self.hub.state.controllers))
         except Refusal as error:
             await socket.send_denial_response(make_refusal_response(error))
             return

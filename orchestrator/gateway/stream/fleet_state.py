@@ -1,6 +1,7 @@
 """The state of the fleet as one JSON object, gathered from the bus. It never contains null (see `merge_patch`)."""
 
 from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 from pydantic import ValidationError
@@ -14,7 +15,7 @@ from orchestrator.gateway.stream.fleet_parts import show_leader, show_views
 from orchestrator.gateway.stream.job_table import JobTable
 from orchestrator.gateway.stream.leases import LeaseTable
 from orchestrator.gateway.stream.messages import FleetMessages
-from orchestrator.gateway.stream.need import EVERYTHING, StreamNeed
+from orchestrator.gateway.stream.need import EVERYTHING, ChosenNames, StreamNeed
 from orchestrator.gateway.stream.targets import JobTargets
 from orchestrator.gateway.stream.virtual_groups import VirtualGroups
 from orchestrator.model.fleet import Fleet
@@ -24,11 +25,10 @@ from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import JobProgress, LeaseState, QueueState
 from orchestrator.model.state import ControllerEvent, ControllerState, LinkTotals
-from orchestrator.model.text.name_patterns import select_names
 
 MAX_CONTROLLERS, MAX_LEASES = 2000, 8000  # whatever is published
-COUNT_NS = 500 * NS_PER_MS  # after which states that no reader needs are parsed, for the counts
-MAX_CHOSEN = 400  # needs whose controllers are remembered
+COUNT_NS = 50 * NS_PER_MS  # period in which some of the states that no reader needs are parsed, for the counts
+COUNTED = 50  # states, so that their age grows with the fleet, and not the work
 
 _Take = Callable[[BusSample], None]
 _Show = Callable[[StreamNeed, int], dict[str, Any]]
@@ -38,7 +38,7 @@ class FleetState:
     """Pass each sample to `take_sample`; `compose` returns the state.
 
     Values are kept as they arrive and made ready when they are asked for: at most 20 times a second, however often they
-    are published. Of the controllers that no reader needs only the counts are made, twice a second.
+    are published. Controllers that no reader needs are only counted, some of them at a time.
     """
 
     def __init__(self, keys: FleetKeys, clock: Clock) -> None:
@@ -57,8 +57,8 @@ class FleetState:
         self._leases = LeaseTable(MAX_LEASES)
         self._counts = FleetCounts()
         self._counted_ns: int | None = None
-        self._chosen: dict[StreamNeed, list[str]] = {}
-        self._jobs = JobTable()
+        self._chosen = ChosenNames()
+        self.jobs = JobTable()
         self._targets = JobTargets()
         self._virtual = VirtualGroups()
         self._leader: tuple[int, LeaderHeartbeat] | None = None
@@ -66,12 +66,12 @@ class FleetState:
         self._parts: Mapping[str, _Show] = {
             "controllers": self._show_controllers,
             "leases": self._show_leases,
-            "jobs": lambda _, now_ns: {"jobs": self._jobs.show(now_ns)},
+            "jobs": lambda _, now_ns: {"jobs": self.jobs.show(now_ns)},
             "members": self._show_members,
             "paths": lambda _, __: {"paths": dict(self._targets.paths)},
             "alarms": lambda _, __: {"alarms": dict(self.messages.alarms)},
             "events": lambda _, __: {"events": list(self.messages.events)},
-            "queue": lambda _, __: self._jobs.show_queue(),
+            "queue": lambda _, __: self.jobs.show_queue(),
             "views": lambda _, __: show_views(self.fleet),
             "virtual": lambda _, now_ns: self._virtual.compose(self.fleet, self._targets.by_axis, now_ns),
         }
@@ -93,6 +93,11 @@ class FleetState:
     def controllers(self) -> list[str]:
         """The controllers that have published a state."""
         return list(self._received_ns)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether states have arrived that are not counted yet."""
+        return bool(self._raw)
 
     def find_rest(self, axis: str) -> float | None:
         """The commanded user position of `controller.axis` when it was at rest last; None if it is not known."""
@@ -118,7 +123,7 @@ class FleetState:
             elif kind == "alarm":
                 self.messages.take_alarm(AlarmRecord.read_message(sample.payload))
             elif kind == "queue":
-                self.take_queue(QueueState.read_message(sample.payload))
+                self.jobs.take_queue(QueueState.read_message(sample.payload))
             elif kind == "leader":
                 self._leader = self._clock.now_ns(), LeaderHeartbeat.read_message(sample.payload)
         except (ValidationError, KeyError):
@@ -135,15 +140,6 @@ class FleetState:
         controller = key.split("/")[-2]
         self._present[controller] = max(0, self._present.get(controller, 0) + (1 if present else -1))
         self._shown.pop(controller, None)
-
-    @property
-    def has_queue(self) -> bool:
-        """Whether the queue is known."""
-        return self._jobs.has_queue
-
-    def take_queue(self, queue: QueueState) -> None:
-        """Store the queue that was queried."""
-        self._jobs.take_queue(queue)
 
     def take_stop(self, what: str, actor: str) -> dict[str, Any]:
         """Store which stop was requested last, and by which actor; return it for the stream."""
@@ -186,7 +182,7 @@ class FleetState:
             self._targets.take_job(JobBegun.read_message(sample.payload))
             return
         progress = JobProgress.read_message(sample.payload)
-        if not self._jobs.take_progress(progress, self._clock.now_ns()):
+        if not self.jobs.take_progress(progress, self._clock.now_ns()):
             return
         if self._targets.take_progress(progress, self.fleet, self.find_rest):
             self._shown.clear()
@@ -211,17 +207,23 @@ class FleetState:
         return state
 
     def _show_controllers(self, need: StreamNeed, now_ns: int) -> dict[str, Any]:
-        return {"controllers": {name: self._show_controller(name, now_ns) for name in self._choose_names(need)}}
+        return {
+            "controllers": {
+                name: self._show_controller(name, now_ns) for name in self._chosen.choose(need, self._received_ns)
+            }
+        }
 
     def _show_leases(self, need: StreamNeed, _: int) -> dict[str, Any]:
-        return {"leases": self._leases.show(None if need.patterns is None else self._choose_names(need))}
+        return {
+            "leases": self._leases.show(None if need.patterns is None else self._chosen.choose(need, self._received_ns))
+        }
 
     def _show_members(self, need: StreamNeed, _: int) -> dict[str, Any]:
         """The stage of each needed member of the step that a job runs."""
         members: dict[str, Any] = {}
-        for name in self._choose_names(need):
+        for name in self._chosen.choose(need, self._received_ns):
             state = self._states.get(name)
-            if state is not None and state.job is not None and state.job in self._jobs:
+            if state is not None and state.job is not None and state.job in self.jobs:
                 job = members.setdefault(state.job, {"step": state.step or 0, "members": {}})
                 job["members"][name] = state.mode
         return {"members": members}
@@ -231,19 +233,10 @@ class FleetState:
         now_ns = self._clock.now_ns()
         return {name: self._show_controller(name, now_ns) for name in names if name in self._received_ns}
 
-    def _choose_names(self, need: StreamNeed) -> list[str]:
-        names = self._chosen.get(need)
-        if names is None:
-            if len(self._chosen) >= MAX_CHOSEN:
-                self._chosen.clear()
-            names = sorted(self._received_ns)
-            names = self._chosen[need] = names if need.patterns is None else select_names(need.patterns, names)
-        return names
-
     def _show_counts(self, now_ns: int) -> Mapping[str, Any]:
         if self._counted_ns is None or now_ns - self._counted_ns >= COUNT_NS:
             self._counted_ns = now_ns
-            for name in list(self._raw):
+            for name in list(islice(self._raw, COUNTED)):  # the oldest first
                 self._read_state(name)
             self._counts.take_silent(
                 name for name, received_ns in self._received_ns.items() if now_ns - received_ns > STALE_NS

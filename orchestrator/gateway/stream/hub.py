@@ -116,7 +116,7 @@ class StreamHub:
         while True:
             await sleep_ns(self.clock, pause_ns)
             begin_ns = self.clock.now_ns()
-            has_changed, self._changed = self._changed, False
+            has_changed, self._changed = self._changed or self.state.is_behind, False
             for view in list(self._views.values()):
                 view.advance(changed=has_changed)
             # What else the gateway does, jogs above all, has two thirds of its time, however much is asked for.
@@ -140,8 +140,8 @@ class StreamHub:
             alarms = await tutti.request_service("alarms", ListAlarms(**fields, all=False), AlarmsListed, ASK_S)
             self.state.messages.take_alarms(alarms.alarms)
             self.state.take_fleet(await tutti.load_fleet())
-            if not self.state.has_queue:
-                self.state.take_queue(await self._list_queue())
+            if not self.state.jobs.has_queue:
+                self.state.jobs.take_queue(await self._list_queue())
             self._changed = True
 
     async def _list_queue(self) -> QueueState:

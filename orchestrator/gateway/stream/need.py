@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import cast
 
 from orchestrator.model.errors import Refusal
-from orchestrator.model.text.name_patterns import check_pattern
+from orchestrator.model.text.name_patterns import check_pattern, select_names
 
 PARTS = ("controllers", "virtual", "leases", "jobs", "members", "paths", "alarms", "events", "queue", "views")
 """The rest of the state is always sent: it is small, whatever the fleet."""
 MAX_ITEMS = 2_000
+MAX_DIGITS = 9
+MAX_REMEMBERED = 400  # needs whose names are remembered
 _CONTROLLERS = "controllers/"
 _REMEDY = f"name parts of the state ({', '.join(PARTS)}), or controllers: `controllers/hall-1*`"
 
@@ -23,6 +25,30 @@ class StreamNeed:
 
 
 EVERYTHING = StreamNeed(frozenset(PARTS))
+WITHOUT_CONTROLLERS = StreamNeed(EVERYTHING.parts - {"controllers", "leases", "members"})
+"""What a reader gets of a fleet that is larger than it has asked for, until it says which controllers it needs."""
+
+
+class ChosenNames:
+    """The names that each need chooses, until they change."""
+
+    def __init__(self) -> None:
+        self._names: dict[StreamNeed, list[str]] = {}
+
+    def choose(self, need: StreamNeed, names: Iterable[str]) -> list[str]:
+        """Those of `names` that are needed, sorted."""
+        chosen_names = self._names.get(need)
+        if chosen_names is None:
+            if len(self._names) >= MAX_REMEMBERED:
+                self._names.clear()
+            sorted_names = sorted(names)
+            chosen_names = sorted_names if need.patterns is None else select_names(need.patterns, sorted_names)
+            self._names[need] = chosen_names
+        return chosen_names
+
+    def clear(self) -> None:
+        """The names have changed."""
+        self._names.clear()
 
 
 def read_need(items: object) -> StreamNeed:
@@ -43,12 +69,18 @@ def read_need(items: object) -> StreamNeed:
     return StreamNeed(frozenset(parts))
 
 
-def read_query(texts: Iterable[str]) -> StreamNeed:
-    """What the values of `need` in an address ask for, each with commas between its items; everything without any.
-    Raises `Refusal`."""
+def read_query(texts: Iterable[str], most: str, controllers: int) -> StreamNeed:
+    """What an address asks for.
+
+    texts: the values of `need`, each with commas between its items; without any, everything. most: of how many
+    controllers that is meant; "" for any number. controllers: the number of the fleet. Raises `Refusal`."""
     texts = list(texts)
-    if not texts:
+    if not texts and not most:
         return EVERYTHING
+    if not texts:
+        if not most.isdecimal() or len(most) > MAX_DIGITS:
+            raise Refusal("bad-request", f"most={most[:40]} is no number", "for example most=60")
+        return WITHOUT_CONTROLLERS if controllers > int(most) else EVERYTHING
     return read_need([item for text in texts for item in text.split(",") if item])
 
 

@@ -114,7 +114,7 @@ function connect(): void {
   const address = new URL("v1/stream", location.href);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
   address.hash = "";
-  address.search = need.peek() === null ? "" : `need=${need.peek()}`;
+  address.search = need.peek() === null ? `most=${MANY}` : `need=${need.peek()}`;
   if (connection.value !== "lost") connection.value = "connecting";
   const mine = new WebSocket(address);
   socket = mine;
@@ -162,7 +162,7 @@ export function handleFrame(text: string): void {
 function handleState(frame: Frame, number: number, now: number): void {
   const known = frame.state?.counts;
   if (known && need.peek() === null && known.controllers > MANY) {
-    lastNumber = null; // too much: the page says what it needs, by these counts, and the next state is that
+    lastNumber = null; // without them: the page says which it needs, by these counts, and the next state has those
     counts.value = known;
   } else if (frame.state !== undefined) {
     lastNumber = number;
