@@ -40,7 +40,9 @@ export const matching = computed(() => {
   const text = filter.value.toLowerCase();
   return [...new Set([...troubled.value, ...names.value])].filter((name) => name.includes(text));
 });
-export const shown = computed(() => matching.value.slice(first.value, first.value + SHOWN));
+const controllerOf = (id: string): string => id.split(".")[0] ?? "";
+/** What is under manual control stays in sight. */
+export const shown = computed(() => [...new Set([...matching.value.slice(first.value, first.value + SHOWN), ...held.value.map(controllerOf)])]);
 
 /** The first controllers in a trouble, as a text; empty: none is. */
 export function namesIn(trouble: string): string {
@@ -64,7 +66,7 @@ export function watchMany(): void {
       need.value = null;
       return;
     }
-    const kept = keepers.flatMap((keeper) => keeper()).map((id) => id.split(".")[0] ?? "");
+    const kept = keepers.flatMap((keeper) => keeper()).map(controllerOf);
     const list = [...shown.value, ...troubled.value, ...kept.filter((name) => names.value.includes(name))];
     if (still.value && wanted.value.length === 0) return;
     const some = list.length > 0 ? ["leases", "members"] : [];
