@@ -23,7 +23,7 @@ from orchestrator.bench.recording.measure import read_cpu_s, start_part
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.clock.live import raw_ns
 from orchestrator.gateway.app import PAGE
-from orchestrator.gateway.stream.hub import encode
+from orchestrator.gateway.stream.stream_view import encode
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.live.fleet import LiveFleet, find_free_port
 from orchestrator.runtime.live.run import WebOptions
