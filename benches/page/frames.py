@@ -7,8 +7,8 @@ from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.live import LiveClock
 from orchestrator.gateway.stream.fleet_state import FleetState
-from orchestrator.gateway.stream.hub import encode
 from orchestrator.gateway.stream.merge_patch import make_patch
+from orchestrator.gateway.stream.stream_view import encode
 
 HELLO = {
     "fleet": "bench",

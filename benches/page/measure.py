@@ -23,7 +23,7 @@ from orchestrator.bench.recording.measure import read_cpu_s, start_part
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.clock.live import raw_ns
 from orchestrator.gateway.app import PAGE
-from orchestrator.gateway.stream.hub import encode
+from orchestrator.gateway.stream.stream_view import encode
 from orchestrator.model.fleet import Fleet
 from orchestrator.runtime.live.fleet import LiveFleet, find_free_port
 from orchestrator.runtime.live.run import WebOptions
@@ -150,7 +150,7 @@ async def _measure_updates() -> list[PageFigure]:
             socket.send(f'{{"n":0,{state}}}')
 
         await page.route("http://page.test/**", serve_file)
-        await page.route_web_socket("**/v1/stream", keep_socket)
+        await page.route_web_socket("**/v1/stream*", keep_socket)
         await page.goto("http://page.test/")
         await page.get_by_test_id("axis-c00.x").wait_for()
         await page.evaluate(_FEED, [patches, 1, WARM, FRAMES_AT_ONCE])

@@ -183,7 +183,10 @@ class UserRequests:
 
     async def _list_jobs(self, request: ListJobs) -> QueueState:
         services = self._services
-        values = (request.limit, request.state, request.name, request.since or "")
+        if request.before and await services.execute(services.journal.load_record, request.before) is None:
+            text = f"there is no job {request.before}, behind which the list is to go on"
+            raise Refusal("bad-request", text, "it may have been pruned: begin again without it")
+        values = (request.limit, request.state, request.name, request.since or "", request.before)
         records, total = await services.execute(services.journal.find_jobs, *values)
         return self._scheduler.publisher.make_queue_state(total, records)
 

@@ -35,8 +35,9 @@ from orchestrator.gateway.replies import RefusedRequest, make_model_response, ma
 from orchestrator.gateway.service_requests import read_fields, require_body_budget
 from orchestrator.gateway.sessions import SessionRequests, find_address
 from orchestrator.gateway.stream.acts import FleetActs
-from orchestrator.gateway.stream.fleet_state import allows_open_stop, list_views
+from orchestrator.gateway.stream.fleet_parts import allows_open_stop, list_views
 from orchestrator.gateway.stream.hub import StreamHub
+from orchestrator.gateway.stream.need import read_query
 from orchestrator.gateway.stream.socket import UserSocket
 from orchestrator.model.errors import NoName, Refusal
 from orchestrator.model.problems import describe_first_error
@@ -280,12 +281,19 @@ class Gateway:
         except NotSignedIn as error:
             await socket.send_denial_response(make_refusal_response(error, 401))
             return
+        try:
+            query = socket.query_params
+            need = read_query(query.getlist("need"), query.get("most", ""), len(self.hub.state.controllers))
+        except Refusal as error:
+            await socket.send_denial_response(make_refusal_response(error))
+            return
         if len(self._sockets) >= MAX_SOCKETS:
             refusal = Refusal("too-many", f"{MAX_SOCKETS} sockets are open", "close pages that are not used")
             await socket.send_denial_response(make_refusal_response(refusal, 503))
             return
         await socket.accept()
-        user = UserSocket(socket, self.hub, identity, self._clock, lambda: self._authentication.is_valid(identity))
+        reader = self.hub.add_reader(need)
+        user = UserSocket(socket, reader, identity, self._clock, lambda: self._authentication.is_valid(identity))
         user.send({"hello": self._sessions.describe_session(identity)})
         self._sockets.add(user)
         try:

@@ -16,14 +16,16 @@ from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.commands import FleetCommands
 from orchestrator.gateway.job_files import JobFiles
 from orchestrator.gateway.job_plot import draw_job_steps, draw_step, find_plotted_steps, list_samples
+from orchestrator.gateway.lists import list_controllers, make_cursor, read_cursor
 from orchestrator.gateway.openapi import make_openapi
 from orchestrator.gateway.preview import draw_path
 from orchestrator.gateway.replies import make_model_response
 from orchestrator.gateway.stream.hub import StreamHub
+from orchestrator.gateway.stream.need import read_need
 from orchestrator.model.errors import Refusal
 from orchestrator.model.positions.resolve import PositionResolver
 from orchestrator.model.queue import format_utc, shift_utc
-from orchestrator.model.report import StepRecording
+from orchestrator.model.report import QueueState, StepRecording
 from orchestrator.model.steps.numbers import name_step
 from orchestrator.model.steps.order import StepOrder
 from orchestrator.model.steps.tree import iterate_steps
@@ -71,6 +73,7 @@ class FleetReads:
         self._recordings, self._execute = recordings, execute
         self.readers: Mapping[str, Reader] = {
             "/v1/state": self._read_state,
+            "/v1/controllers": self._list_controllers,
             "/v1/queue": self._read_queue,
             "/v1/jobs": self._list_jobs,
             "/v1/jobs/{job_id}": self._show_job,
@@ -109,7 +112,12 @@ class FleetReads:
         return JSONResponse(self._hub.state.compose())
 
     async def _read_queue(self, _: ReadRequest) -> Response:
-        return JSONResponse(self._hub.state.compose().get("queue", {}))
+        return JSONResponse(self._hub.state.compose(read_need(["queue"])).get("queue", {}))
+
+    async def _list_controllers(self, request: ReadRequest) -> Response:
+        name, mode, cursor = (request.values.get(field, "") for field in ("name", "mode", "cursor"))
+        limit, last_name = request.read_int("limit", 100), read_cursor("/v1/controllers", cursor)
+        return JSONResponse(list_controllers(self._hub.state, name, mode, limit, last_name))
 
     async def _list_alarms(self, request: ReadRequest) -> Response:
         every = request.values.get("all", "") not in ("", "0", "false")
@@ -131,7 +139,12 @@ class FleetReads:
 
     async def _list_jobs(self, request: ReadRequest) -> Response:
         given_values = {name: request.values[name] for name in ("state", "name", "since") if request.values.get(name)}
-        return await self._ask(request, "list", limit=request.read_int("limit", 50), **given_values)
+        last_id = read_cursor("/v1/jobs", request.values.get("cursor", ""))
+        fields = {**given_values, "limit": request.read_int("limit", 50), "before": last_id}
+        jobs = await self._commands.request(request.identity, "list", fields)
+        if not isinstance(jobs, QueueState) or jobs.total <= len(jobs.jobs):
+            return make_model_response(jobs)
+        return JSONResponse({**jobs.to_plain(), "next": make_cursor("/v1/jobs", jobs.jobs[-1].id)})
 
     async def _show_job(self, request: ReadRequest) -> Response:
         return await self._ask(request, "show", job_id=request.values["job_id"])

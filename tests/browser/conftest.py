@@ -118,7 +118,7 @@ class MockedStream:
         self._number = 0
         self._socket: WebSocketRoute | None = None
         page.route(f"{MOCKED}**", self._serve)
-        page.route_web_socket("**/v1/stream", self._accept)
+        page.route_web_socket("**/v1/stream*", self._accept)
 
     def open(self, view: str = "run") -> "MockedStream":
         self.page.goto(f"{MOCKED}#{view}")

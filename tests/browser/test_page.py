@@ -124,7 +124,7 @@ def test_a_socket_killed_in_mid_jog_stops_the_axis(page: Page, ready: RunningFle
         server.on_message(lambda message: None if cut else socket.send(message))
         sockets.append((socket, server))
 
-    page.route_web_socket("**/v1/stream", relay)
+    page.route_web_socket("**/v1/stream*", relay)
     open_page(page, ready, "setup")
     begin_jog(page, ready, "−")
     cut_ns = raw_ns()

@@ -230,12 +230,12 @@ class VirtualGateway:
         assert answer.status == 200, answer.body
         return {"cookie": answer.headers["set-cookie"].partition(";")[0], "x-tutti-csrf": answer.json["csrf"]}
 
-    async def connect(self, headers: Headers | None = None) -> Socket:
+    async def connect(self, headers: Headers | None = None, path: str = "/v1/stream") -> Socket:
         """Open a socket, and wait for the state, or the refusal."""
         socket = Socket()
         self.sockets.append(socket)
         socket._inwards.put_nowait({"type": "websocket.connect"})
-        scope = _make_scope("websocket", "/v1/stream", {**OWN, **(headers or {})})
+        scope = _make_scope("websocket", path, {**OWN, **(headers or {})})
         scope |= {"scheme": "ws", "subprotocols": [], "extensions": {"websocket.http.response": {}}}
         work = self.gateway.app(scope, socket.receive, socket.take)  # pyright: ignore[reportArgumentType]
         self.process.start_task(_ignore_result(work))

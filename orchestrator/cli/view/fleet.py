@@ -18,25 +18,45 @@ if TYPE_CHECKING:
     from orchestrator.model.operation.alarms import AlarmRecord
     from orchestrator.model.operation.virtual_state import VirtualState
 
+_MODES = ("offline", "idle", "armed", "committed", "moving", "jogging", "homing", "stopping", "fault")
 
-@click.command(epilog="Example: tutti status --json | jq '.gantry.axes.x.position'")
+
+@click.command(
+    epilog="""\b
+Examples:
+  tutti status --json | jq '.gantry.axes.x.position'
+  tutti status --mode fault
+  tutti status 'hall-1*' stage.z"""
+)
+@click.argument("names", metavar="[NAME]...", nargs=-1)
+@click.option("--all", "everything", is_flag=True, help="Every axis, however many controllers there are.")
+@click.option("--mode", "modes", type=click.Choice(_MODES), multiple=True, help="Only controllers in this mode.")
 @fleet_options
 @json_option
-def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
-    """Show the current state of every controller and axis."""
+def status(
+    names: tuple[str, ...], modes: tuple[str, ...], connect: str, fleet: str | None, *, everything: bool, as_json: bool
+) -> None:
+    """Show the current state of every controller and axis.
+
+    More than 20 controllers are summed up: those that are at rest and sound are counted, all others are named. NAME
+    shows the axes of some of them: a controller, an axis or a group; * in a name stands for any signs.
+    """
     from orchestrator.cli.base.alarms import print_open_alarms
     from orchestrator.cli.base.names import require_states
     from orchestrator.cli.jobs.queue import load_queue, print_queue_stop
+    from orchestrator.cli.view.selection import select_states
     from orchestrator.model.errors import Refusal
+    from orchestrator.monitor.fleet_summary import MANY, make_fleet_summary
     from orchestrator.monitor.fleet_view import make_state_table, name_missing_permits
     from orchestrator.monitor.open_bus import find_openness
     from orchestrator.monitor.virtual_view import make_virtual_table
 
     async def show_status(tutti: "Tutti") -> None:
-        states = await require_states(tutti)
+        states = await select_states(tutti, await require_states(tutti), names, modes)
         virtual: dict[str, VirtualState] = {}
-        with suppress(Refusal):  # without a coordinator
-            virtual = await tutti.virtual_states()
+        if not names and not modes:
+            with suppress(Refusal):  # without a coordinator
+                virtual = await tutti.virtual_states()
         if as_json:
             print_json({name: state.to_plain() for name, state in (*states.items(), *virtual.items())})
         else:
@@ -47,7 +67,14 @@ def status(connect: str, fleet: str | None, *, as_json: bool) -> None:
                 console.print(openness, style="bold red", highlight=False, markup=False)
             leases = {lease.holder: lease for lease in await tutti.list_leases() if lease.holder is not None}
             queue = await load_queue(tutti)
-            console.print(make_state_table(states, leases, permits=name_missing_permits(queue)))
+            permits = name_missing_permits(queue)
+            if len(states) > MANY and not (everything or names or modes):
+                console.print(make_fleet_summary(states, permits=permits), highlight=False)
+                console.print("→ `tutti status --all`, `--mode MODE`, or names: `tutti status 'a*'`", style="dim")
+            elif states:
+                console.print(make_state_table(states, leases, permits=permits))
+            else:
+                console.print(f"no controller is in the mode {' or '.join(modes)}", highlight=False)
             if virtual:
                 console.print(make_virtual_table(virtual))
             print_queue_stop(queue)

@@ -117,8 +117,8 @@ class FleetAlarms:
             )
             reported_ids.add(cause.id)
             self._conditions.report(cause, holds=True)
-        for cause in self._conditions.find_all("fault") if known else ():
-            if controller_of(cause.subject) == controller and cause.id not in reported_ids:
+        for cause in self._conditions.find_all("fault", controller) if known else ():
+            if cause.id not in reported_ids:
                 self._conditions.report(cause, holds=False)
 
     def _report_estop(self, state: ControllerState) -> None:
@@ -129,7 +129,7 @@ class FleetAlarms:
         else:
             reason = f": {latch.reason}" if latch.reason else ""
             self._estops[state.controller] = f"e-stop by {latch.actor}{reason}"
-        other_controllers = [controller for controller in self._view.fleet.controllers if controller not in self._seen]
+        other_controllers = self._view.fleet.controllers.keys() - self._seen.keys()
         if not self._estops and not all(map(self._view.is_silent, other_controllers)):
             return  # after a start, one that is not seen yet may be latched
         text = next(iter(self._estops.values()), "")
@@ -178,7 +178,7 @@ class FleetAlarms:
             del self._breaks[controller]
 
 
-def is_of_axes(record: AlarmRecord, axes: Collection[str]) -> bool:
+def is_of_axes(record: AlarmRecord | AlarmCause, axes: Collection[str]) -> bool:
     """Whether an alarm concerns one of `axes`, or the controller of one."""
     controllers = {controller_of(axis) for axis in axes}
     return record.kind in KINDS and any(part in axes or part in controllers for part in record.subject.split("+"))

@@ -18,7 +18,7 @@ from orchestrator.coordinator.fleet.listening import keep_apart
 from orchestrator.coordinator.fleet.positions import JournalCalls
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
-from orchestrator.model.operation.alarms import AlarmRecord
+from orchestrator.model.operation.alarms import AlarmCause, AlarmRecord
 
 TICK_NS = NS_PER_S
 # Nothing reports that they are over.
@@ -43,7 +43,7 @@ class AlarmService:
         self._store = AlarmStore(self._tables, execute, clock)
         self.register = AlarmRegister(access, self._store, bus, keys)
         self._notifier = AlarmNotifier(environment.run_command, self._store, access)
-        conditions = self._conditions = AlarmConditions(self.register, clock, lambda: view.fleet.alarms)
+        conditions = self._conditions = AlarmConditions(self.register, clock, lambda: view.fleet)
         self._fleet = FleetAlarms(view, conditions, clock)
         self._motion = MotionAlarms(view, conditions)
         self._service = ServiceAlarms(conditions, clock, access.log, lambda: view.fleet.alarms)
@@ -55,6 +55,8 @@ class AlarmService:
         view.on_unknown = keep_apart(access.tasks, self._service.note_unknown)
         self.note_version = keep_apart(access.tasks, self._service.note_version)
         self.register.explain_absence = lambda record: _explain_reservation(find_reserved(), record)
+        # What is reserved is out of service, and so no part of an alarm that others have to look at.
+        conditions.folding.is_apart = lambda cause: bool(_explain_reservation(find_reserved(), cause))
         self.register.needs_notice = self._notifier.needs_notice
         self.register.on_notice = self._notifier.add_notice
         self._notifier.on_result = self._service.note_command
@@ -115,6 +117,6 @@ class AlarmService:
         self.register.end_shelving()
 
 
-def _explain_reservation(reserved: Mapping[str, str], record: AlarmRecord) -> str:
+def _explain_reservation(reserved: Mapping[str, str], record: AlarmRecord | AlarmCause) -> str:
     """Why an alarm is out of service; empty: it is not."""
     return next((words for axis, words in reserved.items() if is_of_axes(record, {axis})), "")

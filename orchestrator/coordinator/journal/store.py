@@ -280,10 +280,10 @@ class JournalStore(Protocol):
         ...
 
     def find_jobs(
-        self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
+        self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = "", before_id: str = ""
     ) -> tuple[list[JobRecord], int]:
         """The newest jobs, newest first, and the total number: in `state`, with `name` in their name, submitted at
-        `since_utc` or later."""
+        `since_utc` or later, and before the job `before_id`."""
         ...
 
     def find_referenced_jobs(self, reference: str, limit: int = 5) -> list[JobRecord]:

@@ -8,7 +8,7 @@ from orchestrator.model.state import ClockMapping
 
 KEPT = 600
 EVERY_NS = 3 * NS_PER_S
-MAX_CONTROLLERS = 500
+MAX_CONTROLLERS = 2000
 
 
 class ClockHistory:

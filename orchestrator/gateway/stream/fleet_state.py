@@ -1,16 +1,21 @@
 """The state of the fleet as one JSON object, gathered from the bus. It never contains null (see `merge_patch`)."""
 
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 from pydantic import ValidationError
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
-from orchestrator.clock.base import NS_PER_S, Clock
-from orchestrator.gateway.stream.controllers import find_age_s, show_controller
-from orchestrator.gateway.stream.merge_patch import drop_nulls
+from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.gateway.stream.controllers import STALE_NS, find_age_s, show_controller
+from orchestrator.gateway.stream.counts import FleetCounts
+from orchestrator.gateway.stream.fleet_parts import show_leader, show_views
+from orchestrator.gateway.stream.job_table import JobTable
+from orchestrator.gateway.stream.leases import LeaseTable
+from orchestrator.gateway.stream.messages import FleetMessages
+from orchestrator.gateway.stream.need import EVERYTHING, ChosenNames, StreamNeed
 from orchestrator.gateway.stream.targets import JobTargets
 from orchestrator.gateway.stream.virtual_groups import VirtualGroups
 from orchestrator.model.fleet import Fleet
@@ -18,53 +23,29 @@ from orchestrator.model.messages import LeaderHeartbeat
 from orchestrator.model.names import split_name
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.recording import JobBegun
-from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
+from orchestrator.model.report import JobProgress, LeaseState, QueueState
 from orchestrator.model.state import ControllerEvent, ControllerState, LinkTotals
-from orchestrator.model.web_views import WebView
 
-MAX_EVENTS = 100
-MAX_CONTROLLERS, MAX_JOBS, MAX_ALARMS, MAX_LEASES = 500, 300, 1000, 2000  # whatever is published
-KEEP_ENDED_NS = 60 * NS_PER_S  # of a job that has ended
-LEADER_NS = NS_PER_S  # ten heartbeats are missing
+MAX_CONTROLLERS, MAX_LEASES = 2000, 8000  # whatever is published
+COUNT_NS = 50 * NS_PER_MS  # period in which some of the states that no reader needs are parsed, for the counts
+COUNTED = 50  # states, so that their age grows with the fleet, and not the work
 
 _Take = Callable[[BusSample], None]
-
-
-def list_views(fleet: Fleet | None) -> Sequence[WebView]:
-    """The cameras of the machine; none while the fleet file is not known."""
-    return () if fleet is None else fleet.web.views
-
-
-def allows_open_stop(fleet: Fleet | None) -> bool:
-    """Whether a stop needs no user; not while the fleet file is not known."""
-    return fleet is not None and fleet.web.stop_without_signing_in
-
-
-def show_views(fleet: Fleet | None) -> dict[str, Any]:
-    """The cameras as a part of the state; without any no part."""
-    views = [view.to_plain() for view in list_views(fleet)]
-    return {"views": views} if views else {}
-
-
-def show_leader(leader: tuple[int, LeaderHeartbeat] | None, now_ns: int) -> dict[str, Any]:
-    """The coordinator that leads. leader: its last heartbeat, and when that was received."""
-    if leader is None or now_ns - leader[0] > LEADER_NS:
-        return {"present": False}
-    heartbeat = leader[1]
-    return {"present": True, "name": heartbeat.coordinator[:8], "epoch": heartbeat.epoch}
+_Show = Callable[[StreamNeed, int], dict[str, Any]]
 
 
 class FleetState:
     """Pass each sample to `take_sample`; `compose` returns the state.
 
     Values are kept as they arrive and made ready when they are asked for: at most 20 times a second, however often they
-    are published.
+    are published. Controllers that no reader needs are only counted, some of them at a time.
     """
 
     def __init__(self, keys: FleetKeys, clock: Clock) -> None:
         self.fleet: Fleet | None = None
         self.on_unknown_digest: Callable[[], None] = lambda: None
         self.invalid = 0
+        self.messages = FleetMessages()
         self._keys, self._clock = keys, clock
         self._states: dict[str, ControllerState] = {}
         self._received_ns: dict[str, int] = {}
@@ -73,20 +54,30 @@ class FleetState:
         self._shown: dict[str, dict[str, Any]] = {}
         self._present: dict[str, int] = {}
         self._links: dict[str, dict[str, Any]] = {}
-        self._leases: dict[str, dict[str, Any]] = {}
-        self._alarms: dict[str, dict[str, Any]] = {}
-        self._events: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
-        self._event_number = 0
-        self._queue: QueueState | None = None
-        self._jobs: dict[str, JobProgress] = {}
-        self._ended_ns: dict[str, int] = {}
+        self._leases = LeaseTable(MAX_LEASES)
+        self._counts = FleetCounts()
+        self._counted_ns: int | None = None
+        self._chosen = ChosenNames()
+        self.jobs = JobTable()
         self._targets = JobTargets()
         self._virtual = VirtualGroups()
         self._leader: tuple[int, LeaderHeartbeat] | None = None
         self._last_stop: dict[str, Any] | None = None
+        self._parts: Mapping[str, _Show] = {
+            "controllers": self._show_controllers,
+            "leases": self._show_leases,
+            "jobs": lambda _, now_ns: {"jobs": self.jobs.show(now_ns)},
+            "members": self._show_members,
+            "paths": lambda _, __: {"paths": dict(self._targets.paths)},
+            "alarms": lambda _, __: {"alarms": dict(self.messages.alarms)},
+            "events": lambda _, __: {"events": list(self.messages.events)},
+            "queue": lambda _, __: self.jobs.show_queue(),
+            "views": lambda _, __: show_views(self.fleet),
+            "virtual": lambda _, now_ns: self._virtual.compose(self.fleet, self._targets.by_axis, now_ns),
+        }
         self._takers: dict[str, _Take] = {
             "state": self._take_state,
-            "event": self._take_event,
+            "event": lambda sample: self.messages.take_event(ControllerEvent.read_message(sample.payload)),
             "link": self._take_link,
         }
 
@@ -102,6 +93,11 @@ class FleetState:
     def controllers(self) -> list[str]:
         """The controllers that have published a state."""
         return list(self._received_ns)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether states have arrived that are not counted yet."""
+        return bool(self._raw)
 
     def find_rest(self, axis: str) -> float | None:
         """The commanded user position of `controller.axis` when it was at rest last; None if it is not known."""
@@ -123,11 +119,11 @@ class FleetState:
             elif kind == "virtual":
                 self._virtual.take_payload(chunks[1], sample.payload, self._clock.now_ns())
             elif kind == "lease":
-                self._take_lease(LeaseState.read_message(sample.payload))
+                self._leases.take_lease(LeaseState.read_message(sample.payload))
             elif kind == "alarm":
-                self.take_alarm(AlarmRecord.read_message(sample.payload))
+                self.messages.take_alarm(AlarmRecord.read_message(sample.payload))
             elif kind == "queue":
-                self._queue = QueueState.read_message(sample.payload)
+                self.jobs.take_queue(QueueState.read_message(sample.payload))
             elif kind == "leader":
                 self._leader = self._clock.now_ns(), LeaderHeartbeat.read_message(sample.payload)
         except (ValidationError, KeyError):
@@ -145,28 +141,6 @@ class FleetState:
         self._present[controller] = max(0, self._present.get(controller, 0) + (1 if present else -1))
         self._shown.pop(controller, None)
 
-    def take_alarm(self, alarm: AlarmRecord) -> None:
-        """Store an alarm."""
-        if alarm.state == "normal":
-            self._alarms.pop(alarm.id, None)
-        elif len(self._alarms) < MAX_ALARMS or alarm.id in self._alarms:
-            self._alarms[alarm.id] = drop_nulls(alarm.to_plain())
-
-    def take_alarms(self, alarms: Iterable[AlarmRecord]) -> None:
-        """Store all alarms that are not normal."""
-        self._alarms.clear()
-        for alarm in alarms:
-            self.take_alarm(alarm)
-
-    @property
-    def has_queue(self) -> bool:
-        """Whether the queue is known."""
-        return self._queue is not None
-
-    def take_queue(self, queue: QueueState) -> None:
-        """Store the queue that was queried."""
-        self._queue = queue
-
     def take_stop(self, what: str, actor: str) -> dict[str, Any]:
         """Store which stop was requested last, and by which actor; return it for the stream."""
         self._last_stop = {"by": actor, "what": what, "utc": self._clock.utc()}
@@ -178,6 +152,9 @@ class FleetState:
         self._shown.clear()
         for name in self._received_ns.keys() - fleet.controllers.keys():
             del self._received_ns[name]
+            self._raw.pop(name, None)
+            self._counts.forget(name)
+            self._chosen.clear()
 
     def _take_state(self, sample: BusSample) -> None:
         controller = sample.key.split("/")[-2]
@@ -190,14 +167,10 @@ class FleetState:
         self._raw[controller] = sample.payload
 
     def _keep_state(self, controller: str) -> None:
+        if controller not in self._received_ns:
+            self._chosen.clear()
         self._received_ns[controller] = self._clock.now_ns()
         self._shown.pop(controller, None)
-
-    def _take_event(self, sample: BusSample) -> None:
-        event = ControllerEvent.read_message(sample.payload)
-        self._event_number += 1
-        entry = {"n": self._event_number, "controller": event.controller, "kind": event.kind, "text": event.text}
-        self._events.append(drop_nulls(entry | {"utc": event.utc, "job": event.job, "step": event.step}))
 
     def _take_link(self, sample: BusSample) -> None:
         totals = LinkTotals.read_message(sample.payload)
@@ -209,54 +182,66 @@ class FleetState:
             self._targets.take_job(JobBegun.read_message(sample.payload))
             return
         progress = JobProgress.read_message(sample.payload)
-        if not progress.follows(self._jobs.get(progress.job_id)):
+        if not self.jobs.take_progress(progress, self._clock.now_ns()):
             return
-        if progress.state in FINISHED_STATES:
-            self._ended_ns[progress.job_id] = self._clock.now_ns()
-        self._jobs[progress.job_id] = progress
-        if len(self._jobs) > MAX_JOBS:
-            oldest = next(iter(self._jobs))
-            del self._jobs[oldest]
-            self._ended_ns.pop(oldest, None)
         if self._targets.take_progress(progress, self.fleet, self.find_rest):
             self._shown.clear()
 
-    def _take_lease(self, lease: LeaseState) -> None:
-        name = lease.controller if lease.axis is None else f"{lease.controller}.{lease.axis}"
-        if lease.holder is None:
-            self._leases.pop(name, None)
-        elif len(self._leases) < MAX_LEASES or name in self._leases:
-            entry = {"holder": lease.holder, "actor": lease.actor, "what": lease.what, "until_utc": lease.until_utc}
-            self._leases[name] = drop_nulls(entry)
-
     # What is shown
 
-    def compose(self) -> dict[str, Any]:
-        """The state now, for the stream."""
+    def compose(self, need: StreamNeed = EVERYTHING) -> dict[str, Any]:
+        """The state now, as far as it is needed, for the stream."""
         now_ns = self._clock.now_ns()
-        for job_id in [ended_id for ended_id, ended_ns in self._ended_ns.items() if now_ns - ended_ns > KEEP_ENDED_NS]:
-            del self._ended_ns[job_id]
-            self._jobs.pop(job_id, None)
         state: dict[str, Any] = {
             "fleet": self._keys.fleet,
             "utc": f"{self._clock.utc()[:19]}Z",
             "coordinator": show_leader(self._leader, now_ns),
-            "controllers": {name: self._show_controller(name, now_ns) for name in sorted(self._received_ns)},
-            "leases": dict(self._leases),
-            "jobs": {job_id: drop_nulls(job.to_plain()) for job_id, job in self._jobs.items()},
-            "members": self._find_members(),
-            "paths": dict(self._targets.paths),
-            "alarms": dict(self._alarms),
-            "events": list(self._events),
         }
-        if self._queue is not None:
-            plain = self._queue.to_plain()
-            state["permits"] = plain.pop("missing_permits")
-            state["queue"] = drop_nulls(plain)
-        state |= show_views(self.fleet) | self._virtual.compose(self.fleet, self._targets.by_axis, now_ns)
+        for part, show in self._parts.items():
+            if part in need.parts:
+                state |= show(need, now_ns)
+        # Behind the controllers, which may have parsed what is counted.
+        state["counts"] = self._show_counts(now_ns)
         if self._last_stop is not None:
             state["last_stop"] = self._last_stop
         return state
+
+    def _show_controllers(self, need: StreamNeed, now_ns: int) -> dict[str, Any]:
+        return {
+            "controllers": {
+                name: self._show_controller(name, now_ns) for name in self._chosen.choose(need, self._received_ns)
+            }
+        }
+
+    def _show_leases(self, need: StreamNeed, _: int) -> dict[str, Any]:
+        return {
+            "leases": self._leases.show(None if need.patterns is None else self._chosen.choose(need, self._received_ns))
+        }
+
+    def _show_members(self, need: StreamNeed, _: int) -> dict[str, Any]:
+        """The stage of each needed member of the step that a job runs."""
+        members: dict[str, Any] = {}
+        for name in self._chosen.choose(need, self._received_ns):
+            state = self._states.get(name)
+            if state is not None and state.job is not None and state.job in self.jobs:
+                job = members.setdefault(state.job, {"step": state.step or 0, "members": {}})
+                job["members"][name] = state.mode
+        return {"members": members}
+
+    def list_controllers(self, names: Iterable[str]) -> dict[str, Any]:
+        """These controllers now, as far as they have published a state."""
+        now_ns = self._clock.now_ns()
+        return {name: self._show_controller(name, now_ns) for name in names if name in self._received_ns}
+
+    def _show_counts(self, now_ns: int) -> Mapping[str, Any]:
+        if self._counted_ns is None or now_ns - self._counted_ns >= COUNT_NS:
+            self._counted_ns = now_ns
+            for name in list(islice(self._raw, COUNTED)):  # the oldest first
+                self._read_state(name)
+            self._counts.take_silent(
+                name for name, received_ns in self._received_ns.items() if now_ns - received_ns > STALE_NS
+            )
+        return self._counts.show(len(self._received_ns if self.fleet is None else self.fleet.controllers))
 
     def _show_controller(self, name: str, now_ns: int) -> dict[str, Any]:
         shown_controller = self._shown.get(name)
@@ -273,11 +258,7 @@ class FleetState:
         config = None if self.fleet is None else self.fleet.controllers.get(name)
         if self.fleet is None or (config is not None and config.digest != state.digest):
             self.on_unknown_digest()
-        head = f"{name}."
-        targets = {
-            axis.removeprefix(head): target for axis, target in self._targets.by_axis.items() if axis.startswith(head)
-        }
-        shown_controller = show_controller(state, config, targets) | present
+        shown_controller = show_controller(state, config, self._targets.find_targets(name)) | present
         return shown_controller | {"link": self._links[name]} if name in self._links else shown_controller
 
     def _read_state(self, name: str) -> ControllerState | None:
@@ -292,15 +273,6 @@ class FleetState:
 
     def _note_state(self, name: str, state: ControllerState) -> None:
         self._states[name] = state
+        self._counts.take_state(name, state)
         rests = self._rests.setdefault(name, {})
         rests |= {axis: axis_now.commanded for axis, axis_now in state.axes.items() if not axis_now.moving}
-
-    def _find_members(self) -> dict[str, Any]:
-        """The stage of each member of the step that a job runs."""
-        members: dict[str, Any] = {}
-        for name in self._received_ns:
-            state = self._states.get(name)
-            if state is not None and state.job is not None and state.job in self._jobs:
-                job = members.setdefault(state.job, {"step": state.step or 0, "members": {}})
-                job["members"][name] = state.mode
-        return members

@@ -18,7 +18,8 @@ from orchestrator.clock.base import NS_PER_S, Clock
 from orchestrator.clock.owner import TaskOwner, running
 from orchestrator.gateway.access.identity import Identity
 from orchestrator.gateway.access.refusals import describe_refusal
-from orchestrator.gateway.stream.hub import StreamHub, encode
+from orchestrator.gateway.stream.need import EVERYTHING, read_need
+from orchestrator.gateway.stream.stream_view import StreamReader, encode
 from orchestrator.model.errors import NoName, Refusal
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.text.outside_text import show_text
@@ -53,12 +54,15 @@ class UserSocket:
     """A socket that was accepted. `run` it until it ends."""
 
     def __init__(
-        self, socket: WebSocket, hub: StreamHub, identity: Identity, clock: Clock, is_valid: Callable[[], bool]
+        self, socket: WebSocket, reader: StreamReader, identity: Identity, clock: Clock, is_valid: Callable[[], bool]
     ) -> None:
         self.identity = identity
         self._socket, self._clock, self._is_valid = socket, clock, is_valid
         self._wake = asyncio.Event()
-        self._reader = hub.add_reader(self._wake.set)
+        self._reader = reader
+        reader.wake = self._wake.set
+        self._wake.set()
+        self._own: Mapping[str, Handler] = {"need": self._choose}
         self._waiting: deque[str] = deque()
         self._tasks = TaskOwner()
         self._framed_ns = clock.now_ns()
@@ -165,12 +169,18 @@ class UserSocket:
             self.send({"answer": frame["id"], **answer})
 
     async def _carry_out(self, verb: str, frame: Frame, acts: SocketActs) -> dict[str, Any]:
-        handler = acts.handlers.get(verb)
+        handlers = {**acts.handlers, **self._own}
+        handler = handlers.get(verb)
         if handler is None:
-            raise Refusal("bad-request", f"unknown frame {verb[:40]!r}", f"known: {', '.join(sorted(acts.handlers))}")
+            raise Refusal("bad-request", f"unknown frame {verb[:40]!r}", f"known: {', '.join(sorted(handlers))}")
         if not self._is_valid():
             raise Refusal("not-signed-in", "the session has ended", "sign in again")
         return await handler(frame)
+
+    async def _choose(self, frame: Frame) -> dict[str, Any]:
+        """What the stream is to show from now on; without `need`, everything."""
+        self._reader.choose(read_need(frame["need"]) if "need" in frame else EVERYTHING)
+        return {}
 
 
 def _read_frame(text: str) -> Frame | None:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.names import ALL_AXES, is_position_name
+from orchestrator.model.names import ALL_AXES, is_position_name, split_name
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import FINISHED_STATES, JobProgress
 from orchestrator.model.steps.base import Step
@@ -22,13 +22,24 @@ class JobTargets:
         self._jobs: dict[str, JobBegun] = {}
         self._steps: dict[str, int] = {}
         self._targets: dict[str, dict[str, float]] = {}
+        self._by_owner: dict[str, dict[str, float]] | None = None
+        self.by_axis: Mapping[str, float] = {}
+        """By `controller.axis`, the user position that the running step moves it to."""
         self.paths: dict[str, dict[str, Any]] = {}
         """Of a job whose running step is a path: the index of that step, and its axes."""
 
-    @property
-    def by_axis(self) -> dict[str, float]:
-        """By `controller.axis`, the user position that the running step moves it to."""
-        return {axis: target for targets in self._targets.values() for axis, target in targets.items()}
+    def find_targets(self, controller: str) -> Mapping[str, float]:
+        """The targets of a controller's axes, by their names in it."""
+        if self._by_owner is None:
+            self._by_owner = {}
+            for axis, target in self.by_axis.items():
+                owner, name = split_name(axis)
+                self._by_owner.setdefault(owner, {})[name] = target
+        return self._by_owner.get(controller, {})
+
+    def _note_targets(self) -> None:
+        self.by_axis = {axis: target for targets in self._targets.values() for axis, target in targets.items()}
+        self._by_owner = None
 
     def take_job(self, begun: JobBegun) -> None:
         """Take over a job that begins."""
@@ -43,7 +54,9 @@ class JobTargets:
             self._jobs.pop(job_id, None)
             self._steps.pop(job_id, None)
             self.paths.pop(job_id, None)
-            return self._targets.pop(job_id, None) is not None
+            had_targets = self._targets.pop(job_id, None) is not None
+            self._note_targets()
+            return had_targets
         if begun_job is None or fleet is None or self._steps.get(job_id) == progress.step:
             return False
         self._steps[job_id] = progress.step
@@ -51,6 +64,7 @@ class JobTargets:
         self._targets[job_id] = _find_targets(
             begun_job, None if step_place is None else step_place.step, fleet, find_rest
         )
+        self._note_targets()
         self.paths.pop(job_id, None)
         if step_place is not None and step_place.is_path:
             self.paths[job_id] = {"step": progress.step, "axes": step_place.step.named_axes}

@@ -264,12 +264,16 @@ class PointsPut(Reply):
 
 
 class ListJobs(Request):
-    """List the newest jobs: in a state, with a text in their name, submitted at an instant or later."""
+    """List the newest jobs: in a state, with a text in their name, submitted at an instant or later.
+
+    before: the id of a job; only those that were submitted before it, for the next part of a long list.
+    """
 
     limit: int = Field(default=50, ge=1, le=10_000)
     state: JobState | None = None
     name: str = Field(default="", max_length=120)
     since: Utc | None = None
+    before: Annotated[str, PLAIN_TEXT] = Field(default="", max_length=64)
 
 
 class StopFleet(Request):

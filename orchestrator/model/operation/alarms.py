@@ -15,6 +15,8 @@ AlarmState = Literal["unacknowledged", "acknowledged", "returned", "normal"]
 MAX_SHELVED_S = 24 * 3600.0
 MAX_ALARM_IDS, MAX_HISTORY = 1_000, 10_000
 MAX_SUBJECT = 140
+MANY_PREFIX = "many-"
+"""With which the kind of an alarm begins that stands for conditions of one kind in many controllers."""
 OPEN_BUS = "open-bus"
 """The kind of the alarm that other computers reach the bus without TLS: each view shows it by itself."""
 
@@ -54,6 +56,11 @@ class AlarmCause(NamedTuple):
     @property
     def id(self) -> str:
         return make_alarm_id(self.kind, self.subject, self.code, self.source)
+
+    @property
+    def stands_for_many(self) -> bool:
+        """Whether it stands for conditions of many controllers, which come and go while it holds."""
+        return self.kind.startswith(MANY_PREFIX) and not self.source
 
 
 class AlarmRecord(Model):

@@ -36,8 +36,8 @@ _ASIDE = ("shelved_until_utc", "shelved_by", "shelved_why", "out_of_service")
 
 def raise_alarm(before: AlarmRecord | None, cause: AlarmCause, utc: str) -> AlarmRecord:
     """Its condition holds. before: None for one that was never raised. An alarm whose condition held already stays as
-    it is, with the text of when it was raised."""
-    if before is not None and before.is_active:
+    it is, with the text of when it was raised; but that of one that stands for many says what it stands for now."""
+    if before is not None and before.is_active and not cause.stands_for_many:
         return before
     fresh = AlarmRecord(
         id=cause.id,
@@ -53,6 +53,9 @@ def raise_alarm(before: AlarmRecord | None, cause: AlarmCause, utc: str) -> Alar
     )
     if before is None:
         return fresh
+    if before.is_active:
+        texts = {"text": fresh.text, "action": fresh.action}
+        return before if before.text == fresh.text else before.model_copy(update=texts)
     fields = {name: getattr(before, name) for name in _ASIDE}
     state = TRANSITIONS[before.state, "raise"]
     return fresh.model_copy(update={**fields, "state": state, "count": before.count + 1})

@@ -1,11 +1,15 @@
 """The screen of `tutti watch`: it fills the height, scrolls, filters, and says whether it is connected."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import pytest
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.cli.manual.jog.keys import KeyEvent, KeyParser
+from orchestrator.cli.view.watch import panel as panel_module
 from orchestrator.cli.view.watch.panel import WatchPanel
 from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
 from orchestrator.model.state import AxisState, ControllerEvent, ControllerState, FaultReport
@@ -146,3 +150,25 @@ def test_it_says_when_it_is_disconnected_and_connected_again() -> None:
 
 def test_paging_keys_are_parsed() -> None:
     assert KeyParser().parse_bytes(b"\x1b[5~\x1b[6~\x1b[3~") == [KeyEvent("pageup"), KeyEvent("pagedown")]
+
+
+def test_of_a_thousand_controllers_those_in_sight_are_drawn_below_a_summary(monkeypatch: pytest.MonkeyPatch) -> None:
+    watcher = Watcher()
+    watcher.take(*(make_state(f"hall-{n:04}", *"xyzw", faults=("too hot",) if n == 517 else ()) for n in range(1000)))
+    drawn: list[int] = []
+    make_table = panel_module.make_state_table
+
+    def count_drawn(states: Mapping[str, ControllerState], *more: Any) -> RenderableType:
+        drawn.append(len(states))
+        return make_table(states, *more)
+
+    monkeypatch.setattr(panel_module, "make_state_table", count_drawn)
+    lines = watcher.lines()
+    assert len(lines) == 24
+    assert lines[1:3] == ["1,002 controllers: 1,001 idle, 1 fault", "1 fault: hall-0517 (too hot)"]
+    watcher.press("tab", *["pagedown"] * 200)
+    assert any(line.startswith("stage") for line in watcher.lines())  # the last one; the summary stays
+    assert "hall-0517" in watcher.lines()[2]
+    watcher.press("/", *"hall-0123", "enter")
+    assert sum(line.startswith("hall-") for line in watcher.lines()) == 1
+    assert max(drawn) < 10

@@ -25,7 +25,7 @@ class World:
         self.open: set[str] = set()
         self.raised = 0
         self.silent: set[str] = set()
-        self.conditions = AlarmConditions(cast(AlarmRegister, self), cast(Any, self), lambda: self.fleet.alarms)
+        self.conditions = AlarmConditions(cast(AlarmRegister, self), cast(Any, self), lambda: self.fleet)
         self.conditions.started = True
         self.source = FleetAlarms(cast(FleetView, self), self.conditions, cast(Any, self))
 

@@ -30,7 +30,7 @@ from orchestrator.gateway import (
     server,
 )
 from orchestrator.gateway.access import authentication, sign_in_limits, users
-from orchestrator.gateway.stream import acts, fleet_state, socket
+from orchestrator.gateway.stream import acts, counts, fleet_state, job_table, messages, need, socket
 from orchestrator.link.trace import MAX_TRACE_ENTRIES
 from orchestrator.model.base import MAX_RATIONAL_LENGTH
 from orchestrator.model.files.yaml_reader import MAX_BYTES
@@ -105,11 +105,12 @@ ROWS = {
     "idempotency keys": [commands.MAX_KEYS, app.MAX_KEY],
     "in the state": [
         fleet_state.MAX_CONTROLLERS,
-        fleet_state.MAX_JOBS,
-        fleet_state.MAX_ALARMS,
+        job_table.MAX_JOBS,
+        messages.MAX_ALARMS,
         fleet_state.MAX_LEASES,
-        fleet_state.MAX_EVENTS,
+        messages.MAX_EVENTS,
     ],
+    "items of a `need`": [need.MAX_ITEMS, counts.MAX_TROUBLED],
     "templates": [job_files.MAX_TEMPLATES, reads.MAX_RECORDINGS, reads.MAX_TRACE_FRAMES],
     "steps that are drawn": [preview.MAX_STEPS, preview.MAX_POINTS],
     "steps of a job that is forecast": [job_files.MAX_DRY_RUN_STEPS],

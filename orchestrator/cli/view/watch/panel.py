@@ -1,5 +1,6 @@
 """The screen of `tutti watch`, without a terminal and without a bus: keys, samples and time in, lines out."""
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Mapping
 
@@ -11,6 +12,7 @@ from orchestrator.bus.base import BusSample
 from orchestrator.cli.manual.jog.keys import KeyEvent
 from orchestrator.cli.view.watch.connection import ConnectionWatch
 from orchestrator.model.state import ControllerState
+from orchestrator.monitor.fleet_summary import MANY, make_fleet_summary
 from orchestrator.monitor.fleet_view import LiveView, make_state_table, name_missing_permits
 from orchestrator.monitor.times import format_time
 
@@ -90,9 +92,12 @@ class WatchPanel:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         options = options.update(height=None)
-        lines_above = console.render_lines(self._render_above(), options, pad=False)
         room = max(2, self.rows - FRAME_LINES)
-        top = self._cut_top(lines_above, max(1, min(len(lines_above), room - MIN_EVENT_LINES)))
+        if len(self.view.states) > MANY:
+            top = self._render_many(console, options, max(1, room - MIN_EVENT_LINES))
+        else:
+            lines_above = console.render_lines(self._render_above(), options, pad=False)
+            top = self._cut_top(lines_above, max(1, min(len(lines_above), room - MIN_EVENT_LINES)))
         events_below = self._cut_events(room - len(top), options.max_width)
         head = console.render_lines(self._render_head(), options, pad=False)[:1]
         keys = console.render_lines(self._render_keys(), options, pad=False)[:1]
@@ -106,6 +111,24 @@ class WatchPanel:
         self._scrolled["axes"] = min(self._scrolled["axes"], len(lines) - room)
         first = self._scrolled["axes"]
         return lines[first : first + room]
+
+    def _render_many(self, console: Console, options: ConsoleOptions, room: int) -> list[Line]:
+        """The summary and the jobs, which stay in sight, and a table of as many controllers as fit below: the work is
+        that for what is seen."""
+        view = self.view
+        ages, permits = view.find_ages(), name_missing_permits(view.queue)
+        head = Group(make_fleet_summary(view.states, ages, permits), *view.render_jobs())
+        lines = console.render_lines(head, options, pad=False)[:room]
+        names = sorted(self._filter_states())
+        first = self._scrolled["axes"] = min(self._scrolled["axes"], len(names) - 1)
+        places, states = max(0, room - len(lines)), dict[str, ControllerState]()
+        rows = itertools.accumulate((len(view.states[name].axes) for name in names[first:]), initial=1)
+        for name, row in zip(names[first:], rows, strict=False):
+            if row >= places:
+                break
+            states[name] = view.states[name]
+        table = make_state_table(states, view.leases, ages, permits)
+        return [*lines, *console.render_lines(table, options, pad=False)[:places]]
 
     def _cut_events(self, room: int, columns: int) -> list[Line]:
         """The newest matching lines, or older ones if they are scrolled; blank lines above fill the room."""
@@ -145,6 +168,8 @@ class WatchPanel:
         return text
 
     def _filter_states(self) -> Mapping[str, ControllerState]:
+        if not self.filter:
+            return self.view.states
         states: dict[str, ControllerState] = {}
         for name, state in self.view.states.items():
             axes = {axis: axis_now for axis, axis_now in state.axes.items() if self._matches(f"{name}.{axis}")}

@@ -310,12 +310,11 @@ class SqliteJournal:
                 self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job.id, report.model_dump_json()))
 
     def find_jobs(
-        self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = ""
+        self, limit: int, state: JobState | None = None, name: str = "", since_utc: str = "", before_id: str = ""
     ) -> tuple[list[JobRecord], int]:
-        condition = "WHERE (? IS NULL OR state = ?) AND instr(name, ?) > 0 AND submitted_utc >= ?"
-        if not name:
-            condition = condition.replace("instr(name, ?) > 0", "? = ''")
-        values = (state, state, name, since_utc)
+        condition = f"WHERE (? IS NULL OR state = ?) AND {'instr(name, ?) > 0' if name else 'length(?) = 0'}"
+        condition += " AND submitted_utc >= ? AND (? = '' OR number < (SELECT number FROM jobs WHERE id = ?))"
+        values = (state, state, name, since_utc, before_id, before_id)
         total = self._select_rows(f"SELECT count(*) FROM jobs {condition}", values)[0][0]
         return self._select_records(f"{condition} ORDER BY number DESC LIMIT ?", (*values, limit)), total
 

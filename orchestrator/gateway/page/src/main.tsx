@@ -5,6 +5,7 @@ import { watchEvents } from "./core/eventlog.ts";
 import { watchPads } from "./core/gamepad.ts";
 import { watchKeys } from "./core/keys.ts";
 import { watchReports } from "./core/lastreport.ts";
+import { watchMany } from "./core/many.ts";
 import { watchAddress } from "./core/look.ts";
 import { watchPage } from "./core/manual.ts";
 import { watchZones } from "./core/zones.ts";
@@ -39,6 +40,7 @@ if (place !== null) {
   watchReports();
   watchDrops();
   watchZones();
+  watchMany();
   stream.start();
   render(<App />, place);
 }

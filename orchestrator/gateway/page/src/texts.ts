@@ -342,6 +342,18 @@ export const work = {
   socketClosed: "The connection to the gateway was lost: the work ends by itself.",
 };
 
+export const many = {
+  title: "Controllers that are shown",
+  filter: "Filter by name",
+  before: "Controllers before these",
+  after: "Controllers after these",
+  noMore: "there are no more",
+  range: (from: number, to: number, all: number, fleet: number) => `${from} to ${to} of ${all}${all === fleet ? "" : `, of ${fleet}`}`,
+  count: (count: number, what: string) => `${count} ${what}`,
+  choose: "Choose an axis in the table.",
+  andMore: (names: string, count: number) => `${names} and ${count} more`,
+};
+
 export const prepare = {
   title: "Get ready",
   enabled: (count: number, all: number) => `${count} of ${all} motors on`,
@@ -349,6 +361,9 @@ export const prepare = {
   enableAll: "Enable all",
   disableAll: "Disable all",
   homeAll: "Home all, in the order of the fleet",
+  enableShown: (count: number) => `Enable the ${count} shown`,
+  disableShown: (count: number) => `Disable the ${count} shown`,
+  homeShown: (count: number) => `Home the ${count} shown`,
   homing: (axes: string) => `homing: ${axes}`,
 };
 

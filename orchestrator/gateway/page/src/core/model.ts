@@ -226,12 +226,22 @@ export interface WebView {
   kind: "image" | "page";
 }
 
+/** How many controllers are in which mode, and the first names of those in each trouble. */
+export interface Counts {
+  configured: number;
+  controllers: number;
+  modes: Record<string, number>;
+  troubles: Record<string, number>;
+  troubled: Record<string, string>;
+}
+
 export interface State {
   fleet: string;
   utc: string;
   fleet_s?: number;
   coordinator: { present: boolean; name?: string; epoch?: number };
-  controllers: Record<string, ControllerState>;
+  counts?: Counts;
+  controllers?: Record<string, ControllerState>;
   virtual?: Record<string, ControllerState>;
   leases?: Record<string, Lease>;
   permits?: Permit[];

@@ -11,6 +11,7 @@ import type {
   AxisState,
   ClockQuality,
   ControllerState,
+  Counts,
   FleetEvent,
   JobProgress,
   LastStop,
@@ -134,6 +135,9 @@ export const controllers = signal<ControllerStore[]>([]);
 export const groups = signal<ControllerStore[]>([]);
 /** What has axes. */
 export const owners = computed(() => [...controllers.value, ...groups.value]);
+export const counts = signal<Counts | undefined>(undefined);
+/** Of more controllers than this the page shows some at a time. */
+export const MANY = 60;
 export const leases = signal<Record<string, Lease>>({});
 export const permits = signal<Permit[]>([]);
 export const queue = signal<QueueState>({});
@@ -197,6 +201,7 @@ function publish(patch: JsonObject | null, nowMs: number): void {
     utc.value = now.utc;
     fleetSeconds.value = now.fleet_s ?? null;
     coordinator.value = now.coordinator ?? NO_COORDINATOR;
+    counts.value = now.counts;
     leases.value = now.leases ?? NOTHING;
     permits.value = now.permits ?? NO_LIST;
     queue.value = now.queue ?? NOTHING;

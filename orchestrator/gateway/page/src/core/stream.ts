@@ -3,7 +3,7 @@
 import { computed, effect, signal, untracked } from "@preact/signals";
 import type { Answer, Refusal, Session, State, Stopped, Work } from "./model.ts";
 import type { JsonObject } from "./patch.ts";
-import { takePatch, takeSnapshot } from "./store.ts";
+import { counts, MANY, takePatch, takeSnapshot } from "./store.ts";
 import * as T from "../texts.ts";
 
 const FIRST_PAUSE_MS = 200;
@@ -18,6 +18,9 @@ export const session = signal<Session | null>(null);
 /** Whole seconds since the last frame; 0 while what is shown is fresh. By this page's own clock, never by the date. */
 export const pageAge = signal(0);
 export const isStale = computed(() => pageAge.value > 0);
+
+/** The parts of the state that the page needs; null: all. */
+export const need = signal<string[] | null>(null);
 
 interface Frame {
   hello?: Session;
@@ -64,6 +67,10 @@ export function start(): void {
   if (started) return;
   started = true;
   connect();
+  effect(() => {
+    const items = need.value;
+    if (isOpen()) socket?.send(JSON.stringify({ do: "need", ...(items && { need: items }) }));
+  });
   setInterval(checkAge, 100);
   document.addEventListener("visibilitychange", checkAge);
 }
@@ -107,7 +114,7 @@ function connect(): void {
   const address = new URL("v1/stream", location.href);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
   address.hash = "";
-  address.search = "";
+  address.search = need.peek() === null ? `most=${MANY}` : `need=${need.peek()}`;
   if (connection.value !== "lost") connection.value = "connecting";
   const mine = new WebSocket(address);
   socket = mine;
@@ -153,7 +160,11 @@ export function handleFrame(text: string): void {
 }
 
 function handleState(frame: Frame, number: number, now: number): void {
-  if (frame.state !== undefined) {
+  const known = frame.state?.counts;
+  if (known && need.peek() === null && known.controllers > MANY) {
+    lastNumber = null; // without them: the page says which it needs, by these counts, and the next state has those
+    counts.value = known;
+  } else if (frame.state !== undefined) {
     lastNumber = number;
     updates += 1;
     takeSnapshot(frame.state, now);

@@ -19,6 +19,7 @@ import { across, JogPanel } from "./jogpad.tsx";
 import { LinksPanel } from "./links.tsx";
 import { LivePlots } from "./liveplots.tsx";
 import { Login } from "./login.tsx";
+import { ManyBar } from "./many.tsx";
 import { Messages } from "./messages.tsx";
 import { PlanePanel } from "./plane.tsx";
 import { ConsolePanel } from "./console.tsx";
@@ -38,6 +39,7 @@ export function App(): JSX.Element {
       <StopBar />
       <Messages />
       <main>
+        <ManyBar />
         <div class={`view ${view.value}`} data-testid={`view-${view.value}`}>
           <ViewPanels />
         </div>

@@ -6,6 +6,7 @@ import { useLayoutEffect, useMemo, useRef } from "preact/hooks";
 import { attention, rankOf } from "../core/attention.ts";
 import { formatUnit, formatValue, withoutAddress } from "../core/format.ts";
 import { held } from "../core/manual.ts";
+import { isMany, shown } from "../core/many.ts";
 import { plotted } from "../core/look.ts";
 import { readinessOf } from "../core/ready.ts";
 import { allAxes, jobs, leases, owners, permits, queue, type AxisStore, type ControllerStore } from "../core/store.ts";
@@ -26,7 +27,7 @@ const stays = signal(false);
 export function AxisTable({ onChoose, chosen }: { onChoose?: (axis: string) => void; chosen?: string }): JSX.Element {
   const many = allAxes().length > MANY;
   const last = useRef<ControllerStore[]>([]);
-  const all = owners.value;
+  const all = isMany.value ? owners.value.filter((owner) => shown.value.includes(owner.id)) : owners.value;
   const known = last.current.length === all.length && last.current.every((controller) => all.includes(controller));
   if (!many) last.current = all;
   else if (!stays.value || !known) last.current = [...all].sort((a, b) => rankOfController(a) - rankOfController(b));

@@ -4,14 +4,17 @@ import type { JSX } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { computed } from "@preact/signals";
 import { get } from "../core/http.ts";
+import { isMany, wanted } from "../core/many.ts";
 import { beginWork, working } from "../core/manual.ts";
 import { firstOf, whyNot } from "../core/rights.ts";
-import { realAxes, type AxisStore } from "../core/store.ts";
+import { realAxes } from "../core/store.ts";
 import * as T from "../texts.ts";
 import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
 
 /** The axes whose motor is off, or whose reference is missing. */
 export const unready = computed(() => realAxes().filter((axis) => !axis.flags.value.enabled || !axis.flags.value.referenced));
+/** Of many controllers it is not known. */
+export const mayBeUnready = computed(() => isMany.value || unready.value.length > 0);
 
 const MOST_JOBS = 20;
 
@@ -28,11 +31,15 @@ export function GetReady({ ids }: { ids: string[] }): JSX.Element {
 }
 
 function ReadyDialog({ ids }: { ids: string[] }): JSX.Element {
-  const [axes, setAxes] = useState<AxisStore[] | null>(ids.length === 0 ? realAxes() : null);
+  const [names, setNames] = useState<string[] | null>(ids.length === 0 ? realAxes().map((axis) => axis.id) : null);
   useEffect(() => {
-    if (ids.length > 0) void findNeeded(ids).then(setAxes);
+    if (ids.length > 0) void findNeeded(ids).then(setNames);
+    return () => void (wanted.value = []);
   }, [ids.join()]);
-  if (axes === null) return <Empty text={T.loading} />;
+  // Of many controllers those of a job are loaded first.
+  useEffect(() => void (wanted.value = isMany.value ? (names ?? []) : []), [names]);
+  const axes = realAxes().filter((axis) => names?.includes(axis.id));
+  if (names === null || (isMany.value && axes.length < names.length)) return <Empty text={T.loading} />;
   const off = axes.filter((axis) => !axis.flags.value.enabled).map((axis) => axis.id);
   const lost = axes.filter((axis) => !axis.flags.value.referenced).map((axis) => axis.id);
   const owners = [...new Set(axes.map((axis) => axis.controller))];
@@ -62,9 +69,8 @@ function ReadyDialog({ ids }: { ids: string[] }): JSX.Element {
 }
 
 /** The axes that these jobs use, those of their named positions too. Of a job that cannot be told: all axes. */
-async function findNeeded(ids: string[]): Promise<AxisStore[]> {
+async function findNeeded(ids: string[]): Promise<string[]> {
   const answers = await Promise.all(ids.map((id) => get<{ axes: string[] }>(`jobs/${encodeURIComponent(id)}/axes`)));
   const all = realAxes();
-  const named = new Set(answers.flatMap((answer) => ("ok" in answer ? answer.ok.axes : all.map((axis) => axis.id))));
-  return all.filter((axis) => named.has(axis.id));
+  return [...new Set(answers.flatMap((answer) => ("ok" in answer ? answer.ok.axes : all.map((axis) => axis.id))))];
 }

@@ -5,6 +5,7 @@ import { newAlarms, openAlarms, openBus } from "../core/alarms.ts";
 import { timeOfDay } from "../core/format.ts";
 import { STOP_KEYS, stopKey } from "../core/keys.ts";
 import { showView, soundOn, theme, view, VIEWS, type Theme } from "../core/look.ts";
+import { isMany, namesIn } from "../core/many.ts";
 import { isBusy } from "../core/manual.ts";
 import type { Level } from "../core/ready.ts";
 import { controllers, coordinator, fleetName, jobs, loaded, permits, queue, utc } from "../core/store.ts";
@@ -22,11 +23,12 @@ function fleetState(): { level: Level; text: string } {
       .filter((_, index) => test(index))
       .map((controller) => controller.id)
       .join(", ");
+  const many = isMany.value;
   const worst: [string, (text: string) => string][] = [
-    [named((i) => Boolean(all[i]?.estop)), T.fleet.estop],
-    [named((i) => all[i]?.present === false), T.fleet.absent],
-    [named((i) => all[i]?.mode === "offline"), T.fleet.offline],
-    [named((i) => all[i]?.mode === "fault"), T.fleet.fault],
+    [many ? namesIn("e-stop") : named((i) => Boolean(all[i]?.estop)), T.fleet.estop],
+    [many ? namesIn("silent") : named((i) => all[i]?.present === false), T.fleet.absent],
+    [many ? namesIn("offline") : named((i) => all[i]?.mode === "offline"), T.fleet.offline],
+    [many ? namesIn("fault") : named((i) => all[i]?.mode === "fault"), T.fleet.fault],
   ];
   for (const [names, words] of worst) if (names) return { level: "bad", text: words(names) };
   if (permits.value.length > 0) return { level: "bad", text: T.fleet.permit(permits.value.map((permit) => permit.name).join(", ")) };

@@ -11,6 +11,7 @@ import { useEffect, useMemo, useRef } from "preact/hooks";
 import { formatQuantity, formatUnit, formatValue, percent, plainNumber } from "../core/format.ts";
 import { FINISHED } from "../core/lastreport.ts";
 import { whyBeyond } from "../core/limits.ts";
+import { isMany, keepers } from "../core/many.ts";
 import { isNumber, isText, remembered } from "../core/remember.ts";
 import { beginJog, beginWork, cancelWork, endJog, held, jogging, release, working } from "../core/manual.ts";
 import { showNote } from "../core/notices.ts";
@@ -29,6 +30,7 @@ export const STEPS = [0.001, 0.01, 0.1, 1, 10, 100];
 
 export const across = remembered("jog.across", "", isText);
 export const upwards = remembered("jog.upwards", "", isText);
+keepers.push(() => [across.value, upwards.value]);
 const speed = remembered("jog.speed", 0.2, isNumber);
 /** The step in the axis's unit; 0: hold to run. */
 const stepSize = remembered("jog.step", 0, isNumber);
@@ -162,7 +164,8 @@ function changeSpeed(by: number): void {
 
 /** The axes of the pad; the first two of the fleet until others are chosen. */
 const chosenAxes = computed<{ across?: AxisStore; upwards?: AxisStore }>(() => {
-  const all = allAxes();
+  // Of many those that are shown change: then nothing is chosen but by a person.
+  const all = isMany.value ? [] : allAxes();
   const first = findAxis(across.value) ?? all[0];
   const second = upwards.value === NO_AXIS ? undefined : (findAxis(upwards.value) ?? all.find((axis) => axis !== first));
   const chosen: { across?: AxisStore; upwards?: AxisStore } = {};
@@ -181,7 +184,7 @@ export function JogPanel(): JSX.Element {
     const now = document.activeElement;
     if (now === null || now === document.body || now.closest("nav") !== null) start.current?.focus({ preventScroll: true });
   }, [first === undefined]);
-  if (first === undefined) return <Panel title={T.jog.title} children={<Empty text={T.axes.none} />} />;
+  if (first === undefined) return <Panel title={T.jog.title} children={<Empty text={isMany.value ? T.many.choose : T.axes.none} />} />;
   return (
     <Panel
       title={T.jog.title}

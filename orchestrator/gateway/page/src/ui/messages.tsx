@@ -7,6 +7,7 @@
 
 import type { JSX } from "preact";
 import { explain, timeOfDay } from "../core/format.ts";
+import { isMany, namesIn } from "../core/many.ts";
 import { isText, remembered } from "../core/remember.ts";
 import { dismiss, notices, type Notice } from "../core/notices.ts";
 import { whyNot } from "../core/rights.ts";
@@ -80,7 +81,7 @@ function listMessages(): Message[] {
   const estopped = controllers.value.filter((controller) => controller.rest.value.estop);
   const estop = estopped[0]?.rest.value.estop;
   if (estop) {
-    const names = estopped.map((each) => each.id).join(", ");
+    const names = (isMany.value && namesIn("e-stop")) || estopped.map((each) => each.id).join(", ");
     all.push({
       key: "estop",
       level: "bad",
@@ -95,7 +96,7 @@ function listMessages(): Message[] {
       key: "fault",
       level: "warn",
       sign: "▲",
-      text: T.messages.fault(faulty.map((each) => each.id).join(", ")),
+      text: T.messages.fault((isMany.value && namesIn("fault")) || faulty.map((each) => each.id).join(", ")),
       act: { label: T.stop.reset, why: whyNot("reset"), onAct: () => void resetFleet() },
     });
   const stopped = stoppedBy.value ?? undismissed();

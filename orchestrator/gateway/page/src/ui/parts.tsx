@@ -4,6 +4,7 @@ import type { ComponentChildren, JSX } from "preact";
 import { useEffect, useId, useLayoutEffect, useRef } from "preact/hooks";
 import { signal } from "@preact/signals";
 import { noteOpen, stopKey } from "../core/keys.ts";
+import { still } from "../core/many.ts";
 import { showNote } from "../core/notices.ts";
 import type { Level } from "../core/ready.ts";
 import * as T from "../texts.ts";
@@ -111,12 +112,14 @@ let opener: HTMLElement | null = null;
 
 export function openDialog(title: string, body: ComponentChildren, wide = false): void {
   if (dialog.value === null && document.activeElement instanceof HTMLElement) opener = document.activeElement;
+  still.value = true;
   dialog.value = { title, body, wide };
 }
 
 export function closeDialog(): void {
   if (dialog.value === null) return;
   dialog.value = null;
+  still.value = false;
   opener?.focus();
   opener = null;
 }

@@ -12,7 +12,7 @@ import { jobs, queue } from "../core/store.ts";
 import { onPage } from "../texts.ts";
 import * as T from "../texts.ts";
 import { Approval } from "./approval.tsx";
-import { GetReady, unready } from "./getready.tsx";
+import { GetReady, mayBeUnready } from "./getready.tsx";
 import { Act, Empty, Mark, openDialog, Panel } from "./parts.tsx";
 import { askRelease, askStart, RESTART } from "./start.tsx";
 import { NewJob } from "./submit.tsx";
@@ -42,7 +42,7 @@ export function QueuePanel(): JSX.Element {
               <Act label={T.queue.stop} kind="small" why={whyNot("stop-queue")} onAct={() => send("stop-queue", {}, T.queue.stop)} />
             </>
           )}
-          {listed > 0 && unready.value.length > 0 ? <GetReady ids={waiting.map((job) => job.id)} /> : null}
+          {listed > 0 && mayBeUnready.value ? <GetReady ids={waiting.map((job) => job.id)} /> : null}
           <Act label={T.queue.add} kind="small" onAct={() => openDialog(T.submit.title, <NewJob />, true)} />
         </div>
       }

@@ -11,7 +11,7 @@ import { whyNot } from "../core/rights.ts";
 import { jobs, queue } from "../core/store.ts";
 import { onPage } from "../texts.ts";
 import * as T from "../texts.ts";
-import { GetReady, unready } from "./getready.tsx";
+import { GetReady, mayBeUnready } from "./getready.tsx";
 import { Act, closeDialog, Empty, openDialog } from "./parts.tsx";
 
 /** What holds a job that had to wait for a cause, until its start is asked for. */
@@ -141,7 +141,7 @@ function StartDialog(props: { start: Start; first: StartPreview; changedBefore: 
           onAct={() => void confirm()}
         />
         {lasting.length > 0 ? <Act label={T.start.again} onAct={() => void look()} /> : null}
-        {lasting.length > 0 && unready.value.length > 0 ? <GetReady ids={lasting.map((motion) => motion.job_id)} /> : null}
+        {lasting.length > 0 && mayBeUnready.value ? <GetReady ids={lasting.map((motion) => motion.job_id)} /> : null}
         <Act label={T.start.cancel} onAct={closeDialog} />
       </div>
     </div>
