@@ -17,6 +17,8 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.state import ProbeAbility
 
 LOOK_NS = 5 * NS_PER_MS
+ARRIVING_NS = 20 * NS_PER_MS
+"""A drive shows its target as reached when the axis is in the window around it, before the demand is there."""
 READ_S = 0.03  # a read of 60B9h that takes longer ends the probe
 HALT_S = 0.015  # of the halt to the drive, with its cycle
 CAPTURE_S = 1e-4  # from the edge to the captured position, at most; it is captured in hardware
@@ -69,9 +71,13 @@ class ProbeMotion:
         self._require_no_stop(stops)
         await self._manual.start_jog(JogMove(sign * move.speed_counts_s, move.ramp_counts_s2, move.end_counts))
         bit, level = point_bit(move.point.number), move.level
+        ended_ns: int | None = None
         while True:
             self._require_no_stop(stops)
-            is_jogging, asked_ns = self._manual.is_jogging, node.clock.now_ns()
+            asked_ns = node.clock.now_ns()
+            if ended_ns is None and not self._manual.is_jogging:
+                ended_ns = asked_ns
+            is_over = ended_ns is not None and (self._is_at_end(move) or asked_ns >= ended_ns + ARRIVING_NS)
             counts = await self._read(touch)
             if counts is not None:
                 self._power.write_stop(abort=False)
@@ -80,7 +86,7 @@ class ProbeMotion:
                 early, late = counts - sign * move.speed_counts_s * CAPTURE_S, float(counts)
                 ends = (early - sign * CAPTURE_COUNTS, late + sign * CAPTURE_COUNTS)
                 return ProbedContact(min(ends), max(ends), HostInterval(begun_ns, seen_ns))
-            if not is_jogging:
+            if is_over:
                 self._require_end(move)
                 return None
             begun_ns = asked_ns
@@ -100,8 +106,11 @@ class ProbeMotion:
         if self._node.stops != stops:
             raise Refusal("stopped", f"axis {self._axis} was stopped while it probed", "probe again")
 
+    def _is_at_end(self, move: ProbeMove) -> bool:
+        return self._node.is_enabled and abs(self._node.demand - move.end_counts) <= END_COUNTS
+
     def _require_end(self, move: ProbeMove) -> None:
         node = self._node
-        if not node.is_enabled or abs(node.demand - move.end_counts) > END_COUNTS:
+        if not self._is_at_end(move):
             text = f"axis {self._axis} came to rest before its end, at {node.actual} counts"
             raise Refusal("probe-broken", text, "see the state of the axis: a limit switch, a fault?")

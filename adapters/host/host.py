@@ -166,9 +166,7 @@ class AdapterHost:
             await bus.subscribe(keys.leader, self._handle_leadership),
             await bus.subscribe(keys.session(), self._sessions.receive_sign),
             await bus.announce(keys.live("host", self._name, self._environment.instance)),
-            await bus.serve_group(
-                keys.served_by_host(self._name), ServedHost(keys, self._name, self._answer_batch, states)
-            ),
+            await bus.serve_group(keys.served_by_host(self._name), served_host),
         ]
         # A router with keys lets a host declare what it may serve, and no wildcard that others serve as well.
         has_keys = self._environment.certificate is not None

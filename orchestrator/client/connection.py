@@ -23,7 +23,10 @@ from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.identity import find_session_identity
 from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
 from orchestrator.bus.service_verbs import NOT_LEADER
+from orchestrator.bus.states.feed import ControllerFeed
+from orchestrator.client.followed import FollowedSamples
 from orchestrator.client.slow_starts import explain_absence
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.base import Model
 from orchestrator.model.errors import NotAllowed, Refusal
 from orchestrator.model.messages import Reply, Request
@@ -122,6 +125,18 @@ class FleetConnection:
         finally:
             for declaration in subscriptions:
                 await declaration.undeclare()
+
+    @asynccontextmanager
+    async def follow_all(self, *expressions: str) -> AsyncGenerator[FollowedSamples]:
+        """The same, and what all controllers publish, from the frames of their hosts."""
+        async with self.subscribe_samples(*expressions) as queue:
+            samples, loop = FollowedSamples(queue), asyncio.get_running_loop()
+            feed = ControllerFeed(self.bus, self.keys, lambda: round(loop.time() * NS_PER_S), samples)
+            await feed.start()
+            try:
+                yield samples
+            finally:
+                await feed.close()
 
     def request_fields(self) -> dict[str, Any]:
         """The fields that every request has."""

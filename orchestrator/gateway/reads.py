@@ -268,7 +268,7 @@ class FleetReads:
     async def _read_clocks(self, request: ReadRequest) -> Response:
         clocks = await query_clocks(self._connect(request))
         plain = {name: clock.to_plain() for name, clock in clocks.items()}
-        return JSONResponse({"clocks": plain, "history": self._hub.clock_history.show()})
+        return JSONResponse({"clocks": plain, "history": self._hub.state.clock_history.show()})
 
     async def _read_trace(self, request: ReadRequest) -> Response:
         number = request.read_int("after", 0)

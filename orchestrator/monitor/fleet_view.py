@@ -11,6 +11,8 @@ from rich.text import Text
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.states.frame import Confirmation
+from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.operation.alarms import OPEN_BUS, AlarmRecord
 from orchestrator.model.operation.virtual_state import VirtualState
 from orchestrator.model.report import FINISHED_STATES, JobProgress, LeaseState, QueueState
@@ -61,9 +63,9 @@ class LiveView:
 
     @property
     def key_expressions(self) -> tuple[str, ...]:
-        """The key expressions to subscribe to."""
+        """The key expressions to subscribe to, beside what the controllers publish."""
         keys = self.keys
-        return (keys.state(), keys.event(), keys.job_state(), keys.queue, keys.leases, keys.alarm(), keys.virtual())
+        return (keys.job_state(), keys.queue, keys.leases, keys.alarm(), keys.virtual())
 
     @property
     def openness(self) -> str:
@@ -109,6 +111,12 @@ class LiveView:
         for name, state in states.items():
             self.states[name] = state
             self.received_s[name] = self.now_s()
+
+    def note_confirmed(self, confirmations: Mapping[str, Confirmation]) -> None:
+        """Store how old the states are that hold still."""
+        now_s = self.now_s()
+        for name, confirmation in confirmations.items():
+            self.received_s[name] = max(self.received_s.get(name, 0.0), now_s - confirmation.age_ns / NS_PER_S)
 
     def take_alarms(self, alarms: Iterable[AlarmRecord]) -> None:
         """Store which of these alarms say that the bus is open."""

@@ -8,6 +8,7 @@ import pytest
 from cluster.worlds import PREPARE, demo_fleet, job, outcome, run_fleet
 
 from orchestrator.bus.base import Priority
+from orchestrator.bus.states.frame import FrameHeader, encode_frame
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.coordinator.alarms.fleet_sources import FleetAlarms
 from orchestrator.coordinator.alarms.motion_sources import MotionAlarms
@@ -231,7 +232,8 @@ def test_an_open_bus_is_named_by_views_and_the_doctor_also_when_it_was_set_aside
         view, words = LiveView(client.keys, lambda: 0.0), "INSECURE: the bus at tcp/0.0.0.0:7447 has no TLS"
         said: list[str | None] = []
         request = AlarmRequest(kind=OPEN_BUS, subject="bus", text=words, priority="high", active=True)
-        async with client.subscribe_samples(*view.key_expressions) as samples:
+        async with client.follow_all(*view.key_expressions) as followed:
+            samples = followed.queue
             client.bus.put(client.keys.alarm_request("router", "main"), request.to_json(), Priority.EVENT)
             await wait_s(fleet, 1)
             (alarm,) = await client.acknowledge_alarms()
@@ -328,7 +330,15 @@ def test_states_of_controllers_that_the_fleet_does_not_have_are_one_alarm_and_no
         real_state = (await client.status())["gantry"]
         for number in range(3):
             forged_state = real_state.model_copy(update={"controller": f"ghost{number}", "mode": "moving"})
-            client.bus.put(client.keys.state(f"ghost{number}"), forged_state.to_json(), Priority.EVENT)
+            header = FrameHeader(
+                host="ghosts",
+                instance="i",
+                number=number + 1,
+                utc=real_state.utc,
+                lines=[f"ghost{number}/state"],
+                states={},
+            )
+            client.bus.put(client.keys.host_states("ghosts"), encode_frame(header, [forged_state.to_json()]))
         await wait_s(fleet, 2)
         (alarm,) = [alarm for alarm in await client.list_alarms() if alarm.kind == "unknown-controller"]
         assert alarm.text == "3 controllers publish states that the fleet file does not have; the last one is ghost2"

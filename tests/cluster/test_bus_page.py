@@ -265,7 +265,7 @@ def test_looking_around_on_the_whole_fleet_gets_values_and_no_errors(monkeypatch
 
     per_controller = {f"ctl/{c}/{leaf}" for c in ("gantry", "stage") for leaf in ("state", "info", "clock")}
     leases = {"lease/gantry", "lease/stage"}
-    assert per_controller | leases | {"time", "leads", "kept-estop"} == {
+    assert per_controller | leases | {"host/local/states", "time", "leads", "kept-estop"} == {
         key for key in run_fleet(main) if key.count("/") < 3
     }
     assert refusals == []

@@ -13,6 +13,7 @@ from orchestrator.model.base import Model
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import AdoptRequest, BatchRequest, Request
+from orchestrator.model.state import EventsRequest
 from orchestrator.model.version import PROTOCOL, PartVersion, ProtocolVersion, require_version, works_with
 from orchestrator.runtime.doctor.parts import find_versions
 from orchestrator.runtime.virtual.fleet import VirtualFleet
@@ -46,7 +47,7 @@ def test_messages_of_a_newer_part_are_understood(monkeypatch: pytest.MonkeyPatch
 
     def encode_with_more(self: Model) -> bytes:
         plain = encode(self)
-        if isinstance(self, BatchRequest | AdapterMemory | Fleet) or (
+        if isinstance(self, BatchRequest | EventsRequest | AdapterMemory | Fleet) or (
             isinstance(self, Request) and not isinstance(self, AdoptRequest)
         ):
             return plain

@@ -26,7 +26,7 @@ class EventRing:
 
     def events_after(self, seq: int) -> EventsReply:
         """Return the events numbered above `seq`, and how many of those the ring no longer has."""
-        kept_events = [ControllerEvent.model_validate_json(payload) for number, payload in self._events if number > seq]
+        kept_events = [ControllerEvent.read_message(payload) for number, payload in self._events if number > seq]
         return EventsReply(
             instance=self._instance, events=kept_events, lost=max(0, self.last_seq - seq - len(kept_events))
         )

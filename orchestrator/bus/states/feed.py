@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.states.frame import BadFrame, Confirmation, HostFrame, decode_frame
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
+from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.owner import TaskOwner
 
 ASK_S = 1.0  # for a host to answer with all states
@@ -55,18 +55,21 @@ class _KnownHost:
 
 
 class ControllerFeed:
-    """Follows all controllers. find_host: returns the host that may publish a controller, where that is known: of the
-    fleet file."""
+    """Follows all controllers.
+
+    now_ns: the time of any clock. find_host: returns the host that may publish a controller, where that is known: of
+    the fleet file.
+    """
 
     def __init__(
         self,
         bus: Bus,
         keys: FleetKeys,
-        clock: Clock,
+        now_ns: Callable[[], int],
         receiver: FeedReceiver,
         find_host: Callable[[str], str | None] = lambda _: None,
     ) -> None:
-        self._bus, self._keys, self._clock = bus, keys, clock
+        self._bus, self._keys, self._now_ns = bus, keys, now_ns
         self._receiver = receiver
         self._find_host = find_host
         self._tasks = TaskOwner()
@@ -132,7 +135,7 @@ class ControllerFeed:
 
     def _pass_on(self, host: _KnownHost, frame: HostFrame) -> bool:
         """Pass on a frame of states; whether every state that it confirms has arrived."""
-        name, now_ns = frame.header.host, self._clock.now_ns()
+        name, now_ns = frame.header.host, self._now_ns()
         host.framed_ns = now_ns
         for controller in frame.confirmations:
             if not self._is_carried_elsewhere(controller, name, now_ns):
@@ -175,7 +178,7 @@ class ControllerFeed:
 
     def _ask_for_all(self, name: str, host: _KnownHost) -> None:
         """A frame is missing, or the first one was not complete: ask the host for all states, now and then."""
-        now_ns = self._clock.now_ns()
+        now_ns = self._now_ns()
         if host.is_asking or (host.asked_ns is not None and now_ns < host.asked_ns + ASK_AGAIN_NS):
             return
         host.is_asking, host.asked_ns = True, now_ns

@@ -22,6 +22,9 @@ from orchestrator.model.state import ControllerState, TimeInterval
 
 FRAME_NS = 400_000_000
 """Longest time between two frames of states: silence of 0.7 s stays the limit."""
+SEEN_NS = 450_000_000
+"""An adapter looks at its controller, or says that it cannot, every 0.4 s: as long as no look is older than this, its
+host vouches for it with each frame. Otherwise the age of the last look counts."""
 KEY_FRAME_NS = 10_000_000_000
 """Longest time between two frames with every state."""
 

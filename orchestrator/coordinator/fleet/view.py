@@ -11,7 +11,7 @@ from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.states.feed import Arrival, ControllerFeed
-from orchestrator.bus.states.frame import Confirmation
+from orchestrator.bus.states.frame import SEEN_NS, Confirmation
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
 from orchestrator.clock.start_limit import SLOW_NS
 from orchestrator.coordinator.fleet.controller_events import ControllerEvents, EventListener
@@ -54,12 +54,14 @@ class FleetView:
         self._keys = keys
         self._clock = clock
         self._log = log
-        self._feed = ControllerFeed(bus, keys, clock, self, self._find_host)
+        self._feed = ControllerFeed(bus, keys, clock.now_ns, self, self._find_host)
         self.arrived_states: dict[str, ControllerState] = {}
         """By controller: the last state as it has arrived; its instants may be older than what is known."""
         self._confirmed: dict[str, Confirmation] = {}
         """By controller: what the last frame says of its state, if that was not applied to it yet."""
         self._heard_ns: dict[str, int] = {}
+        self._vouched_ns: dict[str, int] = {}
+        """By controller: the last frame, while that says that its adapter has kept its rate."""
         self._stated_ns: dict[str, int] = {}
         self._asked: dict[str, tuple[int, ControllerState]] = {}
         on_line = Counter(config.line for config in fleet.controllers.values())
@@ -103,7 +105,10 @@ class FleetView:
     def is_silent(self, controller: str) -> bool:
         """Whether the controller's adapter has been silent for too long."""
         heard_ns = self._heard_ns.get(controller)
-        return heard_ns is None or self._clock.now_ns() - heard_ns > self._silent_ns[controller]
+        if heard_ns is None:
+            return True
+        latest_ns = max(heard_ns, self._vouched_ns.get(controller, 0))
+        return self._clock.now_ns() - latest_ns > self._silent_ns[controller]
 
     def axis_now(self, axis: str) -> AxisState | None:
         """The state of `controller.axis`; None while its controller is offline or silent."""
@@ -246,6 +251,7 @@ class FleetView:
         now_ns = self._clock.now_ns()
         for controller, confirmation in arrival.confirmations.items():
             seen_ns = now_ns - confirmation.age_ns
+            self._vouched_ns[controller] = now_ns if confirmation.age_ns <= SEEN_NS else 0
             if controller in self.arrived_states and seen_ns > self._heard_ns[controller]:
                 self._heard_ns[controller] = self._stated_ns[controller] = seen_ns
                 self._confirmed[controller] = confirmation

@@ -124,7 +124,7 @@ class ZoneWatch:
         local = split_name(name)[1]
         if state.mode == "offline" or local not in state.axes:
             return AxisSight(None, moving=False, cause="offline")
-        age_s = _find_age(state)
+        age_s = self._find_age_s(state)
         if age_s > max(OLD_S, 3.0 / self._view.fleet.controllers[state.controller].state.idle_hz):
             return AxisSight(None, moving=False, cause=f"not read for {age_s:.1f} s")
         axis_state, is_unchecked = state.axes[local], _is_unplanned(state, local)
@@ -136,9 +136,17 @@ class ZoneWatch:
         reach, drift = self._find_reach(axis, axis_state, state), abs(axis_state.velocity) * self._find_wait_s(state)
         return AxisSight(axis_state.motor_position, axis_state.moving, is_unchecked, reach, drift)
 
+    def _find_age_s(self, state: ControllerState) -> float:
+        """How long ago its positions were read at most, s, with the way of the state to here; 0 where it does not
+        say."""
+        if state.read_within is None:
+            return 0.0
+        now_ns = self._access.requests.leadership.fleet_now_ns()
+        return max(now_ns - state.read_within.earliest_ns, 0) / NS_PER_S
+
     def _find_wait_s(self, state: ControllerState) -> float:
         """From when a controller that moves was read until it is read again, s."""
-        return _find_age(state) + 1.0 / self._view.fleet.controllers[state.controller].state.moving_hz
+        return self._find_age_s(state) + 1.0 / self._view.fleet.controllers[state.controller].state.moving_hz
 
     def _find_reach(self, axis: Axis, axis_state: AxisState, state: ControllerState) -> float:
         """How far an axis that moves may come until it stands, in its unit."""
@@ -177,13 +185,6 @@ class _WatchedRule:
     def is_lost(self, axis: str, sight: AxisSight) -> bool:
         """Whether the position of an axis is lost, and was not so when the motion beside it began."""
         return sight.position is None and sight.cause != "homing" and (axis in self.known or axis in self.lost)
-
-
-def _find_age(state: ControllerState) -> float:
-    """How long before the state its positions were read at most, s; 0 where it does not say."""
-    if state.read_within is None or state.fleet_ns is None:
-        return 0.0
-    return max(state.fleet_ns - state.read_within.earliest_ns, 0) / NS_PER_S
 
 
 def _is_unplanned(state: ControllerState, axis: str) -> bool:

@@ -60,9 +60,10 @@ class ArmedWait:
     def begin(self) -> None:
         """The wait begins now. Raises `Refusal` for an input that has its level already, or is not known."""
         self.began_ns = self._leadership.fleet_now_ns()
+        inputs = [] if self.terms.input is None else [controller_of(self.terms.input)]
         self._removals = [
             self._view.add_event_listener(self._take_event),
-            self._view.add_state_listener(self._take_state),
+            self._view.add_state_listener(self._take_state, self._members.union(inputs)),
             self._permits.add_loss_listener(self._changed.set),
         ]
         self._input_active = self._read_input()

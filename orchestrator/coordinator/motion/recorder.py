@@ -21,7 +21,7 @@ class StepRecorder:
         self._seen = 0
         self._sampled: dict[str, list[tuple[int, float]]] = {axis: [] for axis in profiles}
         self._fleet = view.fleet
-        self._unlisten = view.add_state_listener(self._add_samples)
+        self._unlisten = view.add_state_listener(self._add_samples, self._members)
 
     def _add_samples(self, state: ControllerState) -> None:
         if state.read_fleet_ns is None:

@@ -34,7 +34,7 @@ class InputWatch:
         self._shows_moving = shows_moving
         self._read_ns = self._passive_ns = 0
         self._loss = ""
-        self.close = self._view.add_state_listener(self._take_state)
+        self.close = self._view.add_state_listener(self._take_state, [self._controller])
 
     async def require_passive(self) -> None:
         """Raise `Refusal` unless the input is read, and is not yet what ends the probe."""
@@ -79,8 +79,6 @@ class InputWatch:
                 continue
 
     def _take_state(self, state: ControllerState) -> None:
-        if state.controller != self._controller:
-            return
         level = state.inputs.get(self._input)
         if state.mode == "offline" or level is None:
             self._loss = self._loss or f"{self._controller} is offline, and {self._step.until} is not read"

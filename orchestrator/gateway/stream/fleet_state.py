@@ -8,7 +8,9 @@ from pydantic import ValidationError
 
 from orchestrator.bus.base import BusSample
 from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.states.feed import Arrival
 from orchestrator.clock.base import NS_PER_MS, Clock
+from orchestrator.gateway.stream.clock_history import ClockHistory
 from orchestrator.gateway.stream.controllers import STALE_NS, find_age_s, show_controller
 from orchestrator.gateway.stream.counts import FleetCounts
 from orchestrator.gateway.stream.fleet_parts import show_leader, show_views
@@ -16,6 +18,7 @@ from orchestrator.gateway.stream.job_table import JobTable
 from orchestrator.gateway.stream.leases import LeaseTable
 from orchestrator.gateway.stream.messages import FleetMessages
 from orchestrator.gateway.stream.need import EVERYTHING, ChosenNames, StreamNeed
+from orchestrator.gateway.stream.presence import AdapterPresence
 from orchestrator.gateway.stream.targets import JobTargets
 from orchestrator.gateway.stream.virtual_groups import VirtualGroups
 from orchestrator.model.fleet import Fleet
@@ -24,7 +27,7 @@ from orchestrator.model.names import split_name
 from orchestrator.model.operation.alarms import AlarmRecord
 from orchestrator.model.operation.recording import JobBegun
 from orchestrator.model.report import JobProgress, LeaseState, QueueState
-from orchestrator.model.state import ControllerEvent, ControllerState, LinkTotals
+from orchestrator.model.state import ClockMapping, ControllerEvent, ControllerState, LinkTotals
 
 MAX_CONTROLLERS, MAX_LEASES = 2000, 8000  # whatever is published
 COUNT_NS = 50 * NS_PER_MS  # period in which some of the states that no reader needs are parsed, for the counts
@@ -46,13 +49,14 @@ class FleetState:
         self.on_unknown_digest: Callable[[], None] = lambda: None
         self.invalid = 0
         self.messages = FleetMessages()
+        self.clock_history = ClockHistory()
         self._keys, self._clock = keys, clock
         self._states: dict[str, ControllerState] = {}
         self._received_ns: dict[str, int] = {}
         self._raw: dict[str, bytes] = {}
         self._rests: dict[str, dict[str, float]] = {}
         self._shown: dict[str, dict[str, Any]] = {}
-        self._present: dict[str, int] = {}
+        self._presence = AdapterPresence()
         self._links: dict[str, dict[str, Any]] = {}
         self._leases = LeaseTable(MAX_LEASES)
         self._counts = FleetCounts()
@@ -79,15 +83,15 @@ class FleetState:
             "state": self._take_state,
             "event": lambda sample: self.messages.take_event(ControllerEvent.read_message(sample.payload)),
             "link": self._take_link,
+            "clock": self._take_mapping,
         }
 
     @property
     def key_expressions(self) -> tuple[str, ...]:
-        """The key expressions to subscribe to."""
+        """The key expressions to subscribe to, beside the feed of the controllers."""
         keys = self._keys
         jobs = (keys.job_state(), keys.job_begun())
-        states = (keys.state(), keys.event(), keys.link(), keys.virtual())
-        return (*states, *jobs, keys.queue, keys.leases, keys.alarm(), keys.leader)
+        return (keys.virtual(), *jobs, keys.queue, keys.leases, keys.alarm(), keys.leader)
 
     @property
     def controllers(self) -> list[str]:
@@ -129,17 +133,26 @@ class FleetState:
         except (ValidationError, KeyError):
             self.invalid += 1
 
-    def take_states(self, states: Mapping[str, ControllerState]) -> None:
-        """Store states that were queried."""
-        for name, state in states.items():
-            self._keep_state(name)
-            self._note_state(name, state)
+    def take_arrival(self, arrival: Arrival) -> None:
+        """Store what a host has published."""
+        for sample in arrival.samples:
+            self.take_sample(sample)
+        if arrival.confirmations:
+            self._presence.take_carried(arrival.host, arrival.confirmations)
+        now_ns = self._clock.now_ns()
+        for controller, confirmation in arrival.confirmations.items():
+            if controller in self._received_ns:
+                self._received_ns[controller] = max(self._received_ns[controller], now_ns - confirmation.age_ns)
+
+    def take_bad_frame(self, text: str) -> None:
+        """Count a frame that cannot be read. text: why."""
+        del text
+        self.invalid += 1
 
     def take_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
-        """Store that an adapter has come, or gone."""
-        controller = key.split("/")[-2]
-        self._present[controller] = max(0, self._present.get(controller, 0) + (1 if present else -1))
-        self._shown.pop(controller, None)
+        """Store that an adapter, or an adapter host, has come or gone."""
+        self._presence.take_token(key, present=present)
+        self._shown.clear()
 
     def take_stop(self, what: str, actor: str) -> dict[str, Any]:
         """Store which stop was requested last, and by which actor; return it for the stream."""
@@ -176,6 +189,9 @@ class FleetState:
         totals = LinkTotals.read_message(sample.payload)
         self._links[totals.controller] = {"bytes_out": totals.bytes_out, "bytes_in": totals.bytes_in}
         self._shown.pop(totals.controller, None)
+
+    def _take_mapping(self, sample: BusSample) -> None:
+        self.clock_history.take_mapping(ClockMapping.read_message(sample.payload), self._clock.now_ns())
 
     def _take_job(self, sample: BusSample, leaf: str) -> None:
         if leaf == "begun":
@@ -251,7 +267,7 @@ class FleetState:
         return shown_controller if shown_controller.get("age_s") == age_s else {**shown_controller, "age_s": age_s}
 
     def _make_controller(self, name: str) -> dict[str, Any]:
-        present = {"present": self._present.get(name, 0) > 0, "age_s": 0}
+        present = {"present": self._presence.is_present(name), "age_s": 0}
         state = self._read_state(name)
         if state is None:
             return {**present, "mode": "unknown", "axes": {}}

@@ -7,13 +7,11 @@ does not grow.
 import asyncio
 import contextlib
 
-from pydantic import ValidationError
-
 from orchestrator.bus.base import BusDeclaration, BusSample
+from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.client import Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.owner import TaskOwner
-from orchestrator.gateway.stream.clock_history import ClockHistory
 from orchestrator.gateway.stream.fleet_state import FleetState
 from orchestrator.gateway.stream.need import EVERYTHING, StreamNeed
 from orchestrator.gateway.stream.stream_view import StreamReader, StreamView
@@ -21,7 +19,6 @@ from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import ListJobs
 from orchestrator.model.operation.alarms import AlarmsListed, ListAlarms
 from orchestrator.model.report import FINISHED_STATES, QueueEntry, QueueState
-from orchestrator.model.state import ClockMapping
 
 TICK_NS = 50 * NS_PER_MS
 LOOK_NS = 5 * NS_PER_S  # period of asking for what is published on change only
@@ -34,8 +31,8 @@ class StreamHub:
 
     def __init__(self, tutti: Tutti, clock: Clock) -> None:
         self.state = FleetState(tutti.keys, clock)
-        self.clock_history = ClockHistory()
         self._tutti, self.clock = tutti, clock
+        self._feed = ControllerFeed(tutti.bus, tutti.keys, clock.now_ns, self, self._find_host)
         self._views: dict[StreamNeed, StreamView] = {}
         self._changed = True
         self._declared: list[BusDeclaration] = []
@@ -53,10 +50,9 @@ class StreamHub:
         bus, keys = self._tutti.bus, self._tutti.keys
         for expression in self.state.key_expressions:
             self._declared.append(await bus.subscribe(expression, self._receive))
-        self._declared.append(await bus.subscribe(keys.clock(), self._receive_mapping))
-        self._declared.append(await bus.watch(keys.live("controller"), self._receive_presence))
-        with contextlib.suppress(Refusal):
-            self.state.take_states(await self._tutti.status(ASK_S))
+        for role in ("host", "controller"):
+            self._declared.append(await bus.watch(keys.live(role), self._receive_presence))
+        await self._feed.start()
         leases = (await bus.request_all(keys.leases, b"", ASK_S)).values()
         for payload in leases:
             self.state.take_sample(BusSample(f"{keys.prefix}/lease/any", payload))
@@ -66,6 +62,7 @@ class StreamHub:
     async def close(self) -> None:
         """End it."""
         self._tasks.cancel_all()
+        await self._feed.close()
         for declaration in self._declared:
             await declaration.undeclare()
 
@@ -102,10 +99,19 @@ class StreamHub:
         self.state.take_sample(sample)
         self._changed = True
 
-    def _receive_mapping(self, sample: BusSample) -> None:
-        with contextlib.suppress(ValidationError):
-            mapping = ClockMapping.read_message(sample.payload)
-            self.clock_history.take_mapping(mapping, self.clock.now_ns())
+    def take_arrival(self, arrival: Arrival) -> None:
+        """Take what a host has published."""
+        self.state.take_arrival(arrival)
+        self._changed = True
+
+    def take_bad_frame(self, text: str) -> None:
+        """A frame was left out."""
+        self.state.take_bad_frame(text)
+
+    def _find_host(self, controller: str) -> str | None:
+        fleet = self.state.fleet
+        config = None if fleet is None else fleet.controllers.get(controller)
+        return None if config is None else config.host
 
     def _receive_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
         self.state.take_presence(key, present)

@@ -72,8 +72,10 @@ RECORDED_PARTS = (
     "alarm",
     "alarm-request",
     "log",
+    "user",
 )
-"""First chunks of what is recorded beside the controllers, whose hosts publish them in frames."""
+"""First chunks of what is recorded beside the controllers, whose hosts publish them in frames. `user`: of programs of
+users, whatever it is."""
 
 # Signs of life: they repeat several times a second that nothing has changed.
 _NOT_RECORDED = frozenset({"session", "live"})

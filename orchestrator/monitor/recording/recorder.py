@@ -7,18 +7,23 @@ replace are left out, then everything. What is left out is counted and recorded.
 """
 
 from collections import Counter
+from contextlib import suppress
+
+from pydantic import ValidationError
 
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock, sleep_ns
 from orchestrator.clock.executor import Executor, ThreadLock
+from orchestrator.model.state import ControllerState
 from orchestrator.monitor.recording.alarms import RecorderAlarms
 from orchestrator.monitor.recording.channels import RECORDED_PARTS, find_channel
 from orchestrator.monitor.recording.writer import ReceivedMessage, RecordingWriter
 
 WRITE_NS = 200 * NS_PER_MS  # from one batch to the next
 HOUSE_NS = NS_PER_S * 8 // 10  # from one closing of the chunks to the next: with a batch, at most 1 s
+STILL_NS = NS_PER_S * 9 // 10  # from one state that has not changed to the next: with frames, at most 1.3 s
 MAX_REPLACED_BYTES = 32_000_000  # that wait for the disk; then values that the next ones replace are left out
 MAX_QUEUED_BYTES = 64_000_000  # then everything
 TOO_SLOW = "the disk is slower than the bus"
@@ -35,7 +40,9 @@ class FleetRecorder:
         self._queued: list[ReceivedMessage] = []
         self._bytes = 0
         self._dropped: Counter[str] = Counter()
-        self._feed = ControllerFeed(bus, keys, clock, self)
+        self._feed = ControllerFeed(bus, keys, clock.now_ns, self)
+        self._states: dict[str, tuple[int, ControllerState]] = {}
+        """By controller: when its state was queued last, and that."""
         self._subscriptions: list[BusDeclaration] = []
 
     async def start(self) -> None:
@@ -46,9 +53,20 @@ class FleetRecorder:
         await self._feed.start()
 
     def take_arrival(self, arrival: Arrival) -> None:
-        """Queue what a host has published."""
+        """Queue what a host has published; a state that holds still, with its instants of now, once a second."""
+        now_ns = self._clock.now_ns()
         for sample in arrival.samples:
             self._receive(sample)
+            if sample.key.endswith("/state"):
+                with suppress(ValidationError):
+                    state = ControllerState.read_message(sample.payload)
+                    self._states[state.controller] = now_ns, state
+        for controller, confirmation in arrival.confirmations.items():
+            queued_ns, state = self._states.get(controller, (now_ns, None))
+            if state is not None and now_ns - queued_ns >= STILL_NS:
+                state = confirmation.apply(state)
+                self._states[controller] = now_ns, state
+                self._receive(BusSample(self._keys.state(controller), state.to_json()))
 
     def take_bad_frame(self, text: str) -> None:
         """Record nothing of it: it has no key of a controller."""

@@ -167,7 +167,7 @@ async def watch_live_router(
         bus.put(keys.alarm_request(ROLE, ID), request.to_json(), Priority.EVENT)
 
     try:
-        await ControllerFeed(bus, keys, clock, fleet_rest).start()
+        await ControllerFeed(bus, keys, clock.now_ns, fleet_rest).start()
         await RouterWatch(
             endpoint=endpoint,
             clock=clock,

@@ -59,7 +59,7 @@ class World:
         self.clock, self.net, self.taken = clock, MemoryNet(clock, seed=3), Taken()
         self.host, self.answers = self.net.join_process("left"), list[bytes]()
         self.reader = self.net.join_process("reader")
-        self.feed = ControllerFeed(self.reader, KEYS, clock, self.taken)
+        self.feed = ControllerFeed(self.reader, KEYS, clock.now_ns, self.taken)
         self.asked = 0
 
     async def start(self) -> None:

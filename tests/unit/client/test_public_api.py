@@ -17,7 +17,16 @@ HEAVY = (
     *("zenoh", "ruckig", "numpy", "matplotlib", "rich", "canopen", "can", "serial", "adapters", "sim"),
     *("orchestrator.coordinator", "orchestrator.monitor", "orchestrator.runtime", "orchestrator.plan"),
 )
-NOT_OF_USERS = {"bus", "keys", "open", "request_fields", "request_service", "request_controller", "subscribe_samples"}
+NOT_OF_USERS = {
+    "bus",
+    "keys",
+    "open",
+    "request_fields",
+    "request_service",
+    "request_controller",
+    "subscribe_samples",
+    "follow_all",
+}
 INTERNAL = {"find_absence", "show_job_when_available", "load_result", "read_point_parts"}
 
 

@@ -9,6 +9,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from orchestrator.bus.base import BusSample
+from orchestrator.bus.states.frame import Confirmation
 from orchestrator.cli.manual.jog.keys import KeyEvent
 from orchestrator.cli.view.watch.connection import ConnectionWatch
 from orchestrator.model.state import ControllerState
@@ -45,6 +46,11 @@ class WatchPanel:
         """Store a sample of the bus."""
         self._add_line(self.connection.note_sample(), stamped=False)
         self._add_line(self.view.take_sample(sample), stamped=True)
+
+    def note_confirmed(self, confirmations: Mapping[str, Confirmation]) -> None:
+        """Store how old the states are that hold still."""
+        self._add_line(self.connection.note_sample(), stamped=False)
+        self.view.note_confirmed(confirmations)
 
     def check_time(self) -> None:
         """Notice a connection that is lost."""

@@ -4,7 +4,7 @@ import asyncio
 import json
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
@@ -19,10 +19,12 @@ from orchestrator.clock.signals import TERMINAL_SIGNALS, call_at_signals
 
 if TYPE_CHECKING:
     from orchestrator.bus.base import BusSample
+    from orchestrator.bus.states.frame import Confirmation
     from orchestrator.cli.manual.jog.keys import TerminalEvent
     from orchestrator.cli.manual.jog.terminal import RawTerminal
     from orchestrator.cli.view.watch.panel import WatchPanel
     from orchestrator.client import Tutti
+    from orchestrator.client.followed import FollowedSamples
     from orchestrator.monitor.fleet_view import LiveView
 
 REFRESH_S = 0.1
@@ -44,7 +46,8 @@ def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
 
     async def watch_fleet(tutti: "Tutti") -> None:
         view = LiveView(tutti.keys, time.monotonic, connect)
-        async with tutti.subscribe_samples(*view.key_expressions) as samples:
+        async with tutti.follow_all(*view.key_expressions) as followed:
+            samples = followed.queue
             view.take_states(await require_states(tutti), await tutti.list_leases())
             view.queue = await load_queue(tutti)
             with suppress(Refusal):  # without a coordinator
@@ -52,8 +55,8 @@ def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
             if as_json:
                 await _print_messages(samples)
             if not (HAS_PANELS and can_redraw() and sys.stdin.isatty()):
-                await _print_lines(view, samples)
-            await _run_screen(view, samples)
+                await _print_lines(view, followed)
+            await _run_screen(view, followed)
 
     with_fleet(connect, fleet, watch_fleet)
 
@@ -64,7 +67,7 @@ async def _print_messages(samples: "asyncio.Queue[BusSample]") -> None:
         click.echo(json.dumps({"key": key, "value": json.loads(payload)}))
 
 
-async def _print_lines(view: "LiveView", samples: "asyncio.Queue[BusSample]") -> None:
+async def _print_lines(view: "LiveView", followed: "FollowedSamples") -> None:
     from orchestrator.cli.view.watch.connection import ConnectionWatch
     from orchestrator.monitor.times import format_time
 
@@ -77,6 +80,11 @@ async def _print_lines(view: "LiveView", samples: "asyncio.Queue[BusSample]") ->
     def print_note(line: str | None) -> None:
         print_line(None if line is None else f"{format_time(_utc_now(), precise=True)} {line}")
 
+    def note_confirmed(confirmations: "Mapping[str, Confirmation]") -> None:
+        view.note_confirmed(confirmations)
+        print_note(connection.note_sample())
+
+    samples, followed.on_confirmed = followed.queue, note_confirmed
     print_note(view.openness or None)
     while True:
         try:
@@ -89,11 +97,12 @@ async def _print_lines(view: "LiveView", samples: "asyncio.Queue[BusSample]") ->
         print_line(view.take_sample(sample))
 
 
-async def _run_screen(view: "LiveView", samples: "asyncio.Queue[BusSample]") -> None:
+async def _run_screen(view: "LiveView", followed: "FollowedSamples") -> None:
     from orchestrator.cli.manual.jog.terminal import RawTerminal
     from orchestrator.cli.view.watch.panel import WatchPanel
 
     panel = WatchPanel(view, time.monotonic, _utc_now)
+    samples, followed.on_confirmed = followed.queue, panel.note_confirmed
     loop = asyncio.get_running_loop()
     end: asyncio.Future[int] = loop.create_future()
 
