@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.journal.facts import StepDecision
@@ -119,7 +118,8 @@ class StartSequence:
             agreement.advance_ns = agreement.tick_residual_ns = 0
             state.t0_fleet_ns = agreement.choose_start(state.arming_fleet_ns + agreement.lead_ns)
             try:
-                await run_while_recording(on_state("arming", ""), self._arm())
+                await on_state("arming", "")
+                await self._arm()
                 await self._judge_frozen_mappings()
                 await self._require_time("arming took longer than its lead time")
                 await self._release(on_state, 2 * (growth or 0) or 1)
@@ -252,7 +252,8 @@ class StartSequence:
         """
         state, agreement, clock = self.state, self._agreement, self._fleet.clock
         armed_ns = clock.now_ns()
-        await run_while_recording(on_state("armed", ""), self._commit())
+        await on_state("armed", "")
+        await self._commit()
         try:
             state.require_not_paused()
             self._permit_watch.require_held()
@@ -276,12 +277,12 @@ class StartSequence:
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
         state.t0_fleet_ns -= agreement.advance_ns
-        await self._record_decision()
+        await self._record_decision(on_state)
         if self._leadership.over:
             await self.disarm()
             raise Refusal("leadership-lost", "another coordinator has taken over")
         state.decided = True
-        await run_while_recording(on_state("committed", ""), self._go())
+        await self._go()
         released_ns = clock.now_ns()
         if agreement.present is not None:
             estimator.record_following(released_ns - promised_ns)
@@ -316,7 +317,8 @@ class StartSequence:
             took_ns = {name: loaded_replies[name].took_ns for name in declared_ns}
             self._estimator.record_arming("behind", declared_ns, took_ns)
 
-    async def _record_decision(self) -> None:
+    async def _record_decision(self, on_state: StateCallback) -> None:
+        await on_state("committed", "")  # in the journal with the decision
         request, services = self._request, self._services
         members, utc = ",".join(self._agreement.proposals), self._fleet.clock.utc()
         record = services.journal.record_decision

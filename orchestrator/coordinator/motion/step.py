@@ -10,6 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.motion.armed_start import ArmedStart
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
@@ -379,8 +380,11 @@ class MotionStep:
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)
         services.publisher.publish_plan(request.job_id, recording)
-        await services.execute(services.journal.store_recording, request.job_id, recording)
+        services.record_later(self._log_unrecorded, services.journal.store_recording, request.job_id, recording)
         return report
+
+    def _log_unrecorded(self, error: JournalError) -> None:
+        self._services.fleet.log.warning(f"a step is not recorded: {error}", job=self._request.job_id)
 
     def _rest_on_path(self, motion: PlannedMotion, feed: PathFeed) -> StepReport:
         """The report of a path that was braked along it, by a feed hold or because a chunk came too late: the next run
