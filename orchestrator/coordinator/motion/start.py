@@ -28,6 +28,7 @@ from orchestrator.model.messages import (
     GoRequest,
     Reply,
 )
+from orchestrator.model.numbers import format_ns
 from orchestrator.model.report import ArmedReport, JobState
 
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for the last round of proposals before the aligned start
@@ -98,6 +99,7 @@ class StartSequence:
         self._agreement = agreement
         self._permit_watch = permit_watch
         self.state = StartState({})
+        self._armed_in_ns: dict[str, int] = {}
 
     async def run(self, on_state: StateCallback) -> None:
         """Arm and release all members. A member that is late while nothing has moved is armed again, with more lead.
@@ -121,7 +123,8 @@ class StartSequence:
                 await on_state("arming", "")
                 await self._arm()
                 await self._judge_frozen_mappings()
-                await self._require_time("arming took longer than its lead time")
+                slowest = max(self._armed_in_ns, key=self._armed_in_ns.__getitem__, default="")
+                await self._require_time("arming took longer than its lead time", slowest)
                 await self._release(on_state, 2 * (growth or 0) or 1)
             except Refusal as refusal:
                 # A member that does not answer may be busy.
@@ -211,7 +214,7 @@ class StartSequence:
             name: proposal.costs.arm_ns if proposal.costs else 0 for name, proposal in agreement.proposals.items()
         }
         timeout_s = ANSWER_S + 2 * max(declared_ns.values()) / NS_PER_S
-        took_ns = dict[str, int]()
+        took_ns = self._armed_in_ns = dict[str, int]()
         self.state.armed = await self._requests.request_all(
             "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
         )
@@ -234,14 +237,15 @@ class StartSequence:
             await self.disarm()
             raise
 
-    async def _require_time(self, late: str) -> None:
+    async def _require_time(self, late: str, slowest: str = "") -> None:
         """Require time for the rest of the start, and for disarming if that fails. Raises `Refusal`; all are
-        disarmed."""
+        disarmed. slowest: the member that was armed last."""
         agreement = self._agreement
         needs_ns = self._go_ns()
         if self._leadership.fleet_now_ns() + needs_ns + agreement.disarm_ns >= self.state.t0_fleet_ns:
             await self.disarm()
-            raise Refusal("late", late)
+            took_words = f"; {slowest} took longest, {format_ns(self._armed_in_ns[slowest])}" if slowest else ""
+            raise Refusal("late", late + took_words, "", slowest or None)
 
     # Phase 2: promise, decide, release
 
