@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusError, NoReply, OtherServer, RequestRefused, RequestTimeout
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.calls_at_once import call_for_each
+from orchestrator.clock.owner import call_for_each
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.model.messages import BatchReply, BatchRequest, RefusalDetails, Reply, Request

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.calls_at_once import call_for_each
+from orchestrator.clock.owner import call_for_each
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.zones import ZoneMover
 from orchestrator.coordinator.motion.services import MotionServices

@@ -28,7 +28,6 @@ from orchestrator.model.messages import (
     GoRequest,
     Reply,
 )
-from orchestrator.model.numbers import format_ns
 from orchestrator.model.report import ArmedReport, JobState
 
 ALIGN_EARLY_NS = 20 * NS_PER_MS  # for the last round of proposals before the aligned start
@@ -99,7 +98,6 @@ class StartSequence:
         self._agreement = agreement
         self._permit_watch = permit_watch
         self.state = StartState({})
-        self._armed_in_ns: dict[str, int] = {}
 
     async def run(self, on_state: StateCallback) -> None:
         """Arm and release all members. A member that is late while nothing has moved is armed again, with more lead.
@@ -123,8 +121,7 @@ class StartSequence:
                 await on_state("arming", "")
                 await self._arm()
                 await self._judge_frozen_mappings()
-                slowest = max(self._armed_in_ns, key=self._armed_in_ns.__getitem__, default="")
-                await self._require_time("arming took longer than its lead time", slowest)
+                await self._require_time("arming took longer than its lead time")
                 await self._release(on_state, 2 * (growth or 0) or 1)
             except Refusal as refusal:
                 # A member that does not answer may be busy.
@@ -214,7 +211,7 @@ class StartSequence:
             name: proposal.costs.arm_ns if proposal.costs else 0 for name, proposal in agreement.proposals.items()
         }
         timeout_s = ANSWER_S + 2 * max(declared_ns.values()) / NS_PER_S
-        took_ns = self._armed_in_ns = dict[str, int]()
+        took_ns = dict[str, int]()
         self.state.armed = await self._requests.request_all(
             "arm", requests, ArmedReply, timeout_s, answered=took_ns.__setitem__
         )
@@ -237,15 +234,13 @@ class StartSequence:
             await self.disarm()
             raise
 
-    async def _require_time(self, late: str, slowest: str = "") -> None:
+    async def _require_time(self, late: str) -> None:
         """Require time for the rest of the start, and for disarming if that fails. Raises `Refusal`; all are
-        disarmed. slowest: the member that was armed last."""
-        agreement = self._agreement
-        needs_ns = self._go_ns()
-        if self._leadership.fleet_now_ns() + needs_ns + agreement.disarm_ns >= self.state.t0_fleet_ns:
+        disarmed."""
+        needs_ns = self._go_ns() + self._agreement.disarm_ns
+        if self._leadership.fleet_now_ns() + needs_ns >= self.state.t0_fleet_ns:
             await self.disarm()
-            took_words = f"; {slowest} took longest, {format_ns(self._armed_in_ns[slowest])}" if slowest else ""
-            raise Refusal("late", late + took_words, "", slowest or None)
+            raise Refusal("late", late)
 
     # Phase 2: promise, decide, release
 
@@ -325,16 +320,14 @@ class StartSequence:
         await on_state("committed", "")  # in the journal with the decision
         request, services = self._request, self._services
         members, utc = ",".join(self._agreement.proposals), self._fleet.clock.utc()
-        record = services.journal.record_decision
         decision = StepDecision(request.index, self._leadership.epoch, self.state.t0_fleet_ns, members)
-        await services.execute(record, request.job_id, decision, utc)
+        await services.execute(services.journal.record_decision, request.job_id, decision, utc)
 
     async def _withdraw_decision(self) -> None:
         """A decision is for one start only. No member has started, and all have confirmed it: the decision is
         withdrawn, and the next arming gets one of its own."""
-        services, request = self._services, self._request
-        withdraw = services.journal.withdraw_decision
-        await services.execute(withdraw, request.job_id, request.index, self.state.t0_fleet_ns)
+        job_id, step, journal = self._request.job_id, self._request.index, self._services.journal
+        await self._services.execute(journal.withdraw_decision, job_id, step, self.state.t0_fleet_ns)
         self.state.decided = False
 
     async def _go(self) -> None:
@@ -349,8 +342,8 @@ class StartSequence:
             )
             for member in agreement.proposals
         }
-        left_s = (self.state.t0_fleet_ns - self._leadership.fleet_now_ns()) / NS_PER_S
         # Answers are waited for only while the other members can still be disarmed.
+        left_s = (self.state.t0_fleet_ns - self._leadership.fleet_now_ns()) / NS_PER_S
         wait_s = max(0.02, min(ANSWER_S, max(left_s / 2, left_s - agreement.disarm_ns / NS_PER_S)))
         released_replies = await self._requests.request_all("go", requests, Reply, wait_s)
         if any(reply.refused is not None and reply.refused.code in LATE for reply in released_replies.values()):
@@ -373,12 +366,11 @@ class StartSequence:
         state.unloaded = True
 
         async def unload_member(member: str) -> None:
-            request = DisarmRequest(**self._reference())
+            request, actor = DisarmRequest(**self._reference()), self._request.job.actor
             reply = await self._requests.request(member, "disarm", request, DisarmedReply, ANSWER_S)
             state.unloaded = state.unloaded and not reply.may_have_started
             if reply.refused is not None and member in movers:
                 state.unloaded = False
-                actor = self._request.job.actor
                 await self._fleet.stop_members([member], "decelerate", actor, "disarm did not succeed")
 
         await asyncio.gather(*(unload_member(member) for member in self._agreement.proposals))

@@ -35,7 +35,7 @@ from orchestrator.coordinator.switching.totals import TriggerTotals
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RefusalDetails
-from orchestrator.model.report import PathStop, StepReport
+from orchestrator.model.report import PathStop, StepRecording, StepReport
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.racks import bound_racks
@@ -379,12 +379,8 @@ class MotionStep:
         if report.state == "done":
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)
-        services.publisher.publish_plan(request.job_id, recording)
-        services.record_later(self._log_unrecorded, services.journal.store_recording, request.job_id, recording)
+        _store_recording(services, request.job_id, recording)
         return report
-
-    def _log_unrecorded(self, error: JournalError) -> None:
-        self._services.fleet.log.warning(f"a step is not recorded: {error}", job=self._request.job_id)
 
     def _rest_on_path(self, motion: PlannedMotion, feed: PathFeed) -> StepReport:
         """The report of a path that was braked along it, by a feed hold or because a chunk came too late: the next run
@@ -439,6 +435,16 @@ def _make_report(
     }
     # In counts, and without a tolerance, the path that keeps curved axes on their line means nothing to a user.
     return report.model_copy(update=update if line is None else update | {"path": None})
+
+
+def _store_recording(services: MotionServices, job_id: str, recording: StepRecording) -> None:
+    """Publish the plan of a step that is over, and store what was recorded of it with the next record."""
+
+    def log_error(error: JournalError) -> None:
+        services.fleet.log.warning(f"a step is not recorded: {error}", job=job_id)
+
+    services.publisher.publish_plan(job_id, recording)
+    services.record_later(log_error, services.journal.store_recording, job_id, recording)
 
 
 def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:

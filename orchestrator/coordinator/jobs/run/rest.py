@@ -4,7 +4,7 @@ from contextlib import suppress
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S, sleep_ns
-from orchestrator.clock.calls_at_once import call_for_each
+from orchestrator.clock.owner import call_for_each
 from orchestrator.coordinator.jobs.needs import find_axes
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices

@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from orchestrator.clock.calls_at_once import call_for_each
+from orchestrator.clock.owner import call_for_each
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 
 
