@@ -85,6 +85,10 @@ async def wait_for_first(*coroutines: Coroutine[Any, Any, object]) -> None:
         task.result()
 
 
+def _ignore_defect(error: BaseException, vital: bool) -> None:  # noqa: FBT001 - a callback
+    """The error of a call is raised to the caller."""
+
+
 async def call_for_each(
     function: Callable[[S], Coroutine[Any, Any, T]], subjects: Iterable[S], limit: float = inf
 ) -> list[T]:
@@ -102,7 +106,7 @@ async def call_for_each(
             results[number] = await function(subject)
 
     workers: list[asyncio.Task[None]] = []
-    owner = TaskOwner(lambda *_: None)  # an error is raised here
+    owner = TaskOwner(_ignore_defect)
     try:
         while queue and len(workers) < limit:
             workers.append(owner.spawn(work()))
