@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from math import inf
 from typing import Any, TypeVar
 
 S = TypeVar("S")
@@ -89,13 +88,11 @@ def _ignore_defect(error: BaseException, vital: bool) -> None:  # noqa: FBT001 -
     """The error of a call is raised to the caller."""
 
 
-async def call_for_each(
-    function: Callable[[S], Coroutine[Any, Any, T]], subjects: Iterable[S], limit: float = inf
-) -> list[T]:
+async def call_for_each(function: Callable[[S], Coroutine[Any, Any, T]], subjects: Iterable[S]) -> list[T]:
     """Call `function` for each of `subjects` at once; return the results in their order.
 
-    One task makes call after call, as long as none waits; where one does, another task goes on with the next. limit:
-    how many calls are under way at most. The first error is raised, and ends the others.
+    One task makes call after call, as long as none waits; where one does, another task goes on with the next. The first
+    error is raised, and ends the others.
     """
     queue = deque(enumerate(subjects))
     results: dict[int, T] = {}
@@ -108,7 +105,7 @@ async def call_for_each(
     workers: list[asyncio.Task[None]] = []
     owner = TaskOwner(_ignore_defect)
     try:
-        while queue and len(workers) < limit:
+        while queue:
             workers.append(owner.spawn(work()))
             await asyncio.sleep(0)
         await asyncio.gather(*workers)

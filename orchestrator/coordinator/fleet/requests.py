@@ -14,7 +14,6 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusError, NoReply, OtherServer, RequestRefused, RequestTimeout
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S
-from orchestrator.clock.owner import call_for_each
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.model.messages import BatchReply, BatchRequest, RefusalDetails, Reply, Request
@@ -113,8 +112,14 @@ class MemberRequests:
             answer = await self.request(member, verb, request, reply, timeout_s)
             return {member: (answer, _elapsed_ns(begun_s))}
 
+        places = asyncio.Semaphore(MAX_UNDER_WAY)
+
+        async def ask_in_turn(asked: Mapping[str, Request]) -> dict[str, tuple[R, int]]:
+            async with places:
+                return await ask(asked)
+
         answers: dict[str, tuple[R, int]] = {}
-        for part in await call_for_each(ask, servers.values(), MAX_UNDER_WAY):
+        for part in await asyncio.gather(*map(ask_in_turn, servers.values())):
             answers |= part
         if answered is not None:
             for member, (_, took_ns) in answers.items():
