@@ -85,7 +85,9 @@ class ControllerStops:
             self._parts.tasks.spawn(self._parts.withdrawal.abandon_step(f"{reason}: {', '.join(axes)}"))
         if self._parts.status.searching & set(axes):
             self._parts.tasks.spawn(self.stop(abort=False, reason=reason))
-        self._parts.tasks.spawn(self._parts.jogging.stop_jogs_of(holder, reason))
+        jogged_axes = self._parts.jogging.list_jogged(holder)
+        if jogged_axes:
+            self._parts.tasks.spawn(self._parts.jogging.stop_axes(jogged_axes, reason))
 
     def misses_estop(self, event: str) -> bool:
         """Whether this controller has neither latched the e-stop `event`, nor reset it last."""

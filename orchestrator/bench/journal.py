@@ -133,7 +133,7 @@ def _fill_history(path: Path, job: Job, history: int) -> None:
         journal.accept_job(job_id, job_id, job, EPOCH_UTC)
         for state in _STATES:
             journal.record_transition(job_id, _make_transition(state, number))
-        journal.record_transition(job_id, _make_transition("done", number), _make_report(job, job_id, number))
+        journal.record_end(job_id, _make_transition("done", number), _make_report(job, job_id, number))
     journal.close()
 
 

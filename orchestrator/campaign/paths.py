@@ -27,7 +27,7 @@ class PathChecker:
         for job_id, order in phase.jobs.items():
             step = order.job.steps[0]
             row = self._fleet.journal.load_record(job_id)
-            if not isinstance(step, FollowPath) or row is None or row.state != "running":
+            if not isinstance(step, FollowPath) or row is None or row.state not in ("committed", "running"):
                 continue
             lines = [piece for piece in step.pieces if isinstance(piece, LinePiece)]
             points = np.array([step.start, *(piece.to for piece in lines)], dtype=np.float64)

@@ -1,11 +1,13 @@
 """Owned tasks: the end of each is noticed, so that none dies unseen."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Coroutine
+from collections import deque
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+S = TypeVar("S")
 T = TypeVar("T")
 
 DefectCallback = Callable[[BaseException, bool], None]
@@ -80,3 +82,33 @@ async def wait_for_first(*coroutines: Coroutine[Any, Any, object]) -> None:
             task.cancel()
     for task in done_tasks:
         task.result()
+
+
+def _ignore_defect(error: BaseException, vital: bool) -> None:  # noqa: FBT001 - a callback
+    """The error of a call is raised to the caller."""
+
+
+async def call_for_each(function: Callable[[S], Coroutine[Any, Any, T]], subjects: Iterable[S]) -> list[T]:
+    """Call `function` for each of `subjects` at once; return the results in their order.
+
+    One task makes call after call, as long as none waits; where one does, another task goes on with the next. The first
+    error is raised, and ends the others.
+    """
+    queue = deque(enumerate(subjects))
+    results: dict[int, T] = {}
+
+    async def work() -> None:
+        while queue:
+            number, subject = queue.popleft()
+            results[number] = await function(subject)
+
+    workers: list[asyncio.Task[None]] = []
+    owner = TaskOwner(_ignore_defect)
+    try:
+        while queue:
+            workers.append(owner.spawn(work()))
+            await asyncio.sleep(0)
+        await asyncio.gather(*workers)
+    finally:
+        owner.cancel_all()
+    return [results[number] for number in sorted(results)]

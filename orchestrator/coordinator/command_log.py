@@ -55,10 +55,19 @@ class CommandLog:
         record = CommandRecord(
             utc=services.clock.utc(), actor=command.actor, verb=command.verb, subject=subject, refused=refused
         )
-        try:
-            await services.execute(services.journal.commands.store_command, record)
-        except JournalError as error:
+
+        def log_error(error: JournalError) -> None:
             services.log.warning(f"{command.verb} by {command.actor} is not in the journal: {error}")
+
+        store = services.journal.commands.store_command
+        if isinstance(reply, JobSubmitted) and reply.job_id:
+            # The job is in the journal, with the user and the time.
+            services.record_later(log_error, store, record)
+            return
+        try:
+            await services.execute(store, record)
+        except JournalError as error:
+            log_error(error)
 
     async def list_commands(self, request: ListCommands) -> CommandsListed:
         """The newest commands. Raises `JournalError`."""

@@ -2,7 +2,7 @@
 
 import asyncio
 import traceback
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,7 +31,7 @@ from orchestrator.coordinator.fleet.zone_watch import ZoneWatch
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
-from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.journal.grouped_calls import GroupedCalls
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
@@ -84,13 +84,17 @@ class Coordinator:
         )
         PairStops(access, pairs)
         self._leases = LeaseRegistry(access, bus, keys)
-        self._positions = PositionBook(access, environment.journal, self._execute)
+        calls = self._journal_calls = GroupedCalls(
+            environment.journal, environment.execute, clock, lambda: self.leadership.epoch, tasks
+        )
+        self._positions = PositionBook(access, environment.journal, calls)
         publisher = StepPublisher(bus, keys)
         motion = MotionServices(
             fleet=access,
             leadership=self.leadership,
             journal=environment.journal,
-            execute=self._execute,
+            execute=calls,
+            record_later=calls.later,
             publisher=publisher,
             plan=environment.plan,
             plan_long=environment.plan_long,
@@ -99,17 +103,19 @@ class Coordinator:
         self._virtual = VirtualObserver(self._view, bus, keys, self._leases)
         self._zones = motion.zones
         self._manual = ManualLeases(access, self._leases, environment.journal, environment.execute, self._zones)
-        self._alarms = AlarmService(access, environment, self._execute, self._manual.find_reserved)
+        self._alarms = AlarmService(access, environment, calls, self._manual.find_reserved)
+        calls.on_error = self._alarms.note_write
         ZoneWatch(access, motion.zone_memory, self._alarms.report_condition)
-        self._statistics = StatisticsCollector(access, environment.journal.statistics, self._execute)
-        self._learned = LearnedTimesKeeper(access, motion.estimator, environment.journal.learned, self._execute)
+        self._statistics = StatisticsCollector(access, environment.journal.statistics, calls)
+        self._learned = LearnedTimesKeeper(access, motion.estimator, environment.journal.learned, calls)
         motion.listeners.extend((self._alarms.take_motion, self._statistics.take_motion, self._learned.take_motion))
         services = JobServices(
             bus=bus,
             keys=keys,
             clock=clock,
             journal=environment.journal,
-            execute=self._execute,
+            execute=calls,
+            record_later=calls.later,
             decode=environment.decode,
             check=environment.check,
             view=self._view,
@@ -175,18 +181,9 @@ class Coordinator:
         await self._leases.close()
         await self._view.close()
         await self._latch_keeper.close()
+        await self._journal_calls.flush()
         await self.leadership.close()
         self._owner.cancel_all()
-
-    async def _execute(self, function: Callable[..., T], *values: Any) -> T:
-        """Call the journal; refused once another coordinator has taken an epoch from it, even if its heartbeat has
-        not arrived."""
-        try:
-            await self._environment.execute(self._environment.journal.require_latest_epoch, self.leadership.epoch)
-            return await self._environment.execute(function, *values)
-        except JournalError as error:
-            self._alarms.note_write(error)
-            raise
 
     # Adoption of every controller that is published and not adopted by this leader yet
 

@@ -71,7 +71,8 @@ async def running(fleet: VirtualFleet, job_id: str) -> None:
 
 
 async def reached(fleet: VirtualFleet, job_id: str, state: JobState) -> None:
-    while (row := fleet.journal.load_record(job_id)) is not None and row.state != state:
+    runs = fleet.coordinators["first"][1].scheduler.register.running
+    while job_id not in runs or runs[job_id].state != state:
         await asyncio.sleep(0.0001)
 
 

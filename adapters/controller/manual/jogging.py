@@ -213,9 +213,9 @@ class JogControl:
         await self._require_manual().stop_axes(jogging)
         self._timer.wake_up()
 
-    async def stop_jogs_of(self, holder: str, reason: str) -> None:
-        """Stop the axes that `holder` jogs."""
-        await self.stop_axes([axis for axis, jog in self._jogs.items() if jog.holder == holder], reason)
+    def list_jogged(self, holder: str) -> list[str]:
+        """The axes that `holder` jogs."""
+        return [axis for axis, jog in self._jogs.items() if jog.holder == holder]
 
     def drop_all(self, reason: str) -> None:
         """Drop all jogs: the controller was stopped as a whole, or is lost."""

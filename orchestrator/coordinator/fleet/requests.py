@@ -28,6 +28,8 @@ RETRY_PAUSE_S = 0.05
 HOST_TIMEOUT_SHARE = 0.9
 """Share of the members' timeout after which an adapter host answers for those that have answered; the rest is for
 its own answer."""
+MAX_UNDER_WAY = 16
+"""Hosts that are asked at once."""
 ABSENT_S = 0.7
 """An adapter that is alive but has not received a heartbeat for half a second has stopped by itself by then."""
 
@@ -94,8 +96,9 @@ class MemberRequests:
         timeout_s: float = ANSWER_S,
         answered: Callable[[str, int], None] | None = None,
     ) -> dict[str, R]:
-        """Send requests to several members at once; return the replies by member. answered: called with each member
-        that has answered, and the ns that it took."""
+        """Send requests to several members; return the replies by member. Hosts are asked at once, `MAX_UNDER_WAY` of
+        them, so that a slow one delays no other. answered: called with each member that has answered, and the ns that
+        it took."""
         servers: dict[tuple[str, str | None], dict[str, Request]] = {}
         for member, request in requests.items():
             server = (self._host_of(member), self.view.servers.get(member))
@@ -109,8 +112,14 @@ class MemberRequests:
             answer = await self.request(member, verb, request, reply, timeout_s)
             return {member: (answer, _elapsed_ns(begun_s))}
 
+        places = asyncio.Semaphore(MAX_UNDER_WAY)
+
+        async def ask_in_turn(asked: Mapping[str, Request]) -> dict[str, tuple[R, int]]:
+            async with places:
+                return await ask(asked)
+
         answers: dict[str, tuple[R, int]] = {}
-        for part in await asyncio.gather(*map(ask, servers.values())):
+        for part in await asyncio.gather(*map(ask_in_turn, servers.values())):
             answers |= part
         if answered is not None:
             for member, (_, took_ns) in answers.items():

@@ -19,6 +19,7 @@ from orchestrator.coordinator.fleet.positions import PositionBook
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
 from orchestrator.coordinator.fleet.zone_states import ZoneObserver
+from orchestrator.coordinator.journal.grouped_calls import RecordLater
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.leadership import Leadership
@@ -35,13 +36,15 @@ from orchestrator.model.report import JobState, JobTransition
 
 @dataclass(frozen=True, slots=True)
 class JobServices:
-    """The services that jobs need."""
+    """The services that jobs need. execute: calls the journal. record_later: the same with the next call, where nothing
+    waits for the record."""
 
     bus: Bus
     keys: FleetKeys
     clock: Clock
     journal: JournalStore
     execute: Executor
+    record_later: RecordLater
     decode: Executor
     check: Executor
     view: FleetView

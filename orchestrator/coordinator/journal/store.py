@@ -3,6 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Protocol
 
+from orchestrator.coordinator.journal.calls import JournalCall
 from orchestrator.coordinator.journal.facts import (
     AlarmChange,
     AlarmNotice,
@@ -190,6 +191,11 @@ class JournalStore(Protocol):
 
     def close(self) -> None: ...
 
+    def run_group(self, calls: Sequence[JournalCall]) -> None:
+        """Run calls of this journal in their order. Those that change it are one commit; if that fails, each is run
+        alone, so that each has its own result or error."""
+        ...
+
     def take_epoch(self, seen: int) -> int:
         """Take the next epoch: above the last one here and above `seen`, in one transaction.
 
@@ -230,8 +236,13 @@ class JournalStore(Protocol):
         all."""
         ...
 
-    def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:
-        """Record a change of a job's state, with its report if it has ended. Raises `JobHasEnded`, `JournalError`."""
+    def record_transition(self, job_id: str, transition: JobTransition) -> None:
+        """Record a change of a job's state. Raises `JobHasEnded`, `JournalError`."""
+        ...
+
+    def record_end(self, job_id: str, transition: JobTransition, report: JobReport) -> JobReport:
+        """Record the end of a job with its report, which gets all its transitions. Returns the report. Raises
+        `JobHasEnded`, `JournalError`."""
         ...
 
     def hold_jobs(self, job_ids: Iterable[str], held_by: str, transition: JobTransition) -> None:

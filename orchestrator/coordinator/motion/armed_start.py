@@ -250,7 +250,7 @@ class ArmedStart(StartSequence):
         await self._negotiation.renegotiate(self._agreement, None)
         await super().run(on_state)
 
-    async def _record_decision(self) -> None:
+    async def _record_decision(self, on_state: StateCallback) -> None:
         """T0 is settled: for an order with an instant, it must be that one."""
         order = self._order
         if order is not None and order.at_fleet_ns is not None:
@@ -259,4 +259,4 @@ class ArmedStart(StartSequence):
                 await self.disarm()
                 text = f"the members could be released {format_ns(late_ns)} after the instant asked for at the earliest"
                 raise Refusal("missed-instant", text, "submit the job again")
-        await super()._record_decision()
+        await super()._record_decision(on_state)

@@ -9,7 +9,6 @@ repetitions, for a reply that was lost, get the first answer.
 from contextlib import suppress
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
-from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.motion.chain import RELEASE_SLACK, RELEASE_SLACK_NS
 from orchestrator.coordinator.motion.negotiation import find_arming_ns
@@ -81,7 +80,8 @@ class ImmediateStart(StartSequence):
         agreement.advance_ns = agreement.tick_residual_ns = 0
         # The axes move after this instant; it stands for T0 until the member has chosen that.
         state.t0_fleet_ns = state.settled_fleet_ns = self._leadership.fleet_now_ns()
-        await run_while_recording(on_state("arming", ""), self._record_decision())
+        await on_state("arming", "")
+        await self._record_decision(on_state)
         state.decided, decided_ns = True, state.t0_fleet_ns
         self._estimator.record_deciding(self._leadership.fleet_now_ns() - decided_ns)
         try:
@@ -90,7 +90,7 @@ class ImmediateStart(StartSequence):
             self._permit_watch.require_held()
             if self._leadership.over:
                 raise Refusal("leadership-lost", "another coordinator has taken over")
-            await run_while_recording(on_state("committed", ""), self._request_start())
+            await self._request_start()
         except Refusal:
             await self.disarm()
             if state.unloaded:

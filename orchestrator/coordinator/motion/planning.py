@@ -1,12 +1,12 @@
 """Planning of a motion step: from the present state of the axes to profiles."""
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.clock.owner import call_for_each
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.zones import ZoneMover
 from orchestrator.coordinator.motion.services import MotionServices
@@ -135,7 +135,7 @@ async def plan_request(
     states: dict[str, AxisState] = {}
     infos: dict[str, ControllerInfo] = {}
     instances: dict[str, str] = {}
-    answers = await asyncio.gather(*(_query_controller(view, controller, seen_ns) for controller in controllers))
+    answers = await call_for_each(lambda controller: _query_controller(view, controller, seen_ns), controllers)
     for controller, (state, info) in zip(controllers, answers, strict=True):
         infos[controller], instances[controller] = info, state.instance
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}

@@ -7,6 +7,7 @@ from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.zone_reservations import ZoneReservations
 from orchestrator.coordinator.fleet.zones import ZoneGuard
+from orchestrator.coordinator.journal.grouped_calls import RecordLater
 from orchestrator.coordinator.journal.store import JournalStore
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.lead_time import LeadTimeEstimator
@@ -23,8 +24,9 @@ MotionListener = Callable[[StepRecording, StepReport | None], None]
 class MotionServices:
     """Services and memory that the steps of one coordinator share.
 
-    execute: calls the journal. plan: plans paths, which may take seconds; plan_long: those with so many pieces that it
-    takes a gigabyte. estimator: lead times of earlier steps. zone_memory: the rules of their zones;
+    execute: calls the journal; record_later: with the next call, where nothing waits for the record. plan: plans paths,
+    which may take seconds; plan_long: those with so many pieces that it takes a gigabyte. estimator: lead times of
+    earlier steps. zone_memory: the rules of their zones;
     zone_reservations: where running jobs may move axes of them.
     targets: exact targets of axes. stop_times_ns: by controller, how long stopping its last step takes at most.
     listeners: called after each step.
@@ -34,6 +36,7 @@ class MotionServices:
     leadership: Leadership
     journal: JournalStore
     execute: Executor
+    record_later: RecordLater
     publisher: StepPublisher
     plan: Executor = run_inline
     plan_long: Executor = run_inline

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S, sleep_ns
-from orchestrator.clock.executor import run_while_recording
 from orchestrator.coordinator.fleet.permits import PermitWatch
 from orchestrator.coordinator.fleet.requests import ANSWER_S
 from orchestrator.coordinator.journal.facts import StepDecision
@@ -119,7 +118,8 @@ class StartSequence:
             agreement.advance_ns = agreement.tick_residual_ns = 0
             state.t0_fleet_ns = agreement.choose_start(state.arming_fleet_ns + agreement.lead_ns)
             try:
-                await run_while_recording(on_state("arming", ""), self._arm())
+                await on_state("arming", "")
+                await self._arm()
                 await self._judge_frozen_mappings()
                 await self._require_time("arming took longer than its lead time")
                 await self._release(on_state, 2 * (growth or 0) or 1)
@@ -237,9 +237,8 @@ class StartSequence:
     async def _require_time(self, late: str) -> None:
         """Require time for the rest of the start, and for disarming if that fails. Raises `Refusal`; all are
         disarmed."""
-        agreement = self._agreement
-        needs_ns = self._go_ns()
-        if self._leadership.fleet_now_ns() + needs_ns + agreement.disarm_ns >= self.state.t0_fleet_ns:
+        needs_ns = self._go_ns() + self._agreement.disarm_ns
+        if self._leadership.fleet_now_ns() + needs_ns >= self.state.t0_fleet_ns:
             await self.disarm()
             raise Refusal("late", late)
 
@@ -252,7 +251,8 @@ class StartSequence:
         """
         state, agreement, clock = self.state, self._agreement, self._fleet.clock
         armed_ns = clock.now_ns()
-        await run_while_recording(on_state("armed", ""), self._commit())
+        await on_state("armed", "")
+        await self._commit()
         try:
             state.require_not_paused()
             self._permit_watch.require_held()
@@ -276,12 +276,12 @@ class StartSequence:
         spare_ns = state.t0_fleet_ns - earliest_ns
         self._negotiation.advance(agreement, state.armed, spare_ns)
         state.t0_fleet_ns -= agreement.advance_ns
-        await self._record_decision()
+        await self._record_decision(on_state)
         if self._leadership.over:
             await self.disarm()
             raise Refusal("leadership-lost", "another coordinator has taken over")
         state.decided = True
-        await run_while_recording(on_state("committed", ""), self._go())
+        await self._go()
         released_ns = clock.now_ns()
         if agreement.present is not None:
             estimator.record_following(released_ns - promised_ns)
@@ -316,19 +316,18 @@ class StartSequence:
             took_ns = {name: loaded_replies[name].took_ns for name in declared_ns}
             self._estimator.record_arming("behind", declared_ns, took_ns)
 
-    async def _record_decision(self) -> None:
+    async def _record_decision(self, on_state: StateCallback) -> None:
+        await on_state("committed", "")  # in the journal with the decision
         request, services = self._request, self._services
         members, utc = ",".join(self._agreement.proposals), self._fleet.clock.utc()
-        record = services.journal.record_decision
         decision = StepDecision(request.index, self._leadership.epoch, self.state.t0_fleet_ns, members)
-        await services.execute(record, request.job_id, decision, utc)
+        await services.execute(services.journal.record_decision, request.job_id, decision, utc)
 
     async def _withdraw_decision(self) -> None:
         """A decision is for one start only. No member has started, and all have confirmed it: the decision is
         withdrawn, and the next arming gets one of its own."""
-        services, request = self._services, self._request
-        withdraw = services.journal.withdraw_decision
-        await services.execute(withdraw, request.job_id, request.index, self.state.t0_fleet_ns)
+        job_id, step, journal = self._request.job_id, self._request.index, self._services.journal
+        await self._services.execute(journal.withdraw_decision, job_id, step, self.state.t0_fleet_ns)
         self.state.decided = False
 
     async def _go(self) -> None:
@@ -343,8 +342,8 @@ class StartSequence:
             )
             for member in agreement.proposals
         }
-        left_s = (self.state.t0_fleet_ns - self._leadership.fleet_now_ns()) / NS_PER_S
         # Answers are waited for only while the other members can still be disarmed.
+        left_s = (self.state.t0_fleet_ns - self._leadership.fleet_now_ns()) / NS_PER_S
         wait_s = max(0.02, min(ANSWER_S, max(left_s / 2, left_s - agreement.disarm_ns / NS_PER_S)))
         released_replies = await self._requests.request_all("go", requests, Reply, wait_s)
         if any(reply.refused is not None and reply.refused.code in LATE for reply in released_replies.values()):
@@ -367,12 +366,11 @@ class StartSequence:
         state.unloaded = True
 
         async def unload_member(member: str) -> None:
-            request = DisarmRequest(**self._reference())
+            request, actor = DisarmRequest(**self._reference()), self._request.job.actor
             reply = await self._requests.request(member, "disarm", request, DisarmedReply, ANSWER_S)
             state.unloaded = state.unloaded and not reply.may_have_started
             if reply.refused is not None and member in movers:
                 state.unloaded = False
-                actor = self._request.job.actor
                 await self._fleet.stop_members([member], "decelerate", actor, "disarm did not succeed")
 
         await asyncio.gather(*(unload_member(member) for member in self._agreement.proposals))

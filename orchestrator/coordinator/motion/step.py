@@ -10,6 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.executor import run_while_recording
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.coordinator.motion.armed_start import ArmedStart
 from orchestrator.coordinator.motion.chain import BetweenSteps, PresentMove
 from orchestrator.coordinator.motion.immediate_start import ImmediateStart
@@ -34,7 +35,7 @@ from orchestrator.coordinator.switching.totals import TriggerTotals
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import RefusalDetails
-from orchestrator.model.report import PathStop, StepReport
+from orchestrator.model.report import PathStop, StepRecording, StepReport
 from orchestrator.model.steps.kinds import Motion
 from orchestrator.plan.flying.path import FlightPath
 from orchestrator.plan.racks import bound_racks
@@ -378,8 +379,7 @@ class MotionStep:
         if report.state == "done":
             for axis, (exact, counts) in motion.planned.resolved.exact.items():
                 services.targets.record_target(axis, exact, counts)
-        services.publisher.publish_plan(request.job_id, recording)
-        await services.execute(services.journal.store_recording, request.job_id, recording)
+        _store_recording(services, request.job_id, recording)
         return report
 
     def _rest_on_path(self, motion: PlannedMotion, feed: PathFeed) -> StepReport:
@@ -435,6 +435,16 @@ def _make_report(
     }
     # In counts, and without a tolerance, the path that keeps curved axes on their line means nothing to a user.
     return report.model_copy(update=update if line is None else update | {"path": None})
+
+
+def _store_recording(services: MotionServices, job_id: str, recording: StepRecording) -> None:
+    """Publish the plan of a step that is over, and store what was recorded of it with the next record."""
+
+    def log_error(error: JournalError) -> None:
+        services.fleet.log.warning(f"a step is not recorded: {error}", job=job_id)
+
+    services.publisher.publish_plan(job_id, recording)
+    services.record_later(log_error, services.journal.store_recording, job_id, recording)
 
 
 def _make_standing_report(services: MotionServices, planned: PlannedStep) -> StepReport:

@@ -19,6 +19,7 @@ STARTED_TURN_NS = 150 * NS_PER_MS  # added for each other controller on its line
 SETTLE_NS = 3 * NS_PER_S  # after the planned end: by then every member has reported its end
 LOGGED_NS = 40 * NS_PER_S  # for the log of a silent member: a router that hangs is restarted after some 25 s
 POLL_S = 0.05
+LOOK_NS = round(POLL_S * NS_PER_S)
 
 Failure = tuple[str, str]
 """The kind of event that ended the step, and the reason."""
@@ -47,6 +48,7 @@ class StepWatch:
         self._waiting_end = set[str]()
         self._due_ns = 0
         self._is_missing_members = False
+        self._looked_ns = 0
         self._events: asyncio.Queue[ControllerEvent | None] = asyncio.Queue()
         self._removals = [
             services.fleet.view.add_event_listener(self._events.put_nowait),
@@ -96,7 +98,7 @@ class StepWatch:
             if self.feed is not None:
                 due_ns = self._state.t0_fleet_ns + round(self.feed.chunk.stop_s * NS_PER_S)
                 self._due_ns = max(self._due_ns, due_ns)
-            self.failure = self.failure or self._find_loss() or self._find_missing(self._due_ns + settle_ns)
+            self.failure = self.failure or self._find_loss() or self._look_for_missing(event, self._due_ns + settle_ns)
 
     @property
     def missed_members(self) -> list[str]:
@@ -159,6 +161,14 @@ class StepWatch:
         if self.feed is not None and self.feed.lost is not None:
             return "failed", f"the path is not continued, and not all members can brake along it: {self.feed.lost}"
         return None
+
+    def _look_for_missing(self, event: ControllerEvent | None, ends_ns: int) -> Failure | None:
+        """Look for missing members now and then: a look at all of them with each of their events would be quadratic."""
+        now_ns = self._services.fleet.clock.now_ns()
+        if event is not None and now_ns < self._looked_ns + LOOK_NS:
+            return None
+        self._looked_ns = now_ns
+        return self._find_missing(ends_ns)
 
     def _find_missing(self, ends_ns: int) -> Failure | None:
         """Which member is absent, or has not reported what it should have by now."""

@@ -1,58 +1,22 @@
 """Calls of the journal in virtual time: those that write fail while the disk is full."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from orchestrator.clock.executor import Executor
 from orchestrator.coordinator.jobs.intake.client_keys import digest_request
+from orchestrator.coordinator.journal.calls import JournalCall
+from orchestrator.coordinator.journal.reads import READS
 from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.coordinator.journal.sqlite.alarm_tables import AlarmTables
-from orchestrator.coordinator.journal.sqlite.approval_table import ApprovalTable
-from orchestrator.coordinator.journal.sqlite.command_table import CommandTable
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.journal.sqlite.learned_table import LearnedTable
-from orchestrator.coordinator.journal.sqlite.point_rows import PointRows
-from orchestrator.coordinator.journal.sqlite.point_store import PointStore
-from orchestrator.coordinator.journal.sqlite.statistics_table import StatisticsTable
 from orchestrator.model.jobs.parts import dump_long
 from orchestrator.runtime.virtual.disk import VirtualDisk
 
 T = TypeVar("T")
-READ_ONLY_JOURNAL_CALLS = frozenset(
-    decision.__name__
-    for decision in (
-        SqliteJournal.list_decisions,
-        SqliteJournal.find_jobs,
-        SqliteJournal.find_referenced_jobs,
-        SqliteJournal.load_job,
-        SqliteJournal.load_job_body,
-        digest_request,
-        dump_long,
-        SqliteJournal.find_keyed_job,
-        SqliteJournal.load_recording,
-        SqliteJournal.load_report,
-        SqliteJournal.list_named_points,
-        SqliteJournal.require_latest_epoch,
-        PointRows.load_points,
-        AlarmTables.load_alarms,
-        AlarmTables.load_history,
-        AlarmTables.load_notices,
-        ApprovalTable.load_approval,
-        CommandTable.list_commands,
-        StatisticsTable.read_rows,
-        LearnedTable.load_times,
-        PointStore.read_rows,
-        SqliteJournal.list_reservations,
-        SqliteJournal.list_positions,
-        SqliteJournal.load_record,
-        SqliteJournal.list_transitions,
-        SqliteJournal.list_unfinished,
-    )
-)
 
 
 class JournalCalls:
-    """The calls of the coordinators of one fleet. writes: how many have changed the journal, a commit each."""
+    """The calls of the coordinators of one fleet. writes: how many commits have changed the journal."""
 
     def __init__(self, disk: VirtualDisk) -> None:
         self.writes = 0
@@ -63,15 +27,26 @@ class JournalCalls:
         execute = self._disk.make_executor()
 
         async def run_journal_call(function: Callable[..., T], *values: Any) -> T:
-            is_write = function.__name__ not in READ_ONLY_JOURNAL_CALLS
+            calls: Sequence[JournalCall] = values[0] if function.__name__ == SqliteJournal.run_group.__name__ else ()
+            names = [call.name for call in calls] or [function.__name__]
+            is_write = any(map(_is_write, names))
             self.writes += is_write
 
-            def call() -> T:
+            def call_journal() -> T:
                 if self._disk.full and is_write:
                     text = "the journal cannot be used (database or disk is full)"
-                    raise JournalError(text, "free space on its disk")
+                    error = JournalError(text, "free space on its disk")
+                    if not calls:
+                        raise error
+                    for call in calls:
+                        if _is_write(call.name):
+                            call.fail(error)
                 return function(*values)
 
-            return await execute(call)
+            return await execute(call_journal)
 
         return run_journal_call
+
+
+def _is_write(name: str) -> bool:
+    return name not in READS and name not in {digest_request.__name__, dump_long.__name__}

@@ -40,7 +40,7 @@ def report(job_id: str, state: JobState) -> JobReport:
 
 def end(journal: SqliteJournal, job_id: str, state: JobState = "done") -> None:
     transition = JobTransition(state=state, reason="", actor="a", utc=utc(2))
-    journal.record_transition(job_id, transition, report(job_id, state))
+    journal.record_end(job_id, transition, report(job_id, state))
 
 
 def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:

@@ -57,17 +57,9 @@ class JobEnds:
         services = self._services
         state, reason, actor = end
         transition = services.make_transition(state, reason, actor)
-        transitions_before = await services.execute(services.journal.list_transitions, row.id)
-        report = report.model_copy(
-            update={
-                "state": state,
-                "reason": reason,
-                "ended_utc": transition.utc,
-                "transitions": [*transitions_before, transition],
-            }
-        )
-        report = report.judge()
-        await services.execute(services.journal.record_transition, row.id, transition, report)
+        update = {"state": state, "reason": reason, "ended_utc": transition.utc}
+        report = report.model_copy(update=update).judge()
+        report = await services.execute(services.journal.record_end, row.id, transition, report)
         services.statistics.take_job(report)
         self._register.drop_needs(row.id)
         services.log.info(f"job is {state}: {reason}" if reason else f"job is {state}", job=row.id)

@@ -1,4 +1,5 @@
-"""The scheduler of waiting and running jobs. Each change of a job's state is in the journal before it is on the bus.
+"""The scheduler of waiting and running jobs. Each change of a job's state is in the journal before it is on the bus,
+except those inside a motion (`RunState.note_state`).
 
 `register` keeps the jobs, `queue` decides which of the waiting ones begin, `conditions` what they wait for outside the
 queue, `queue_gate` whether any begins; `job_run` executes one, and `ends` records its end. `queue_requests` and

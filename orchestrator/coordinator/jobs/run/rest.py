@@ -1,10 +1,10 @@
 """Rest of a job's controllers: motion of an earlier holder, or of a stop, has ended."""
 
-import asyncio
 from contextlib import suppress
 
 from orchestrator.bus.base import BusError
 from orchestrator.clock.base import NS_PER_S, sleep_ns
+from orchestrator.clock.owner import call_for_each
 from orchestrator.coordinator.jobs.needs import find_axes
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
@@ -41,7 +41,7 @@ class RestMonitor:
         that does not answer, or takes longer than it has declared, is waited for only that long: planning refuses
         it. since_ns: answers count from then on."""
         self.seen_ns = self._services.clock.now_ns() if since_ns is None else since_ns
-        await asyncio.gather(*(self._wait_for_member_rest(member, since_ns) for member in self.members))
+        await call_for_each(lambda member: self._wait_for_member_rest(member, since_ns), self.members)
 
     async def _wait_for_member_rest(self, member: str, since_ns: int | None) -> None:
         services = self._services

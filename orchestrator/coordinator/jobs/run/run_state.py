@@ -8,7 +8,7 @@ from orchestrator.coordinator.jobs.run.flight_rows import FlightRows
 from orchestrator.coordinator.jobs.run.outcome import JobInterrupted
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.jobs.services import JobServices
-from orchestrator.coordinator.journal.records import JobRecord
+from orchestrator.coordinator.journal.records import JobRecord, JournalError
 from orchestrator.coordinator.motion.step import MotionStep
 from orchestrator.model.report import ArmedState, JobProgress, JobState
 
@@ -120,14 +120,35 @@ class RunState:
         if state == self.state and state != "planning":
             return
         services = self._services
-        # Of a scan, the first point stands for all: its points have rows of their own in the journal.
-        point_later = self.is_recorded and self._steps.locate(self.step).is_later_point
-        if not point_later or "paused" in (state, self.state):
+        if self._is_recorded_singly(state):
             transition = services.make_transition(state, reason, actor or self._row.actor)
             await services.execute(services.journal.record_transition, self._row.id, transition)
+        self._publish_change(state, reason)
+
+    def note_state(self, state: JobState, reason: str) -> None:
+        """Publish a change that nothing relies on: it is recorded with what is recorded next, such as the decision to
+        move, or the end of the job."""
+        if state == self.state:
+            return
+        services = self._services
+        if self._is_recorded_singly(state):
+            transition = services.make_transition(state, reason, self._row.actor)
+            services.record_later(self._log_unrecorded, services.journal.record_transition, self._row.id, transition)
+        self._publish_change(state, reason)
+
+    def _is_recorded_singly(self, state: JobState) -> bool:
+        """Of a scan, the first point stands for all: its points have rows of their own in the journal."""
+        point_later = self.is_recorded and self._steps.locate(self.step).is_later_point
+        return not point_later or "paused" in (state, self.state)
+
+    def _publish_change(self, state: JobState, reason: str) -> None:
         self.state, self._reason, self.is_recorded = state, reason, True
-        services.log.info(f"job is {state}", job=self._row.id, step=self.step, epoch=services.leadership.epoch)
+        epoch = self._services.leadership.epoch
+        self._services.log.info(f"job is {state}", job=self._row.id, step=self.step, epoch=epoch)
         self.publish_progress()
+
+    def _log_unrecorded(self, error: JournalError) -> None:
+        self._services.log.warning(f"a state of the job is not recorded: {error}", job=self._row.id)
 
     async def keep_publishing(self) -> None:
         """Publish the progress again and again."""

@@ -188,8 +188,11 @@ class StepRun:
         return await step.run(callbacks, self._rest.seen_ns)
 
     async def _on_state(self, state: JobState, reason: str) -> None:
-        await self._state.change_state(state, reason)
         step = self._state.motion_step
+        if step is None or state == "planning":
+            await self._state.change_state(state, reason)
+        else:
+            self._state.note_state(state, reason)
         if step is not None and state != "planning" and (self._pause.braked or step.is_retargeted):
             # The pause or the retarget was requested while nothing could be braked yet.
             await step.feed_hold(self._pause.paused_by or self._context.actor)

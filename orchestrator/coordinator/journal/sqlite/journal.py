@@ -4,17 +4,17 @@
 """
 
 import json
-import os
 import re
 import sqlite3
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 from zlib import crc32
 
 from pydantic import ValidationError
 
+from orchestrator.coordinator.journal.calls import JournalCall
 from orchestrator.coordinator.journal.facts import KeyedJob, QueueEntryOptions, Reservation, StepDecision
 from orchestrator.coordinator.journal.records import (
     UNREADABLE_TIME,
@@ -51,7 +51,9 @@ from orchestrator.coordinator.journal.sqlite.transaction import (
     Transaction,
     connect_database,
     create_private_file,
+    find_file_identity,
     make_unusable_error,
+    run_group,
 )
 from orchestrator.coordinator.journal.sqlite.values import StoredValues
 from orchestrator.model.base import Model
@@ -92,7 +94,7 @@ class SqliteJournal:
             steps = list_statements(version)
             if steps:
                 self._db.executescript(f"BEGIN; {steps} PRAGMA user_version={VERSION}; COMMIT;")
-            self._identity = self._find_identity()
+            self._identity = find_file_identity(self._path)
             self._values = StoredValues(self._db)
             self.point_rows = PointRows(self._db, self._path)
             self.alarms = AlarmTables(self._db, self._path)
@@ -112,18 +114,10 @@ class SqliteJournal:
             raise sqlite3.DatabaseError(damage)
         return version
 
-    def _find_identity(self) -> tuple[int, int] | None:
-        """Device and number of the file that the path names now; None without one, or in memory."""
-        try:
-            status = None if self._path == ":memory:" else os.lstat(self._path)
-        except OSError:
-            return None
-        return None if status is None else (status.st_dev, status.st_ino)
-
     def _require_same_file(self) -> None:
         """Raises `JournalError` if the file that is open is no longer the one at its path: what is written to a deleted
         file is lost with this process."""
-        if self._find_identity() != self._identity:
+        if find_file_identity(self._path) != self._identity:
             raise JournalError(
                 f"{self._path}: the journal was deleted or replaced while it was in use; no job is accepted",
                 "end the fleet (`tutti down`), put the state folder back or begin a new journal: "
@@ -138,6 +132,9 @@ class SqliteJournal:
     def close(self) -> None:
         self.points.close()
         self._close()
+
+    def run_group(self, calls: Sequence[JournalCall]) -> None:
+        run_group(self._db, self._path, calls)
 
     # Leadership
 
@@ -235,12 +232,19 @@ class SqliteJournal:
         rows = self._select_rows(FIND_KEY, (scope_key(owner, client_key), client_key))
         return KeyedJob(*rows[0]) if rows else None
 
-    def record_transition(self, job_id: str, transition: JobTransition, report: JobReport | None = None) -> None:
+    def record_transition(self, job_id: str, transition: JobTransition) -> None:
         with self._transaction():
             self._require_unended(job_id)
             insert_transition(self._db, job_id, transition)
-            if report is not None:
-                self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
+
+    def record_end(self, job_id: str, transition: JobTransition, report: JobReport) -> JobReport:
+        with self._transaction():
+            self._require_unended(job_id)
+            transitions = [*self.list_transitions(job_id), transition]
+            report = report.model_copy(update={"transitions": transitions})
+            insert_transition(self._db, job_id, transition)
+            self._db.execute("INSERT OR REPLACE INTO reports VALUES (?, ?)", (job_id, report.model_dump_json()))
+        return report
 
     def hold_jobs(self, job_ids: Iterable[str], held_by: str, transition: JobTransition) -> None:
         with self._transaction():
@@ -396,10 +400,7 @@ class SqliteJournal:
 
     def list_reservations(self) -> list[Reservation]:
         rows = self._select_rows("SELECT holder, actor, what, axes, until_utc FROM reservations ORDER BY rowid")
-        return [
-            Reservation(holder, actor, purpose, tuple(axes.split()), until_utc)
-            for holder, actor, purpose, axes, until_utc in rows
-        ]
+        return [Reservation(holder, actor, use, tuple(axes.split()), utc) for holder, actor, use, axes, utc in rows]
 
     # Named positions
 

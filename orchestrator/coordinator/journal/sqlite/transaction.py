@@ -2,9 +2,11 @@
 
 import os
 import sqlite3
-from contextlib import closing
+from collections.abc import Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 
+from orchestrator.coordinator.journal.calls import JournalCall
 from orchestrator.coordinator.journal.records import JournalError
 from orchestrator.model.files.private_files import UnsafePath, make_private_folder, open_private_file, refuse_link
 
@@ -25,29 +27,58 @@ def connect_database(path: Path | str, *, uri: bool = False, check_same_thread: 
 
 
 class Transaction:
-    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; a database error becomes a `JournalError`."""
+    """BEGIN IMMEDIATE … COMMIT, or ROLLBACK on an error; inside of another one it is a savepoint of that. A database
+    error becomes a `JournalError`."""
 
     def __init__(self, db: sqlite3.Connection, path: str) -> None:
         self._db = db
         self._path = path
+        self._is_inner = db.in_transaction
 
     def __enter__(self) -> None:
         try:
-            self._db.execute("BEGIN IMMEDIATE")
+            self._db.execute("SAVEPOINT part" if self._is_inner else "BEGIN IMMEDIATE")
         except DATABASE_ERRORS as error:
             raise make_unusable_error(self._path, error) from None
 
     def __exit__(self, kind: object, error: object, trace: object) -> None:
         try:
             if kind is None:
-                self._db.execute("COMMIT")
+                self._db.execute("RELEASE part" if self._is_inner else "COMMIT")
         except DATABASE_ERRORS as failure:
-            error = failure
-        # SQLite has rolled back already when the disk is full.
-        if self._db.in_transaction:
-            self._db.execute("ROLLBACK")
+            kind, error = type(failure), failure
+        # SQLite has rolled back already, the whole transaction, when the disk is full.
+        if kind is not None and self._db.in_transaction:
+            for statement in ("ROLLBACK TO part", "RELEASE part") if self._is_inner else ("ROLLBACK",):
+                self._db.execute(statement)
         if isinstance(error, DATABASE_ERRORS):
             raise make_unusable_error(self._path, error) from None
+
+
+def run_group(db: sqlite3.Connection, path: str, calls: Sequence[JournalCall]) -> None:
+    """Run the calls that have not been run, as one transaction; if that fails, nothing of it is stored, and each is run
+    alone. Raises nothing."""
+    new_calls = [call for call in calls if not call.is_done]
+    if len(new_calls) > 1:
+        with suppress(JournalError):
+            with Transaction(db, path):
+                for call in new_calls:
+                    call.attempt()
+                    if not db.in_transaction:
+                        raise JournalError(f"{path}: the transaction was rolled back as a whole")
+            for call in new_calls:
+                call.is_done = True
+    for call in new_calls:
+        call.run()
+
+
+def find_file_identity(path: str) -> tuple[int, int] | None:
+    """Device and number of the file at `path`; None without one, or in memory."""
+    try:
+        status = None if path == ":memory:" else os.lstat(path)
+    except OSError:
+        return None
+    return None if status is None else (status.st_dev, status.st_ino)
 
 
 def create_private_file(path: Path) -> None:
