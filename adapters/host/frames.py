@@ -196,24 +196,24 @@ class HostFrames:
         is_key = now_ns - self._keyed_ns >= KEY_FRAME_NS
         if is_key:
             self._keyed_ns = now_ns
-            waiting = set(self._states.names)
+            waiting_names = set(self._states.names)
             for controller, entry in self._published.items():
-                if f"{controller}/state" not in waiting:
+                if f"{controller}/state" not in waiting_names:
                     entry.framed = entry.seen
                     self._states.add_line(f"{controller}/state", entry.seen.to_json())
         source = self._source
         while True:
             names, payloads = self._states.take_lines()
-            rest = {name.partition("/")[0] for name in self._states.names}
-            confirmed = {name: entry for name, entry in self._published.items() if name not in rest}
+            later_controllers = {name.partition("/")[0] for name in self._states.names}
+            confirmed_states = {name: entry for name, entry in self._published.items() if name not in later_controllers}
             self._number += 1
-            header = self._make_header(self._number, names, confirmed, is_key=is_key and not rest)
+            header = self._make_header(self._number, names, confirmed_states, is_key=is_key and not later_controllers)
             source.bus.put(source.keys.host_states(source.name), encode_frame(header, payloads), Priority.STATE)
-            if not rest:
+            if not later_controllers:
                 return
 
     def _make_header(
-        self, number: int, names: list[str], confirmed: Mapping[str, _Published], *, is_key: bool
+        self, number: int, names: list[str], confirmed_states: Mapping[str, _Published], *, is_key: bool
     ) -> FrameHeader:
         now_ns = self._clock.now_ns()
         return FrameHeader(
@@ -226,7 +226,7 @@ class HostFrames:
             lines=names,
             states={
                 name: encode_entry(entry.seen, entry.framed.seq, now_ns - entry.seen_ns)
-                for name, entry in confirmed.items()
+                for name, entry in confirmed_states.items()
             },
         )
 

@@ -24,11 +24,11 @@ class ServedControllers:
 
     def find_handler(self, key: str) -> RequestHandler | None:
         """The handler of a command, or of a value."""
-        controller, _, rest = key.removeprefix(self._prefix).partition("/")
+        controller, _, leaf = key.removeprefix(self._prefix).partition("/")
         supervisor = self._supervisors.get(controller)
         if supervisor is None:
             return None
-        family, _, verb = rest.partition("/")
+        family, _, verb = leaf.partition("/")
         handler = supervisor.find_handler(family)
         if handler is None or bool(verb) != (family == "cmd"):
             return None

@@ -59,7 +59,7 @@ class SingleKeys:
         for controller in self._controllers:
             callback = partial(self._watched.__setitem__, controller)
             self._watches.append(await self._bus.watch_subscribers(self._keys.controller(controller), callback))
-            # A watch says nothing where nobody has subscribed.
+            # A watch says nothing where there is no subscriber.
             self._watched.setdefault(controller, False)
 
     def _end_watches(self) -> None:

@@ -2,7 +2,7 @@
 
 import asyncio
 import uuid
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, Self, TypeVar
 
@@ -23,8 +23,8 @@ from orchestrator.bus.fleets import find_fleets
 from orchestrator.bus.identity import find_session_identity
 from orchestrator.bus.keys import ANY_KEPT_ESTOP, FleetKeys
 from orchestrator.bus.service_verbs import NOT_LEADER
-from orchestrator.bus.states.feed import ControllerFeed
-from orchestrator.client.followed import FollowedSamples
+from orchestrator.bus.states.feed import Arrival, ControllerFeed
+from orchestrator.bus.states.frame import Confirmation
 from orchestrator.client.slow_starts import explain_absence
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.model.base import Model
@@ -38,6 +38,25 @@ ANSWER_S = 3.0
 CHECKED_BYTES_S = 50_000  # a path of 100,000 pieces, 7 MB, takes 50 s to be planned on a free core
 LEADER_S = 1.0  # for the leader to say that it leads
 LOOK_S = 0.05  # between two looks for it, while two say so
+
+
+class FollowedSamples:
+    """A `FeedReceiver` with a queue. queue: the samples in their order, with the keys of their controllers.
+    on_confirmed: called with what a host says of its controllers, when it says it."""
+
+    def __init__(self, queue: asyncio.Queue[BusSample]) -> None:
+        self.queue = queue
+        self.on_confirmed: Callable[[Mapping[str, Confirmation]], None] = lambda _: None
+
+    def take_arrival(self, arrival: Arrival) -> None:
+        """Queue the samples of a message."""
+        for sample in arrival.samples:
+            self.queue.put_nowait(sample)
+        if arrival.confirmations:
+            self.on_confirmed(arrival.confirmations)
+
+    def take_bad_frame(self, text: str) -> None:
+        """Leave it out: the coordinator logs it."""
 
 
 class FleetConnection:

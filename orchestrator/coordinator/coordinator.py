@@ -198,8 +198,7 @@ class Coordinator:
                 self._begin_adoption(controller, state.instance)
 
     def _begin_adoption(self, controller: str, instance: str) -> None:
-        refusal = self._view.find_refusal(controller)
-        if refusal is not None:
+        if (refusal := self._view.find_refusal(controller)) is not None:
             self._alarms.note_version(controller, refusal)
             return
         self._adopting.add(controller)

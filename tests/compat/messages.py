@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
-from cluster.test_bus_page import EXAMPLES, requests
+from cluster.test_bus_page import EXAMPLES, MORE, requests
 from cluster.worlds import demo_job, job, run_fleet, virtual_demo_fleet
 
 from orchestrator.bus.base import BusDeclaration, BusSample, Priority, RequestHandler, ServedGroup
@@ -189,17 +189,6 @@ async def _work(fleet: VirtualFleet) -> None:
     await client.bus.request_all(client.keys.kept_estop(), b"", 1.0)
     await client.reset()
     await asyncio.sleep(1.0)
-
-
-MORE: dict[str, dict[str, Any]] = {
-    "svc/list": {"since": "2026-01-01T00:00:00.000000Z"},
-    "svc/put-points": {"axes": [{"axis": "gantry.x", "unit": "mm"}], "begin": 0},
-    "svc/commands": {"before": None},
-    "svc/statistics": {"since": "2026-01-01"},
-    "svc/override": {"percent": 50.0},
-    "svc/retarget": {"to": {"gantry.x": 20}, "by": {}},
-}
-"""Fields whose value on the page is another one for this verb."""
 
 
 def find_verbs() -> dict[str, tuple[type[Model], type[Model]]]:

@@ -21,6 +21,7 @@ WITHOUT = {
     "lease.axis": "no make here lets axes of one controller move for different holders",
     "live": "presence has no payload",
     "log": "a line of a log has no model",
+    "user": "published by programs of users",
     "alarm-request": "published by programs of users",
 }
 

@@ -111,7 +111,7 @@ def test_what_another_owns_is_not_reached(keyed: KeyedFleet) -> None:
         served = [
             *(
                 right.declare_queryable(f"{PREFIX}/{each}", Callback(answer, indirect=False))
-                for each in ("ctl/gantry/**", "ctl/gantry/state", "ctl/gantry/cmd/*", "host/left/cmd/*")
+                for each in ("ctl/**", "ctl/gantry/**", "ctl/gantry/state", "host/left/**", "host/left/cmd/*")
             ),
             *(
                 session.declare_queryable(f"{PREFIX}/{each}", Callback(answer, indirect=False))
@@ -141,8 +141,9 @@ def test_a_stolen_key_of_a_host_can_do_what_is_stated(keyed: KeyedFleet) -> None
     cannot command, not even its own controllers, nor speak for others, lead, or touch the e-stop."""
     observer, thief = keyed.open(None), keyed.open(keyed.identity("host", "right"))
     own = ("ctl/stage/state", "ctl/stage/event", "ctl/stage/clock", "ctl/stage/link", "log/controller/stage")
-    own += ("log/host/right", "alarm-request/host/right")
+    own += ("log/host/right", "alarm-request/host/right", "host/right/states", "host/right/events")
     others = ("ctl/gantry/state", "ctl/gantry/event", "log/controller/gantry", "log/host/left", "leader", "queue")
+    others += ("host/left/states", "host/left/events")
     others += ("estop", "estop-reset", "alarm/x", "lease/stage", "job/x/state", "session/x")
     commands = (
         "ctl/stage/cmd/jog",

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from adapters.contract import Driver, Make
-from adapters.controller.publishing.outlet import StateOutlet
+from adapters.controller.state.outlet import StateOutlet
 from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog

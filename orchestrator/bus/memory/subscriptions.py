@@ -113,7 +113,7 @@ class SubscriptionBoard:
 
     def _refresh_watch(self, watch: SubscriberWatch) -> None:
         subscriber = next(
-            (known.bus for known in self._subscriptions if expressions_intersect(known.expression, watch.expression)),
+            (entry.bus for entry in self._subscriptions if expressions_intersect(entry.expression, watch.expression)),
             None,
         )
         matches = subscriber is not None

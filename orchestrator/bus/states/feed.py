@@ -134,19 +134,20 @@ class ControllerFeed:
         return frame
 
     def _pass_on(self, host: _KnownHost, frame: HostFrame) -> bool:
-        """Pass on a frame of states; whether every state that it confirms has arrived."""
+        """Pass on a frame of states; whether every state that it confirms has arrived_controllers."""
         name, now_ns = frame.header.host, self._now_ns()
         host.framed_ns = now_ns
         for controller in frame.confirmations:
             if not self._is_carried_elsewhere(controller, name, now_ns):
                 self._carriers[controller] = name
-        arrived = {line.controller for line in frame.lines if line.leaf == "state"}
+        arrived_controllers = {line.controller for line in frame.lines if line.leaf == "state"}
         confirmations = {
             controller: confirmation
             for controller, confirmation in frame.confirmations.items()
             if self._carriers[controller] == name
         }
-        host.seqs |= {controller: confirmations[controller].seq for controller in arrived & confirmations.keys()}
+        for controller in arrived_controllers & confirmations.keys():
+            host.seqs[controller] = confirmations[controller].seq
         self._pass_lines(frame, confirmations)
         return all(host.seqs.get(controller) == entry.seq for controller, entry in confirmations.items())
 
@@ -161,8 +162,8 @@ class ControllerFeed:
                 strangers.add(controller)
         self._receiver.take_arrival(Arrival(name, samples, confirmations))
         if strangers:
-            carried = ", ".join(sorted(strangers))
-            self._receiver.take_bad_frame(f"host {name} publishes {carried}, which another host carries")
+            names = ", ".join(sorted(strangers))
+            self._receiver.take_bad_frame(f"host {name} publishes {names}, which another host carries")
 
     def _is_carried_elsewhere(self, controller: str, name: str, now_ns: int) -> bool:
         if (host := self._find_host(controller)) is not None:
@@ -171,8 +172,8 @@ class ControllerFeed:
         carrier = self._carriers.get(controller, name)
         if carrier == name:
             return False
-        known = self._hosts.get(carrier)
-        return known is not None and now_ns - known.framed_ns < CARRIED_NS
+        known_host = self._hosts.get(carrier)
+        return known_host is not None and now_ns - known_host.framed_ns < CARRIED_NS
 
     # Gaps
 

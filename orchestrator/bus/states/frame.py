@@ -107,15 +107,15 @@ def encode_frame(header: FrameHeader, payloads: Sequence[bytes]) -> bytes:
 
 def decode_frame(payload: bytes) -> HostFrame:
     """Read a frame; its payloads stay as they are. Raises `BadFrame`."""
-    first, *rest = payload.split(b"\n")
+    first, *payloads = payload.split(b"\n")
     try:
         header = FrameHeader.read_message(first)
     except ValidationError as error:
         raise BadFrame(f"the first line of a frame cannot be read: {first_error_text(error)}") from None
     utc_ns = _read_utc(header.utc)
-    if len(rest) != len(header.lines):
-        raise BadFrame(f"a frame of host {header.host} has {len(rest)} lines, and names {len(header.lines)}")
-    lines = [FrameLine(*_split_line(name), text) for name, text in zip(header.lines, rest, strict=True)]
+    if len(payloads) != len(header.lines):
+        raise BadFrame(f"a frame of host {header.host} has {len(payloads)} lines, and names {len(header.lines)}")
+    lines = [FrameLine(*_split_line(name), text) for name, text in zip(header.lines, payloads, strict=True)]
     confirmations: dict[str, Confirmation] = {}
     for name, entry in header.states.items():
         if len(entry) not in (2, 5):
@@ -150,5 +150,5 @@ def encode_entry(state: ControllerState, seq: int, age_ns: int) -> list[int]:
         return [seq, age_ns]
     base_ns = state.fleet_ns + age_ns
     read_ns = state.read_fleet_ns if state.read_fleet_ns is not None else state.read_within.latest_ns
-    within = state.read_within
-    return [seq, age_ns, base_ns - within.earliest_ns, base_ns - within.latest_ns, base_ns - read_ns]
+    interval = state.read_within
+    return [seq, age_ns, base_ns - interval.earliest_ns, base_ns - interval.latest_ns, base_ns - read_ns]

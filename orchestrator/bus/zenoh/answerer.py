@@ -37,12 +37,12 @@ class QueryAnswerer:
 
     def start_answers(self, query: zenoh.Query, payload: bytes, find_answers: FindAnswers) -> None:
         """Answer a query in a task of its own, if there is an answer."""
-        requested = str(query.key_expr)
-        answers = find_answers(requested)
+        asked_key = str(query.key_expr)
+        answers = find_answers(asked_key)
         if not answers:
             query.drop()
             return
-        if len(self._tasks.pending) >= MAX_ANSWERING and not is_stop(requested):
+        if len(self._tasks.pending) >= MAX_ANSWERING and not is_stop(asked_key):
             self.refuse_query(query, f"busy: {MAX_ANSWERING} requests are being answered; try again")
             return
         self._tasks.spawn(self._answer_query(query, payload, answers))

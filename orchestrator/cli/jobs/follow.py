@@ -68,8 +68,8 @@ async def _follow_until_ready(tutti: Tutti, job_id: str, *, quiet: bool) -> JobR
 
         return await tutti.wait_for_job(job_id, print_progress, on_ready=lambda _: False)
     view = LiveView(tutti.keys, time.monotonic)
-    async with tutti.follow_all(*view.key_expressions) as followed:
-        samples, followed.on_confirmed = followed.queue, view.note_confirmed
+    async with tutti.follow_all(*view.key_expressions) as stream:
+        samples, stream.on_confirmed = stream.queue, view.note_confirmed
         view.take_states(await tutti.status(), await tutti.list_leases())
         with Live(get_renderable=view.render_screen, console=console, refresh_per_second=10, transient=True):
 

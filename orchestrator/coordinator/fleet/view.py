@@ -12,9 +12,9 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.bus.states.frame import SEEN_NS, Confirmation
-from orchestrator.clock.base import NS_PER_MS, NS_PER_S, Clock
-from orchestrator.clock.start_limit import SLOW_NS
+from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.coordinator.fleet.controller_events import ControllerEvents, EventListener
+from orchestrator.coordinator.fleet.slow_starts import SlowStarts
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.names import controller_of, split_name
@@ -81,18 +81,15 @@ class FleetView:
         self._arrival_listeners: list[Callable[[Collection[str]], None]] = []
         self.on_unknown: Callable[[str], None] = lambda _: None
         """Called with the name of a controller that publishes states, and that the fleet file does not have."""
-        self._declared: list[BusDeclaration] = []
-        self._slow_starts_ns: dict[str, int] = {}
-        """By adapter host that is slow to start: when its start began."""
+        self._slow_starts = SlowStarts(bus, keys, clock)
 
     async def start(self) -> None:
-        self._declared = [await self._bus.watch(self._keys.slow_start(), self._receive_slow_start)]
+        await self._slow_starts.start()
         await self._feed.start()
 
     async def close(self) -> None:
         await self._feed.close()
-        for declaration in self._declared:
-            await declaration.undeclare()
+        await self._slow_starts.close()
 
     def last_state(self, controller: str) -> ControllerState | None:
         """The last state, however old, with the instants of its last reading."""
@@ -152,10 +149,8 @@ class FleetView:
 
     def describe_slow_start(self, controller: str) -> str | None:
         """That the adapter host of a silent controller is slow to start, and for how long, in steps of ten seconds."""
-        begun_ns = self._slow_starts_ns.get(self.fleet.controllers[controller].host)
-        if begun_ns is None or not self.is_silent(controller):
-            return None
-        return f"its adapter is starting slowly ({(self._clock.now_ns() - begun_ns) // (10 * NS_PER_S) * 10} s)"
+        is_silent = self.is_silent(controller)
+        return self._slow_starts.describe(self.fleet.controllers[controller].host) if is_silent else None
 
     def make_absence(self, controller: str, reason: str) -> Refusal:
         """The refusal for a controller whose adapter does not answer. reason: as far as the bus knows it."""
@@ -241,13 +236,13 @@ class FleetView:
 
     def take_arrival(self, arrival: Arrival) -> None:
         """Take what one message of a host has brought."""
-        arrived = dict.fromkeys(arrival.confirmations)
+        arrived_names = dict.fromkeys(arrival.confirmations)
         for sample in arrival.samples:
             kind = sample.key.rpartition("/")[2]
             if kind == "event":
                 self._receive_event(sample)
             elif kind == "state" and (controller := self._receive_state(sample)) is not None:
-                arrived[controller] = None
+                arrived_names[controller] = None
         now_ns = self._clock.now_ns()
         for controller, confirmation in arrival.confirmations.items():
             seen_ns = now_ns - confirmation.age_ns
@@ -257,7 +252,7 @@ class FleetView:
                 self._confirmed[controller] = confirmation
                 self._events.expect(self.arrived_states[controller])
         for listener in list(self._arrival_listeners):
-            listener(arrived)
+            listener(arrived_names)
 
     def _find_host(self, controller: str) -> str | None:
         config = self.fleet.controllers.get(controller)
@@ -287,19 +282,12 @@ class FleetView:
         payload = await self._bus.request(self._keys.event(controller), request.to_json(), QUERY_S, server)
         return EventsReply.read_message(payload)
 
-    def _receive_slow_start(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback
-        host = key.split("/")[-2]
-        if present:
-            self._slow_starts_ns[host] = self._clock.now_ns() - SLOW_NS
-        else:
-            self._slow_starts_ns.pop(host, None)
-
     def _store_state(self, state: ControllerState) -> None:
-        controller, known = state.controller, self.arrived_states.get(state.controller)
+        controller, known_state = state.controller, self.arrived_states.get(state.controller)
         if controller not in self.fleet.controllers:
             self.on_unknown(controller)
             return
-        if known is not None and state.is_older_than(known):
+        if known_state is not None and state.is_older_than(known_state):
             return  # it was gathered in a frame while a newer one came as an answer
         self.arrived_states[controller] = state
         self._confirmed.pop(controller, None)

@@ -144,11 +144,6 @@ class FleetState:
             if controller in self._received_ns:
                 self._received_ns[controller] = max(self._received_ns[controller], now_ns - confirmation.age_ns)
 
-    def take_bad_frame(self, text: str) -> None:
-        """Count a frame that cannot be read. text: why."""
-        del text
-        self.invalid += 1
-
     def take_presence(self, key: str, present: bool) -> None:  # noqa: FBT001 - a callback of the bus
         """Store that an adapter, or an adapter host, has come or gone."""
         self._presence.take_token(key, present=present)

@@ -224,6 +224,21 @@ def test_a_host_cannot_publish_what_another_one_carries() -> None:
     run_world(main, frame(1, state_of("x", 1), key=True))
 
 
+def test_the_fleet_file_says_which_host_may_publish_a_controller() -> None:
+    """Also where the right host has never been there."""
+
+    async def main(clock: VirtualClock) -> None:
+        world = World(clock)
+        world.feed = ControllerFeed(world.reader, KEYS, clock.now_ns, world.taken, {"x": "right", "y": "left"}.get)
+        await world.start()
+        await world.put(frame(1, state_of("x", 1), state_of("y", 1), key=True))
+        assert world.taken.states == [("y", 1)] and "left publishes x" in world.taken.bad[0]
+        assert set(world.taken.arrivals[0].confirmations) == {"y"}
+        await world.feed.close()
+
+    run_virtual(main)
+
+
 def test_one_state_that_cannot_be_read_costs_no_other() -> None:
     async def main(world: World) -> None:
         payload = frame(2, state_of("x", 2), state_of("y", 2))

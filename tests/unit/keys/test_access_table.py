@@ -33,7 +33,8 @@ def test_no_role_may_use_a_wildcard_over_the_whole_bus() -> None:
 def test_a_host_has_its_own_controllers_only() -> None:
     rows = rights_of("host")
     assert KEYS.state("gantry") in rows.puts
-    assert KEYS.command("gantry") in rows.serves
+    assert KEYS.served_of_controller("gantry") in rows.serves and KEYS.host_states("left") in rows.puts
+    assert not {KEYS.served_of_controller(), KEYS.host_states(), KEYS.host_states("right")} & {*rows.puts, *rows.serves}
     assert not [each for kind in (rows.puts, rows.serves, rows.tokens) for each in kind if "stage" in each]
     # A certificate for a host that the fleet file does not have controls nothing.
     assert not [each for each in rights_of("host", "attic").puts if "/ctl/" in each]

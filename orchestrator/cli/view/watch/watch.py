@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from orchestrator.cli.manual.jog.terminal import RawTerminal
     from orchestrator.cli.view.watch.panel import WatchPanel
     from orchestrator.client import Tutti
-    from orchestrator.client.followed import FollowedSamples
+    from orchestrator.client.connection import FollowedSamples
     from orchestrator.monitor.fleet_view import LiveView
 
 REFRESH_S = 0.1
@@ -46,8 +46,8 @@ def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
 
     async def watch_fleet(tutti: "Tutti") -> None:
         view = LiveView(tutti.keys, time.monotonic, connect)
-        async with tutti.follow_all(*view.key_expressions) as followed:
-            samples = followed.queue
+        async with tutti.follow_all(*view.key_expressions) as stream:
+            samples = stream.queue
             view.take_states(await require_states(tutti), await tutti.list_leases())
             view.queue = await load_queue(tutti)
             with suppress(Refusal):  # without a coordinator
@@ -55,8 +55,8 @@ def watch(connect: str, fleet: str | None, *, as_json: bool) -> None:
             if as_json:
                 await _print_messages(samples)
             if not (HAS_PANELS and can_redraw() and sys.stdin.isatty()):
-                await _print_lines(view, followed)
-            await _run_screen(view, followed)
+                await _print_lines(view, stream)
+            await _run_screen(view, stream)
 
     with_fleet(connect, fleet, watch_fleet)
 
@@ -67,7 +67,7 @@ async def _print_messages(samples: "asyncio.Queue[BusSample]") -> None:
         click.echo(json.dumps({"key": key, "value": json.loads(payload)}))
 
 
-async def _print_lines(view: "LiveView", followed: "FollowedSamples") -> None:
+async def _print_lines(view: "LiveView", stream: "FollowedSamples") -> None:
     from orchestrator.cli.view.watch.connection import ConnectionWatch
     from orchestrator.monitor.times import format_time
 
@@ -84,7 +84,7 @@ async def _print_lines(view: "LiveView", followed: "FollowedSamples") -> None:
         view.note_confirmed(confirmations)
         print_note(connection.note_sample())
 
-    samples, followed.on_confirmed = followed.queue, note_confirmed
+    samples, stream.on_confirmed = stream.queue, note_confirmed
     print_note(view.openness or None)
     while True:
         try:
@@ -97,12 +97,12 @@ async def _print_lines(view: "LiveView", followed: "FollowedSamples") -> None:
         print_line(view.take_sample(sample))
 
 
-async def _run_screen(view: "LiveView", followed: "FollowedSamples") -> None:
+async def _run_screen(view: "LiveView", stream: "FollowedSamples") -> None:
     from orchestrator.cli.manual.jog.terminal import RawTerminal
     from orchestrator.cli.view.watch.panel import WatchPanel
 
     panel = WatchPanel(view, time.monotonic, _utc_now)
-    samples, followed.on_confirmed = followed.queue, panel.note_confirmed
+    samples, stream.on_confirmed = stream.queue, panel.note_confirmed
     loop = asyncio.get_running_loop()
     end: asyncio.Future[int] = loop.create_future()
 
