@@ -20,6 +20,7 @@ from orchestrator.bench.truth import NothingHappened
 from orchestrator.client import SubmittedJob, Tutti
 from orchestrator.clock.base import NS_PER_MS, NS_PER_S
 from orchestrator.clock.live import raw_ns
+from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.job import Job
 from orchestrator.model.operation.commands import MAX_LISTED
 from orchestrator.model.report import FINISHED_STATES, JobReport
@@ -31,6 +32,7 @@ CONTROLLERS = 50  # of a run without another number
 MANY_CONTROLLERS = 1000  # from which on more jobs run at once
 JOBS, MANY_JOBS = 50, 200
 COUNTED_STEPS = 5
+MAX_SUBMISSIONS = 20  # of one job, with one key: it runs once
 LIMIT_S = 300.0
 SLOW = 0.1  # the part of its speed at which a move lasts long enough for an e-stop
 MOVING_S = 0.5  # from the commit of this move to the e-stop
@@ -49,8 +51,8 @@ class LiveScale(NamedTuple):
     latched_s: from the put of an e-stop until all report it; reset_s: from the reset until all are released.
     coordinator_cpu_ms, host_cpu_ms: at rest, ms of processor time a second and controller; router_cpu_ms: a second.
     coordinator_mb, host_mb, router_mb: resident; of a host, its largest process, the mean of all hosts.
-    refusals: of commands, by the coordinator or controllers. losses: lines of logs that say that messages are
-    missing."""
+    refusals: of commands, by the coordinator or controllers, and submissions without an answer in time, which are
+    repeated. losses: lines of logs that say that messages are missing."""
 
     controllers: int
     hosts: int
@@ -245,7 +247,15 @@ class _ScaleRig:
 
     async def _submit(self, steps: Steps) -> SubmittedJob:
         plain = {"schema": "tutti.job/1", "name": "scale", "max_start_skew": "200 ms", "steps": steps}
-        return await self._tutti.submit(Job.model_validate(plain))
+        job, client_key = Job.model_validate(plain), self._tutti.new_id()
+        for _ in range(MAX_SUBMISSIONS):
+            try:
+                return await self._tutti.submit(job, client_key)
+            except Refusal as refusal:
+                if refusal.code != "no-answer":
+                    raise
+                self.refusals += 1
+        raise NothingHappened(f"no answer to {MAX_SUBMISSIONS} submissions of a job")
 
     def _list_pids(self, part: str) -> list[int]:
         return [child.pid for child in self._live.children.values() if child.part == part]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from orchestrator.bench.registry import runs
 from orchestrator.bench.registry.record import BenchColumn, Benchmark, BenchOption, BenchTable, Document
 
-_LIVE_LABELS = {
+LIVE_LABELS = {
     "controllers": ("controllers", ""),
     "hosts": ("adapter hosts", ""),
     "adopted_s": ("first process started to all adopted", "s"),
@@ -44,7 +44,7 @@ def _list_live_rows(document: Document) -> list[_LiveFigure] | None:
     live = document["live"]
     if live is None:
         return None
-    return [_LiveFigure(label, getattr(live, field), unit) for field, (label, unit) in _LIVE_LABELS.items()]
+    return [_LiveFigure(label, getattr(live, field), unit) for field, (label, unit) in LIVE_LABELS.items()]
 
 
 SCALE = Benchmark(

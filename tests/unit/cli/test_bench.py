@@ -7,6 +7,8 @@ from click.testing import CliRunner
 
 from benches.__main__ import main as benches
 from orchestrator.bench.registry.benchmarks import BENCHMARKS
+from orchestrator.bench.registry.scale import LIVE_LABELS
+from orchestrator.bench.scale_live import LiveScale
 from orchestrator.cli.main import main
 
 
@@ -31,9 +33,29 @@ def test_an_invalid_option_is_bad_input(words: list[str], text: str) -> None:
     assert shown.exit_code == 2 and text in shown.output
 
 
-def test_an_invalid_option_of_a_users_benchmark_is_bad_input() -> None:
-    shown = CliRunner().invoke(main, ["bench", "dispatch", "--rounds", "1"])
-    assert shown.exit_code == 2 and "2<=x<=100000" in shown.output
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["dispatch", "--rounds", "1"], "2<=x<=100000"),
+        (["scale", "--live", "--controllers", "1"], "2<=x<=5000"),
+        (["scale", "--live", "--hosts", "51"], "--hosts: 51 hosts for 50 controllers"),
+        (["scale", "--controllers", "4", "--hosts", "5"], "--hosts: 5 hosts for 4 controllers"),
+    ],
+)
+def test_an_invalid_option_of_a_users_benchmark_is_bad_input(words: list[str], text: str) -> None:
+    shown = CliRunner().invoke(main, ["bench", *words])
+    assert shown.exit_code == 2 and text in " ".join(shown.output.split())
+
+
+def test_a_live_fleet_with_a_refusal_an_alarm_or_a_loss_fails_the_scale_benchmark() -> None:
+    live = LiveScale(**dict.fromkeys(LiveScale._fields, 0))
+    assert not BENCHMARKS["scale"].has_failed({"live": live}) and not BENCHMARKS["scale"].has_failed({"live": None})
+    for field in ("refusals", "alarms", "losses"):
+        assert BENCHMARKS["scale"].has_failed({"live": live._replace(**{field: 1})})
+
+
+def test_every_figure_of_a_live_fleet_is_shown_once() -> None:
+    assert list(LIVE_LABELS) == list(LiveScale._fields)
 
 
 def test_every_benchmark_has_its_command_in_its_example() -> None:
