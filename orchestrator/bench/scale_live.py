@@ -158,7 +158,7 @@ class _ScaleRig:
         names = list(self._live.fleet.controllers)
         self._say("enable and home all")
         began_ns = raw_ns()
-        job = await self._submit([{"do": "enable", "axes": names}, {"do": "home", "axes": names}])
+        job = await self._submit([{"do": "enable", "axes": names}, {"do": "home", "axes": ["hall"]}])
         _require_done(await job.result())
         return _measure_s(began_ns)
 
