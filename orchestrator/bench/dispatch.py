@@ -92,7 +92,7 @@ def make_dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
             "axes": {name: {**axis, "motors": [motor]} for name, motor in AXES.items()},
             "simulate": {**plain["simulate"], "options": options},
         }
-    groups = {"all": [f"{name}.{axis}" for name in controllers for axis in AXES]}
+    groups = {"everything": [f"{name}.{axis}" for name in controllers for axis in AXES]}
     return Fleet.model_validate(
         {"schema": "tutti.fleet/1", "fleet": "dispatch", "controllers": controllers, "groups": groups}
     )
@@ -161,7 +161,7 @@ async def _measure_virtual(fleet: Fleet, clock: VirtualClock) -> _DispatchRound:
 
 
 def _make_preparation(fleet: Fleet) -> Steps:
-    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["all"]}]
+    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["everything"]}]
 
 
 def _make_job(fleet: Fleet, way: int) -> Job:

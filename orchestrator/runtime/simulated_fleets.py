@@ -168,7 +168,8 @@ def make_light(number: int, host: str) -> dict[str, Any]:
 
 
 def make_light_fleet(count: int, hosts: int, seed: int = 1) -> Fleet:
-    """Return a fleet of light controllers on several hosts, with crystals drawn by `seed`, and the group `hall` of all axes."""
+    """Return a fleet of light controllers on several hosts, with crystals drawn by `seed`; all axes are its group
+    `hall`."""
     draw = Random(f"light {seed}")
     controllers: dict[str, Any] = {}
     for number in range(count):

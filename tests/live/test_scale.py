@@ -20,7 +20,7 @@ def test_ten_controllers_are_measured_live(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stdout + ran.stderr
     live = json.loads(ran.stdout)["live"]
     assert (live["controllers"], live["hosts"], live["jobs"]) == (10, 2, 10)
-    assert (live["refusals"], live["alarms"], live["losses"]) == (0, 0, 0)
+    assert (live["jobs_failed"], live["refusals"], live["alarms"], live["losses"]) == (0, 0, 0, 0)
     # A move of 10 mm takes at least a quarter of a second at 200 mm/s and 1000 mm/s².
     assert live["done_s"] > live["start_ms"] / 1e3 + 0.25 and live["jobs_done_s"] > 0.25
     assert all(live[f"{part}_cpu_ms"] > 0 and live[f"{part}_mb"] > 5 for part in ("coordinator", "host", "router"))

@@ -16,7 +16,8 @@ LIVE_LABELS = {
     "start_skew_ms": ("its start skew by the evidence, at most", "ms"),
     "jobs": ("jobs at once, on controllers of their own", ""),
     "jobs_submitted_s": ("until all are accepted", "s"),
-    "jobs_done_s": ("until all are done", "s"),
+    "jobs_done_s": ("until all have ended", "s"),
+    "jobs_failed": ("of them not done", ""),
     "latched_s": ("e-stop to its report by all", "s"),
     "reset_s": ("reset to its report by all", "s"),
     "coordinator_cpu_ms": ("at rest: CPU of the coordinator for a controller", "ms/s"),
@@ -55,7 +56,8 @@ SCALE = Benchmark(
     exact, and processor times are those of all parts together, the medium too; 200 controllers take two minutes.
 
     With --live a fleet runs as processes of this computer, which share its processors: router, coordinator, adapter
-    hosts and their guardians. Refusals, alarms other than that of the e-stop, and losses are to be 0.
+    hosts and their guardians. Jobs that fail, refusals, alarms other than that of the e-stop, and losses
+    are to be 0.
     """,
     example="tutti bench scale --live --controllers 200 --json",
     options=(

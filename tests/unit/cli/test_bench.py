@@ -1,15 +1,19 @@
 """The commands that are made from the registries of benchmarks, those of users and those of developers."""
 
 import json
+from collections.abc import Callable
 
 import pytest
 from click.testing import CliRunner
 
 from benches.__main__ import main as benches
+from orchestrator.bench.dispatch import make_dispatch_fleet
+from orchestrator.bench.estop import make_estop_fleet
 from orchestrator.bench.registry.benchmarks import BENCHMARKS
 from orchestrator.bench.registry.scale import LIVE_LABELS
 from orchestrator.bench.scale_live import LiveScale
 from orchestrator.cli.main import main
+from orchestrator.model.fleet import Fleet
 
 
 def test_a_benchmark_prints_its_tables_or_one_json_document() -> None:
@@ -47,10 +51,10 @@ def test_an_invalid_option_of_a_users_benchmark_is_bad_input(words: list[str], t
     assert shown.exit_code == 2 and text in " ".join(shown.output.split())
 
 
-def test_a_live_fleet_with_a_refusal_an_alarm_or_a_loss_fails_the_scale_benchmark() -> None:
+def test_a_live_fleet_with_a_failed_job_a_refusal_an_alarm_or_a_loss_fails_the_scale_benchmark() -> None:
     live = LiveScale(**dict.fromkeys(LiveScale._fields, 0))
     assert not BENCHMARKS["scale"].has_failed({"live": live}) and not BENCHMARKS["scale"].has_failed({"live": None})
-    for field in ("refusals", "alarms", "losses"):
+    for field in ("jobs_failed", "refusals", "alarms", "losses"):
         assert BENCHMARKS["scale"].has_failed({"live": live._replace(**{field: 1})})
 
 
@@ -69,3 +73,9 @@ def test_a_lost_job_fails_the_kills_benchmark() -> None:
     found = {"lost": 0, "doubled": 0, "moved_on": 0}
     assert not BENCHMARKS["kills"].has_failed(found)
     assert BENCHMARKS["kills"].has_failed(found | {"lost": 1})
+
+
+@pytest.mark.parametrize("make", [make_dispatch_fleet, make_estop_fleet])
+def test_the_fleet_of_a_benchmark_is_valid_and_has_a_group_of_all_axes(make: Callable[[], Fleet]) -> None:
+    fleet = make()
+    assert fleet.expand_name("everything") == fleet.axis_names
