@@ -98,7 +98,7 @@ async def bench_scale_live(state: Path, controllers: int, hosts: int, say: Calla
             adopted_s = _measure_s(began_ns)
             rig = _ScaleRig(live, tutti, await find_origin_host_ns(tutti), say)
             home_s = await rig.home()
-            rest = await rig.measure_rest()
+            usage = await rig.measure_rest()
             steps = await rig.run_steps(LEARNING_STEPS + COUNTED_STEPS)
             counted_steps = steps[-COUNTED_STEPS:]
             jobs = min(controllers, MANY_JOBS if controllers >= MANY_CONTROLLERS else JOBS)
@@ -119,7 +119,7 @@ async def bench_scale_live(state: Path, controllers: int, hosts: int, say: Calla
                 jobs_failed=jobs_failed,
                 latched_s=latched_s,
                 reset_s=reset_s,
-                **rest,
+                **usage,
                 refusals=rig.refusals + await rig.count_refused_commands(),
                 alarms=await rig.count_alarms(),
                 losses=_count_losses(state / "log") + own_losses.count,

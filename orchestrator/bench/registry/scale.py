@@ -42,10 +42,10 @@ class _LiveFigure(NamedTuple):
 
 
 def _list_live_rows(document: Document) -> list[_LiveFigure] | None:
-    live = document["live"]
-    if live is None:
+    figures = document["live"]
+    if figures is None:
         return None
-    return [_LiveFigure(label, getattr(live, field), unit) for field, (label, unit) in LIVE_LABELS.items()]
+    return [_LiveFigure(label, getattr(figures, field), unit) for field, (label, unit) in LIVE_LABELS.items()]
 
 
 SCALE = Benchmark(
