@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from fleet import COMMAND
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.alone]
 
 
 def test_ten_controllers_are_measured_live(tmp_path: Path) -> None:
