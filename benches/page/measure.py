@@ -19,7 +19,8 @@ from playwright.async_api import Page, Route, WebSocketRoute
 from benches.page.browser import PageInBrowser, open_browser
 from benches.page.frames import HELLO, make_frames
 from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps, wait_until
-from orchestrator.bench.recording.measure import read_cpu_s, start_part
+from orchestrator.bench.processes import read_cpu_s
+from orchestrator.bench.recording.measure import start_part
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.clock.live import raw_ns
 from orchestrator.gateway.app import PAGE

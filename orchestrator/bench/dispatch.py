@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from adapters.yaskawa.common.gate import GateTiming
 from adapters.yaskawa.common.options import YaskawaOptions
 from orchestrator.bench.fleet import Steps, run_measured_fleet, run_steps
+from orchestrator.bench.processes import iterate_tree, read_cpu_s
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.clock.base import NS_PER_S, sleep_ns
@@ -91,7 +92,7 @@ def make_dispatch_fleet(count: int = CONTROLLERS) -> Fleet:
             "axes": {name: {**axis, "motors": [motor]} for name, motor in AXES.items()},
             "simulate": {**plain["simulate"], "options": options},
         }
-    groups = {"all": [f"{name}.{axis}" for name in controllers for axis in AXES]}
+    groups = {"everything": [f"{name}.{axis}" for name in controllers for axis in AXES]}
     return Fleet.model_validate(
         {"schema": "tutti.fleet/1", "fleet": "dispatch", "controllers": controllers, "groups": groups}
     )
@@ -160,7 +161,7 @@ async def _measure_virtual(fleet: Fleet, clock: VirtualClock) -> _DispatchRound:
 
 
 def _make_preparation(fleet: Fleet) -> Steps:
-    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["all"]}]
+    return [{"do": "enable", "axes": list(fleet.controllers)}, {"do": "home", "axes": ["everything"]}]
 
 
 def _make_job(fleet: Fleet, way: int) -> Job:
@@ -187,14 +188,7 @@ def _measure_parts(transitions: list[JobTransition], accepted_ns: int) -> dict[s
 
 def _read_cpu_s(live: LiveFleet) -> tuple[float, float]:
     """Return the processor time of the simulators, and of all processes of the fleet and this one."""
-    ticks = os.sysconf("SC_CLK_TCK")
-
-    def read_process_s(pid: int) -> float:
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="utf-8").split()
-        return (int(fields[11]) + int(fields[12])) / ticks + sum(read_process_s(int(child)) for child in children)
-
-    by_child = {name: read_process_s(child.pid) for name, child in live.children.items()}
+    by_child = {name: sum(read_cpu_s(pid) for pid in iterate_tree(child.pid)) for name, child in live.children.items()}
     simulators = sum(value for name, value in by_child.items() if name.startswith("sim/"))
     own_times = os.times()
     return simulators, sum(by_child.values()) + own_times.user + own_times.system

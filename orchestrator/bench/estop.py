@@ -68,7 +68,7 @@ def make_estop_fleet() -> Fleet:
     for name, make in (("b", make_smc2000), ("c", make_shrc203)):
         plain = make(0)
         controllers[name] = {**plain, "inputs": {}, "link": {**plain["link"], "device": f"/dev/{name}"}}
-    groups = {"all": [f"{name}.x" for name in controllers]}
+    groups = {"everything": [f"{name}.x" for name in controllers]}
     return Fleet.model_validate(
         {"schema": "tutti.fleet/1", "fleet": "estop", "controllers": controllers, "groups": groups}
     )
@@ -81,7 +81,7 @@ async def bench_estop(state: Path, rounds: int, command: Sequence[str]) -> Estop
     axes = fleet.axis_names
     async with run_measured_fleet(fleet, state) as (live, tutti), WakeUpNoise() as noise:
         rig = _EstopRig(live, tutti, draw)
-        await run_steps(tutti, [{"do": "enable", "axes": ["all"]}, {"do": "home", "axes": ["all"]}])
+        await run_steps(tutti, [{"do": "enable", "axes": ["everything"]}, {"do": "home", "axes": ["everything"]}])
         # A few at a time: no current machine runs contours on sixteen simulators as punctually as the hardware.
         await run_steps(tutti, [{"do": "move", "to": dict.fromkeys(axes[k::4], MIDDLE / 4)} for k in range(4)])
         tcp: list[list[int]] = []
@@ -204,7 +204,7 @@ class _EstopRig:
             )
 
         await wait_until(all_released, "the e-stop is reset")
-        await run_steps(self._tutti, [{"do": "enable", "axes": ["all"]}])
+        await run_steps(self._tutti, [{"do": "enable", "axes": ["everything"]}])
 
     async def _move_to_middle(self) -> None:
         middle = {f"{name}.x": MIDDLE / 4 for name in [*self._movers, *SERIAL_CONTROLLERS]}

@@ -16,6 +16,7 @@ from random import Random
 from typing import NamedTuple
 
 from orchestrator.bench.fleet import run_measured_fleet
+from orchestrator.bench.processes import list_children
 from orchestrator.bench.spread import DurationSpread, WakeUpNoise, make_spread
 from orchestrator.bench.truth import NothingHappened, TruthLog
 from orchestrator.client import Tutti
@@ -162,9 +163,9 @@ class _KillRig:
         host = next(name for name in children if name.startswith("host/"))
         if target == "host":
             guardian = children[host].pid
-            child_ids = Path(f"/proc/{guardian}/task/{guardian}/children").read_text(encoding="utf-8").split()
+            child_ids = list_children(guardian)
             # A guardian may be between two hosts; then the guardian itself gets the signal.
-            return int(child_ids[0]) if child_ids else guardian
+            return child_ids[0] if child_ids else guardian
         return children[{"guardian": host, "standby": STANDBY}.get(target, target)].pid
 
 

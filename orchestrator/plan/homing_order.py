@@ -58,7 +58,9 @@ def find_prerequisites(fleet: Fleet, order: HomingOrder) -> dict[str, set[str]]:
                 waits |= dict.fromkeys(pair.real, both_waits)
         earlier_axes = earlier_axes | set(entry)
     waits_left = dict(waits)
-    while free := [axis for axis, predecessors in waits_left.items() if not predecessors & waits_left.keys()]:
+    # `isdisjoint` ends at the first axis that is left, which is nearly always a predecessor: hundreds of entries are
+    # sorted in milliseconds, where intersections take seconds of the coordinator's loop.
+    while free := [axis for axis, predecessors in waits_left.items() if predecessors.isdisjoint(waits_left)]:
         for axis in free:
             del waits_left[axis]
     if waits_left:

@@ -168,11 +168,15 @@ def make_light(number: int, host: str) -> dict[str, Any]:
 
 
 def make_light_fleet(count: int, hosts: int, seed: int = 1) -> Fleet:
-    """Return a fleet of light controllers on several hosts, with crystals drawn by `seed`."""
+    """Return a fleet of light controllers on several hosts, with crystals drawn by `seed`; all axes are its group
+    `hall`."""
     draw = Random(f"light {seed}")
     controllers: dict[str, Any] = {}
     for number in range(count):
         crystal = {"offset_s": draw.uniform(0, 600), "drift_ppm": draw.uniform(-DRIFT_PPM, DRIFT_PPM)}
         config = make_light(number, f"h{number * hosts // count}")
         controllers[f"c{number}"] = {**config, "simulate": crystal}
-    return Fleet.model_validate({"schema": "tutti.fleet/1", "fleet": "light", "controllers": controllers})
+    groups = {"hall": [f"{name}.{axis}" for name, config in controllers.items() for axis in config["axes"]]}
+    return Fleet.model_validate(
+        {"schema": "tutti.fleet/1", "fleet": "light", "controllers": controllers, "groups": groups}
+    )

@@ -12,6 +12,7 @@ from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
+from orchestrator.bench.processes import read_cpu_s
 from orchestrator.bench.truth import NothingHappened
 from orchestrator.bus.base import BusError, BusSample
 from orchestrator.bus.keys import FleetKeys
@@ -157,12 +158,6 @@ async def _end_recorder(process: asyncio.subprocess.Process) -> float:
     process.terminate()
     await process.wait()
     return used_s
-
-
-def read_cpu_s(pid: int) -> float:
-    """The processor time that a process has used, s."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _count_recorded(place: Path) -> tuple[int, int]:

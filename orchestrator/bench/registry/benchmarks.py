@@ -21,6 +21,7 @@ from orchestrator.bench.registry.record import (
     make_spread_columns,
     make_spread_table,
 )
+from orchestrator.bench.registry.scale import SCALE
 
 
 def _list_dispatch_rows(document: Document) -> list[tuple[str, Any]]:
@@ -377,60 +378,7 @@ _BENCHMARKS = (
             BenchNote(_list_chain_breaks),
         ),
     ),
-    Benchmark(
-        name="scale",
-        help="""Count and time the work of fleets of 10 to 1,000 controllers of four axes, in virtual time.
-
-        The controllers are light ones, which cost next to nothing: what is measured is Tutti. Processor times are those
-        of all parts together, the medium too; counts are exact. A thousand controllers take an hour.
-        """,
-        example="tutti bench scale --controllers 50 --json",
-        options=(
-            BenchOption(name="controllers", kind="int", help="Only a fleet of so many.", low=2, high=5000, metavar="N"),
-            BenchOption(
-                name="hosts", kind="int", help="Adapter hosts; one for 50 by default.", low=1, high=100, metavar="N"
-            ),
-        ),
-        run=runs.run_scale,
-        layout=(
-            BenchTable(
-                "rows",
-                (
-                    BenchColumn("at rest, a second", "controllers"),
-                    BenchColumn("hosts", "hosts"),
-                    BenchColumn("declarations of a host>", "declared", ".0f"),
-                    BenchColumn("messages of a host>", "rest_messages", ".1f"),
-                    BenchColumn("bytes of a controller>", "rest_size", ".0f"),
-                    BenchColumn("wake-ups for a host>", "rest_wakes", ".1f"),
-                    BenchColumn("commits>", "rest_writes"),
-                    BenchColumn("tasks of a controller>", "rest_tasks", ".1f"),
-                    BenchColumn("CPU of a controller, ms>", "rest_cpu_ms", ".3f"),
-                ),
-            ),
-            BenchTable(
-                "rows",
-                (
-                    BenchColumn("a step over all", "controllers"),
-                    BenchColumn("messages of a host>", "step_messages", ".1f"),
-                    BenchColumn("bytes of a controller>", "step_size", ".0f"),
-                    BenchColumn("wake-ups for a host>", "step_wakes", ".1f"),
-                    BenchColumn("commits>", "step_writes"),
-                    BenchColumn("tasks of a controller>", "step_tasks", ".1f"),
-                    BenchColumn("CPU of a controller, ms>", "step_cpu_ms", ".2f"),
-                ),
-            ),
-            BenchTable(
-                "rows",
-                (
-                    BenchColumn("in virtual time, ms", "controllers"),
-                    BenchColumn("submission to start>", "start_ms", ".0f"),
-                    BenchColumn("first after a restart>", "first_start_ms", ".0f"),
-                    BenchColumn("e-stop to slowing down>", "estop_ms", ".1f"),
-                    BenchColumn("start skew, µs>", "skew_us", ".1f"),
-                ),
-            ),
-        ),
-    ),
+    SCALE,
     Benchmark(
         name="sync",
         help="""Start two simulated fleets together with real sockets and processes, and measure the skew.

@@ -126,10 +126,21 @@ def run_permit(_: ShowProgress, rounds: int) -> Fields:
     return measure_live(lambda folder: bench_permit(gantry, folder, rounds))._asdict()
 
 
-def run_scale(show_progress: ShowProgress, controllers: int | None, hosts: int | None) -> Fields:
-    from orchestrator.bench.scale import SIZES, measure_scale
+def run_scale(show_progress: ShowProgress, controllers: int | None, hosts: int | None, *, live: bool) -> Fields:
+    from orchestrator.bench.scale import CONTROLLERS_PER_HOST, SIZES, measure_scale
+    from orchestrator.bench.scale_live import CONTROLLERS, bench_scale_live
 
-    return {"rows": measure_scale(SIZES if controllers is None else [controllers], hosts, show_progress)}
+    sizes = [controllers] if controllers else [CONTROLLERS] if live else SIZES
+    if hosts is not None and hosts > min(sizes):
+        raise InvalidOption("hosts", f"{hosts} hosts for {min(sizes)} controllers; each carries one at least")
+    if not live:
+        return {"rows": measure_scale(sizes, hosts, show_progress), "live": None}
+    count = sizes[0]
+    host_count = hosts or -(-count // CONTROLLERS_PER_HOST)
+    return {
+        "rows": None,
+        "live": measure_live(lambda folder: bench_scale_live(folder, count, host_count, show_progress)),
+    }
 
 
 def run_sync(show_progress: ShowProgress, steps: int) -> Fields:

@@ -26,7 +26,7 @@ class _HomingRun:
     holder: str
     actor: str
     waits: dict[str, set[str]]
-    loners: list[str]
+    loners: frozenset[str]
     partners: Mapping[str, str]
     homed: list[str] = field(default_factory=list[str])
     failed: dict[str, RefusalDetails] = field(default_factory=dict[str, RefusalDetails])
@@ -50,10 +50,11 @@ class _HomingRun:
     def find_ready(self) -> list[str]:
         """Axes that may begin now."""
         started_axes = {*self.homed, *self.failed, *(axis for axes in self.busy.values() for axis in axes)}
+        homed_axes = set(self.homed)
         ready = [
             axis
             for axis, predecessors in self.waits.items()
-            if axis not in started_axes and controller_of(axis) not in self.busy and predecessors <= set(self.homed)
+            if axis not in started_axes and controller_of(axis) not in self.busy and predecessors <= homed_axes
         ]
         ready = [axis for axis in ready if self.partners.get(axis, axis) in ready]
         single_axes = [axis for axis in ready if axis in self.loners]
@@ -79,7 +80,7 @@ class HomingSequence:
         fleet = self._fleet.view.fleet
         order = homing_order(fleet, axes)
         waits = find_prerequisites(fleet, order)
-        run = _HomingRun(holder, actor, waits, order.loners, find_partners(fleet))
+        run = _HomingRun(holder, actor, waits, frozenset(order.loners), find_partners(fleet))
         for axis in [
             predecessor
             for predecessors in waits.values()
