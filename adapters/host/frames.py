@@ -97,7 +97,8 @@ class HostFrames:
             self._schedule_events()
 
     async def close(self) -> None:
-        """End it."""
+        """Send what waits to be sent at once, and end it."""
+        self.send_before_reply()
         self._is_open = False
         for timer in self._timers.values():
             timer.cancel()

@@ -279,3 +279,24 @@ def test_frames_go_on_when_nothing_is_offered() -> None:
         assert 9 <= len(world.received) <= 10
 
     run_world(main)
+
+
+def test_what_a_command_or_the_end_has_changed_is_sent_before_it_is_answered() -> None:
+    async def main(world: World) -> None:
+        await offer_all(world)
+        world.offer("c1", mode="fault")
+        world.frames.put_event("c1", b"{}")
+        world.frames.send_before_reply()
+        world.frames.send_before_reply()  # nothing waits any more
+        world.bus.put(KEYS.queue, b"")
+        await world.wait(0.5)  # less than what waits for others
+        assert world.lines() == [(world.lines()[0][0], ["c1/state"])] and len(world.events) == 1
+        world.offer("c2", counts=3.0)
+        world.frames.send_before_reply()
+        assert len(world.received) == 1  # a position is not urgent
+        world.offer("c2", mode="fault")
+        await world.frames.close()
+        await world.wait(5)
+        assert world.all_lines() == ["c1/state", "c2/state", "c2/state"]
+
+    run_world(main)
