@@ -82,6 +82,7 @@ CLASSES = {
 # They handle the bus itself, or belong to others that are there.
 LEFT_OUT = {
     "bus", "keys", "open", "close", "request_fields", "request_service", "request_controller", "subscribe_samples",
+    "follow_all",
     "find_absence", "show_job_when_available", "load_result", "acquire", "read_point_parts",
 }  # fmt: skip
 ATTRIBUTES = {

@@ -18,7 +18,7 @@ from orchestrator.bus.endpoint import DEFAULT_ENDPOINT
 from orchestrator.client.api import Tutti
 from orchestrator.client.armed import ArmedMove
 from orchestrator.client.attendance import Attendance
-from orchestrator.client.connection import ANSWER_S, FollowedSamples
+from orchestrator.client.connection import ANSWER_S
 from orchestrator.client.jobs import SubmittedJob
 from orchestrator.client.live import LiveJob
 from orchestrator.client.manual import VALID_MS, ManualControl
@@ -965,7 +965,3 @@ class BlockingTutti(BlockingObject[Tutti]):
         that of the last one of a list, for the next ones. by: only of users with this text in their name. Raises
         `Refusal`: code `journal`."""
         return self._run(self._wrapped.list_commands(limit, before=before, by=by))
-
-    def follow_all(self, *expressions: str) -> Iterator[FollowedSamples]:
-        """The same, and what all controllers publish, from the frames of their hosts."""
-        return self._iterate(self._wrapped.follow_all(*expressions))

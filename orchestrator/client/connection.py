@@ -147,7 +147,7 @@ class FleetConnection:
 
     @asynccontextmanager
     async def follow_all(self, *expressions: str) -> AsyncGenerator[FollowedSamples]:
-        """The same, and what all controllers publish, from the frames of their hosts."""
+        """What `subscribe_samples` gives, and what all controllers publish, from the frames of their hosts."""
         async with self.subscribe_samples(*expressions) as queue:
             samples, loop = FollowedSamples(queue), asyncio.get_running_loop()
             feed = ControllerFeed(self.bus, self.keys, lambda: round(loop.time() * NS_PER_S), samples)
