@@ -65,6 +65,11 @@ class ControllerSupervisor:
         return self._commands.answer_command if leaf == "cmd" else self._parts.publisher.value_handlers.get(leaf)
 
     @property
+    def values(self) -> Iterable[str]:
+        """The last words of the keys of its values."""
+        return self._parts.publisher.value_handlers
+
+    @property
     def is_moving(self) -> bool:
         """Whether any axis moves, as far as is known."""
         return self._parts.publisher.is_moving

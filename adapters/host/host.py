@@ -19,7 +19,7 @@ from adapters.host.frames import FrameSource, HostFrames
 from adapters.host.kept_latches import find_kept_latches
 from adapters.host.leader_watch import COORDINATOR_LOST_NS, LeaderWatch
 from adapters.host.makes import find_make_or_substitute
-from adapters.host.served import ServedControllers, ServedHost
+from adapters.host.served import ServedControllers, ServedHost, answer_behind
 from adapters.toolkit.firing import apply_writer_delay
 from orchestrator.bus.base import Bus, BusDeclaration, BusSample, RequestHandler
 from orchestrator.bus.keys import FleetKeys
@@ -133,7 +133,6 @@ class AdapterHost:
             config=config,
             make=make,
             driver=driver,
-            bus=around.bus,
             keys=around.keys,
             clock=around.clock,
             outlet=self._frames,
@@ -160,7 +159,8 @@ class AdapterHost:
     async def start(self) -> None:
         """Subscribe, announce the host, and start all supervisors."""
         bus, keys = self._environment.bus, self._environment.keys
-        served_host = ServedHost(keys, self._name, self._answer_batch, self._frames.answer_states)
+        batch = answer_behind(self._frames.send_before_reply, self._batch_answers.answer_batch)
+        served_host = ServedHost(keys, self._name, batch, self._frames.answer_states)
         self._declared = [
             await bus.subscribe(keys.estop, self._handle_estop),
             await bus.subscribe(keys.leader, self._handle_leadership),
@@ -193,11 +193,6 @@ class AdapterHost:
             await declaration.undeclare()
         self._batch_answers.cancel_all()
         self._owner.cancel_all()
-
-    async def _answer_batch(self, sample: BusSample) -> bytes:
-        reply = await self._batch_answers.answer_batch(sample)
-        self._frames.send_before_reply()
-        return reply
 
     def _handler_of(self, controller: str) -> RequestHandler | None:
         unit = self.supervisors.get(controller)

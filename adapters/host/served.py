@@ -2,25 +2,33 @@
 several, and all states."""
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
 
 from adapters.controller.supervisor import ControllerSupervisor
 from orchestrator.bus.base import BusSample, RequestHandler
 from orchestrator.bus.keys import FleetKeys
 
-VALUES = ("state", "event", "info", "clock", "trace")
+
+def answer_behind(publish: Callable[[], None], handler: RequestHandler) -> RequestHandler:
+    """A handler of commands that calls `publish` before it answers: what the command has changed is sent first."""
+
+    async def answer(sample: BusSample) -> bytes:
+        reply = await handler(sample)
+        publish()
+        return reply
+
+    return answer
 
 
 class ServedControllers:
     """The keys `ctl/{id}/…` of a host's controllers: a `ServedGroup`. It has no answer for those of other hosts.
-    before_reply: called before a command is answered."""
+    publish: called before a command is answered."""
 
     def __init__(
-        self, keys: FleetKeys, supervisors: Mapping[str, ControllerSupervisor], before_reply: Callable[[], None]
+        self, keys: FleetKeys, supervisors: Mapping[str, ControllerSupervisor], publish: Callable[[], None]
     ) -> None:
         self._prefix = f"{keys.prefix}/ctl/"
         self._supervisors = supervisors
-        self._before_reply = before_reply
+        self._publish = publish
 
     def find_handler(self, key: str) -> RequestHandler | None:
         """The handler of a command, or of a value."""
@@ -32,16 +40,15 @@ class ServedControllers:
         handler = supervisor.find_handler(family)
         if handler is None or bool(verb) != (family == "cmd"):
             return None
-        return partial(self._answer_command, handler) if verb else handler
-
-    async def _answer_command(self, handler: RequestHandler, sample: BusSample) -> bytes:
-        reply = await handler(sample)
-        self._before_reply()
-        return reply
+        return answer_behind(self._publish, handler) if verb else handler
 
     def list_values(self) -> Iterable[str]:
         """The values of all controllers."""
-        return [f"{self._prefix}{controller}/{leaf}" for controller in self._supervisors for leaf in VALUES]
+        return [
+            f"{self._prefix}{controller}/{leaf}"
+            for controller, supervisor in self._supervisors.items()
+            for leaf in supervisor.values
+        ]
 
 
 class ServedHost:

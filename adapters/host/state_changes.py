@@ -2,9 +2,7 @@
 
 from enum import Enum
 
-from orchestrator.model.state import AxisState, ControllerState
-
-RESTING_MODES = ("idle", "fault", "offline")
+from orchestrator.model.state import RESTING_MODES, AxisState, ControllerState
 
 _AT_ONCE = (
     "instance",
@@ -34,7 +32,7 @@ class StateChange(Enum):
 
 def find_change(before: ControllerState | None, state: ControllerState) -> StateChange:
     """How `state` differs from the state that was published last. That of a controller that works or is leased always
-    counts as changed, so that its readings are complete; so does one without a new reading, whose age is the news."""
+    counts as changed, so that its readings are complete."""
     if before is None or any(getattr(before, name) != getattr(state, name) for name in _AT_ONCE):
         return StateChange.AT_ONCE
     if before.axes != state.axes and any(
@@ -52,5 +50,5 @@ def _differs_at_once(before: AxisState, axis: AxisState) -> bool:
 
 
 def has_new_reading(before: ControllerState, state: ControllerState) -> bool:
-    """Whether the controller was read since `before` was seen, as far as that is known."""
+    """Whether the controller was read since `before` was seen, as far as that is known; if not, its age is the news."""
     return state.mode == "offline" or state.read_fleet_ns is None or state.read_fleet_ns != before.read_fleet_ns

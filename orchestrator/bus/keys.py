@@ -21,6 +21,9 @@ ANY_STATE, ANY_TIME = f"{ROOT}/*/ctl/*/state", f"{ROOT}/*/time"
 ANY_KEPT_ESTOP = f"{ROOT}/*/kept-estop/*"
 """What a router answers itself, so that a session sees whether its name counts there."""
 
+SLOW_START = "slow-start"
+"""The instance in the token of an adapter host that is not there yet."""
+
 _ID = re.compile(r"[a-z0-9_-]+")
 
 
@@ -222,7 +225,7 @@ class FleetKeys:
 
     def slow_start(self, host: str | None = None) -> str:
         """Presence of an adapter host that its guardian has started, and that is slow to start."""
-        return self.live("host", host, "slow-start")
+        return self.live("host", host, SLOW_START)
 
     # Parsing
 

@@ -25,6 +25,7 @@ from orchestrator.clock.estimator import TickMapping
 from orchestrator.model.fleet import Axis, DigitalInput, DigitalOutput
 from orchestrator.model.messages import TraceRequest
 from orchestrator.model.state import (
+    RESTING_MODES,
     AxisEvidence,
     AxisState,
     ClockQuality,
@@ -73,18 +74,15 @@ class StatePublisher:
         self._state_seq = 0
         self._background_ns = 0
         self.published_ns = 0
-
-    @property
-    def value_handlers(self) -> Mapping[str, RequestHandler]:
-        """What answers queries for the state, missed events, the controller's information, its clock and its trace, by
-        the last word of their keys."""
-        return {
+        self.value_handlers: Mapping[str, RequestHandler] = {
             "state": self._answer_state,
             "event": self._answer_events,
             "info": self._answer_info,
             "clock": self._answer_clock,
             "trace": self._answer_trace,
         }
+        """What answers queries for the state, missed events, the controller's information, its clock and its trace, by
+        the last word of their keys."""
 
     async def _answer_clock(self, _: BusSample) -> bytes:
         mapping = self._clock_mapping()
@@ -172,7 +170,7 @@ class StatePublisher:
 
     def _is_background_due(self, state: ControllerState) -> bool:
         """Whether to publish what changes slowly: with every tenth state of a controller that moves."""
-        is_tenth = self._state_seq % STATES_PER_BACKGROUND == 0 and state.mode not in ("idle", "fault", "offline")
+        is_tenth = self._state_seq % STATES_PER_BACKGROUND == 0 and state.mode not in RESTING_MODES
         return is_tenth or self.published_ns >= self._background_ns + BACKGROUND_NS
 
     def _publish_background(self) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from adapters.contract import Driver, Make
 from adapters.controller.state.outlet import StateOutlet
-from orchestrator.bus.base import Bus
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.session_signs import SessionSigns
@@ -38,7 +37,6 @@ class ControllerContext:
     config: Controller
     make: Make
     driver: Driver
-    bus: Bus
     keys: FleetKeys
     clock: Clock
     outlet: StateOutlet

@@ -21,9 +21,9 @@ from orchestrator.bus.expression import check_expression, check_key, check_put
 from orchestrator.bus.limits import MAX_MESSAGE_BYTES
 from orchestrator.bus.memory.medium import BusLatency, BusProcess, CallQueue
 from orchestrator.bus.memory.network import Network
-from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken, PresenceWatch
+from orchestrator.bus.memory.presence import PresenceBoard, PresenceToken
 from orchestrator.bus.memory.requests import RequestBoard, ServedExpression
-from orchestrator.bus.memory.subscriptions import SubscriberWatch, Subscription, SubscriptionBoard
+from orchestrator.bus.memory.subscriptions import Subscription, SubscriptionBoard
 from orchestrator.bus.memory.traffic import Uncounted
 from orchestrator.bus.outcome import RequestOutcome
 from orchestrator.bus.requesting import RequestingBus
@@ -377,16 +377,11 @@ class MemoryBus(RequestingBus):
 
     async def watch(self, expression: str, callback: Callable[[str, bool], None]) -> BusDeclaration:
         self._check_open()
-        self.net.traffic.count_declared(self.name)
-        watch = PresenceWatch(self.net.presence, self, check_expression(expression), callback)
-        self.net.presence.add_watch(watch)
-        return watch
+        return self.net.presence.add_watch(self, check_expression(expression), callback)
 
     async def watch_subscribers(self, expression: str, callback: Callable[[bool], None]) -> BusDeclaration:
         self._check_open()
-        watch = SubscriberWatch(self.net.subscriptions, self, check_expression(expression), callback)
-        self.net.subscriptions.add_watch(watch)
-        return watch
+        return self.net.subscriptions.add_watch(self, check_expression(expression), callback)
 
     @property
     def backlog(self) -> int:

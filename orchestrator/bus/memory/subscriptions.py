@@ -1,13 +1,12 @@
 """Subscriptions on the in-memory bus, and the watches for whether there are any."""
 
-import asyncio
 import contextvars
 from collections.abc import Callable
-from functools import partial
 
-from orchestrator.bus.base import BusSample, Priority
+from orchestrator.bus.base import BusSample
 from orchestrator.bus.expression import expressions_intersect
 from orchestrator.bus.memory.medium import BusProcess, Medium
+from orchestrator.bus.memory.watches import ProcessWatch
 
 
 class Subscription:
@@ -33,34 +32,6 @@ class Subscription:
         self._board.remove_subscription(self)
 
 
-class SubscriberWatch:
-    """A process's watch for subscribers of an expression. matches: whether there are any, as it was notified last."""
-
-    def __init__(
-        self, board: "SubscriptionBoard", bus: BusProcess, expression: str, callback: Callable[[bool], None]
-    ) -> None:
-        self.bus = bus
-        self.expression = expression
-        self.matches = False
-        self.last_arrival_ns = 0
-        self._board = board
-        self._callback = callback
-        self._context = contextvars.copy_context()
-        self._stands = True
-
-    def notify_process(self, *, matches: bool) -> None:
-        """Notify the process, in its own context."""
-        asyncio.get_running_loop().call_soon(partial(self._call_back, matches=matches), context=self._context)
-
-    def _call_back(self, *, matches: bool) -> None:
-        if self._stands and self.bus.alive:
-            self._callback(matches)
-
-    async def undeclare(self) -> None:
-        self._stands = False
-        self._board.remove_watch(self)
-
-
 class SubscriptionBoard:
     """All subscriptions of a net."""
 
@@ -68,7 +39,8 @@ class SubscriptionBoard:
         self._net = net
         self._subscriptions: list[Subscription] = []
         self._routes: dict[str, list[tuple[BusProcess, list[Subscription]]]] = {}
-        self._watches: list[SubscriberWatch] = []
+        self._matches: dict[ProcessWatch, bool] = {}
+        """By watch: whether there are subscribers, as it was notified last."""
 
     def add_subscription(self, subscription: Subscription) -> None:
         self._net.traffic.count_declared(subscription.bus.name)
@@ -83,17 +55,19 @@ class SubscriptionBoard:
     def remove_process(self, bus: BusProcess) -> None:
         """A process has left or died."""
         self._subscriptions = [subscription for subscription in self._subscriptions if subscription.bus is not bus]
-        self._watches = [watch for watch in self._watches if watch.bus is not bus]
+        self._matches = {watch: matches for watch, matches in self._matches.items() if watch.bus is not bus}
         self._follow_change()
 
-    def add_watch(self, watch: SubscriberWatch) -> None:
-        self._net.traffic.count_declared(watch.bus.name)
-        self._watches.append(watch)
+    def add_watch(self, bus: BusProcess, expression: str, callback: Callable[[bool], None]) -> ProcessWatch:
+        """Watch for subscribers."""
+        self._net.traffic.count_declared(bus.name)
+        watch = ProcessWatch(bus, expression, callback, self._remove_watch)
+        self._matches[watch] = False
         self._refresh_watch(watch)
+        return watch
 
-    def remove_watch(self, watch: SubscriberWatch) -> None:
-        if watch in self._watches:
-            self._watches.remove(watch)
+    def _remove_watch(self, watch: ProcessWatch) -> None:
+        self._matches.pop(watch, None)
 
     def find_receivers(self, key: str) -> list[tuple[BusProcess, list[Subscription]]]:
         """The processes that subscribe to `key`, each with its subscriptions."""
@@ -108,19 +82,15 @@ class SubscriptionBoard:
 
     def _follow_change(self) -> None:
         self._routes.clear()
-        for watch in self._watches:
+        for watch in self._matches:
             self._refresh_watch(watch)
 
-    def _refresh_watch(self, watch: SubscriberWatch) -> None:
+    def _refresh_watch(self, watch: ProcessWatch) -> None:
         subscriber = next(
             (entry.bus for entry in self._subscriptions if expressions_intersect(entry.expression, watch.expression)),
             None,
         )
         matches = subscriber is not None
-        if matches == watch.matches:
-            return
-        watch.matches = matches
-        watch.last_arrival_ns = max(self._net.arrival_ns(subscriber or watch.bus, watch.bus), watch.last_arrival_ns)
-        notify = partial(watch.notify_process, matches=matches)
-        call = partial(self._net.deliver_call, watch.bus, Priority.EVENT, notify)
-        self._net.schedule_call(watch.last_arrival_ns, call)
+        if matches != self._matches[watch]:
+            self._matches[watch] = matches
+            watch.notify(self._net, subscriber or watch.bus, matches)

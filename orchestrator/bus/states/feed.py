@@ -134,12 +134,11 @@ class ControllerFeed:
         return frame
 
     def _pass_on(self, host: _KnownHost, frame: HostFrame) -> bool:
-        """Pass on a frame of states; whether every state that it confirms has arrived_controllers."""
+        """Pass on a frame of states; whether every state that it confirms has arrived."""
         name, now_ns = frame.header.host, self._now_ns()
         host.framed_ns = now_ns
         for controller in frame.confirmations:
-            if not self._is_carried_elsewhere(controller, name, now_ns):
-                self._carriers[controller] = name
+            self._carriers[controller] = self._find_carrier(controller, name, now_ns)
         arrived_controllers = {line.controller for line in frame.lines if line.leaf == "state"}
         confirmations = {
             controller: confirmation
@@ -165,15 +164,14 @@ class ControllerFeed:
             names = ", ".join(sorted(strangers))
             self._receiver.take_bad_frame(f"host {name} publishes {names}, which another host carries")
 
-    def _is_carried_elsewhere(self, controller: str, name: str, now_ns: int) -> bool:
+    def _find_carrier(self, controller: str, name: str, now_ns: int) -> str:
+        """The host that may publish a controller, of which host `name` says that it carries it."""
         if (host := self._find_host(controller)) is not None:
-            self._carriers[controller] = host
-            return host != name
+            return host
         carrier = self._carriers.get(controller, name)
-        if carrier == name:
-            return False
         known_host = self._hosts.get(carrier)
-        return known_host is not None and now_ns - known_host.framed_ns < CARRIED_NS
+        is_there = known_host is not None and now_ns - known_host.framed_ns < CARRIED_NS
+        return carrier if is_there else name
 
     # Gaps
 

@@ -9,6 +9,7 @@ from orchestrator.bus.base import BusError, BusSample
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.clock.owner import TaskOwner
+from orchestrator.coordinator.fleet.listening import Remove, add_to
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import ControllerEvent, ControllerState, EventsReply
 
@@ -31,10 +32,9 @@ class ControllerEvents:
         self._listeners: list[EventListener] = []
         self._tasks = TaskOwner()
 
-    def add_listener(self, listener: EventListener) -> Callable[[], None]:
+    def add_listener(self, listener: EventListener) -> Remove:
         """Call `listener` with every event; the result removes the listener."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
+        return add_to(self._listeners, listener)
 
     def has_all(self, state: ControllerState) -> bool:
         """Whether every event that a state counts has arrived."""

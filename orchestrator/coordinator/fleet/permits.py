@@ -4,6 +4,7 @@ motion."""
 from collections.abc import Callable, Iterable
 
 from orchestrator.clock.base import NS_PER_S, Clock
+from orchestrator.coordinator.fleet.listening import Remove, add_to
 from orchestrator.coordinator.fleet.pairs import PairLoss, PairMonitor
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
@@ -29,10 +30,9 @@ class PermitMonitor:
         view.add_state_listener(self._take_state)
         pairs.add_loss_listener(lambda pair, loss: self._notify_listeners())
 
-    def add_loss_listener(self, listener: Callable[[], None]) -> Callable[[], None]:
+    def add_loss_listener(self, listener: Callable[[], None]) -> Remove:
         """Call `listener` when a permit or a pair is lost; the result removes the listener."""
-        self._listeners.append(listener)
-        return lambda: self._listeners.remove(listener)
+        return add_to(self._listeners, listener)
 
     def find_missing(self, axes: Iterable[str]) -> str | None:
         """The first permit of `axes` that does not hold, or has not settled yet, in words."""

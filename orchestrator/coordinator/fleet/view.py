@@ -3,7 +3,6 @@
 import asyncio
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
-from typing import TypeVar
 
 from pydantic import ValidationError
 
@@ -14,6 +13,7 @@ from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.bus.states.frame import SEEN_NS, Confirmation
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.coordinator.fleet.controller_events import ControllerEvents, EventListener
+from orchestrator.coordinator.fleet.listening import Remove, add_to, add_to_each
 from orchestrator.coordinator.fleet.slow_starts import SlowStarts
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
@@ -29,8 +29,6 @@ from orchestrator.model.state import (
 )
 from orchestrator.model.units import Unit
 
-T = TypeVar("T")
-
 # An adapter that is silent for this long is dead or unreachable. Its host says at least every 0.4 s which states still
 # hold; in motion only after polls, which wait for requests to other controllers on the line.
 SILENT_NS = 700 * NS_PER_MS
@@ -42,7 +40,6 @@ QUERY_S = 1.0  # for an adapter to answer a query
 SLOW_REMEDY = "wait; its computer is slow, or overloaded"
 
 StateListener = Callable[[ControllerState], None]
-Remove = Callable[[], None]
 
 
 class FleetView:
@@ -215,10 +212,8 @@ class FleetView:
         that has not; the result removes the listener."""
         if controllers is None:
             return add_to(self._state_listeners, listener)
-        removals = [
-            add_to(self._listeners_by_controller.setdefault(controller, []), listener) for controller in controllers
-        ]
-        return lambda: run_all(removals)
+        lists = [self._listeners_by_controller.setdefault(controller, []) for controller in controllers]
+        return add_to_each(lists, listener)
 
     def add_arrival_listener(self, listener: Callable[[Collection[str]], None]) -> Remove:
         """Call `listener` with the controllers whose states have arrived, or hold still, once for each message of a
@@ -295,18 +290,6 @@ class FleetView:
         self._events.expect(state)
         for listener in [*self._state_listeners, *self._listeners_by_controller.get(controller, ())]:
             listener(state)
-
-
-def add_to(listeners: list[T], listener: T) -> Remove:
-    """Add a listener; the result removes it."""
-    listeners.append(listener)
-    return lambda: listeners.remove(listener)
-
-
-def run_all(calls: Iterable[Callable[[], None]]) -> None:
-    """Make all calls."""
-    for call in calls:
-        call()
 
 
 async def prefetch_infos(view: FleetView, controllers: Iterable[str]) -> None:

@@ -4,7 +4,7 @@ hosts of protocol 1.5 let them."""
 from collections import Counter
 from collections.abc import Iterable
 
-SLOW_START = "slow-start"  # the token of a host that is not there yet
+from orchestrator.bus.keys import SLOW_START
 
 
 class AdapterPresence:

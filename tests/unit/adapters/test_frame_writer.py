@@ -254,7 +254,7 @@ def test_events_of_one_instant_go_in_one_message() -> None:
 def test_single_keys_are_published_while_something_subscribes_to_them() -> None:
     async def main(world: World) -> None:
         await offer_all(world)
-        declared = len(world.bus.net.subscriptions._watches)  # pyright: ignore[reportPrivateUsage]
+        declared = len(world.bus.net.subscriptions._matches)  # pyright: ignore[reportPrivateUsage]
         subscription = await world.reader.subscribe(KEYS.state("c1"), lambda sample: world.singles.append(sample.key))
         await world.wait(5)
         for _ in range(3):
@@ -268,7 +268,7 @@ def test_single_keys_are_published_while_something_subscribes_to_them() -> None:
         world.offer("c1")
         await world.wait(2 * UNWATCHED_NS / NS_PER_MS)
         assert len(world.singles) == 3
-        assert len(world.bus.net.subscriptions._watches) == declared  # pyright: ignore[reportPrivateUsage]
+        assert len(world.bus.net.subscriptions._matches) == declared  # pyright: ignore[reportPrivateUsage]
 
     run_world(main)
 
