@@ -65,7 +65,7 @@ def build_components(context: ControllerContext, remembered: PersistentMemory) -
     """Build the components of a controller, each from those before it."""
     driver, clock = context.driver, context.clock
     fence, status, steps = EpochFence(remembered), ControllerStatus(context.config), LoadedSteps(driver)
-    leases, timer = MotionLeases(context), PollTimer(clock)
+    leases, timer = MotionLeases(context), PollTimer(clock, context.poll_grid_ns)
     defects = DefectRecord(context.log, context.controller)
     tasks = BackgroundTasks(context, defects, timer)
     publisher = StatePublisher(context, StateSources(fence, remembered, status, steps, leases))

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from adapters.contract import DriverSetup, TimedWriter
 from adapters.controller.publishing.log import ControllerLog
 from adapters.controller.state.context import ControllerContext
+from adapters.controller.state.poll_timer import find_poll_grid_ns
 from adapters.controller.state.store import AdapterStore, PersistentMemory
 from adapters.controller.supervisor import ControllerSupervisor
 from adapters.host.batch import BatchAnswers
@@ -92,6 +93,7 @@ class AdapterHost:
         self._sessions = SessionSigns(environment.clock)
         own_controllers = {c: config for c, config in fleet.controllers.items() if config.host == name}
         bus, keys, clock = environment.bus, environment.keys, environment.clock
+        self._poll_grid_ns = find_poll_grid_ns(len(own_controllers))
         source = FrameSource(name, environment.instance, bus, keys, clock, self._fleet_ns)
         self._frames = HostFrames(source, own_controllers)
         self.supervisors = {
@@ -149,6 +151,7 @@ class AdapterHost:
             sessions=self._sessions,
             certificate=around.certificate,
             lowering_lock=self._lowering_lock,
+            poll_grid_ns=self._poll_grid_ns,
         )
         return ControllerSupervisor(seat, PersistentMemory(around.store(controller), around.runs))
 

@@ -8,6 +8,7 @@ simulated in its process. All share this computer's processors.
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
@@ -213,7 +214,11 @@ class _ScaleRig:
         jobs = await asyncio.gather(*(self._submit([_make_move(own_axes, 0)]) for own_axes in axes))
         submitted_s = _measure_s(began_ns)
         reports = await asyncio.gather(*(job.result() for job in jobs))
-        return submitted_s, _measure_s(began_ns), sum(report.state != "done" for report in reports)
+        done_s = _measure_s(began_ns)
+        failures = Counter(report.reason[:MAX_REASON] for report in reports if report.state != "done")
+        for reason, number in failures.items():
+            self._say(f"{number} of the jobs not done: {reason}")
+        return submitted_s, done_s, failures.total()
 
     async def run_estop(self) -> tuple[float, float]:
         """Stop all in a long move by an e-stop, and reset it; return how long each took to be reported by all, s."""

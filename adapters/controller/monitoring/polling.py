@@ -74,7 +74,10 @@ class StatePolling:
         rates, armed_step = self._context.config.state, self._steps.present
         about_to_move = armed_step is not None and armed_step.phase is StepPhase.RELEASED
         is_fast = about_to_move or self._publisher.is_moving
-        await self._timer.wait(1.0 / self._pairs.moving_hz if is_fast else self._poll_spread / rates.idle_hz)
+        if is_fast:
+            await self._timer.wait(1.0 / self._pairs.moving_hz)
+        else:
+            await self._timer.wait_on_grid(self._poll_spread / rates.idle_hz)
         while (until_ns := self._quiet_until_ns()) is not None:
             # A stop ends the quiet time by a wake-up; so does the beginning of a jog.
             await self._timer.wait_until_ns(until_ns + NS_PER_MS)

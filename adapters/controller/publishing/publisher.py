@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 
 from adapters.abilities import LearningDriver
-from adapters.contract import AxisReading, ControllerReading
+from adapters.contract import ControllerReading
+from adapters.controller.publishing.axis_states import AxisStates
 from adapters.controller.publishing.clock import clock_mapping, learned_crystal, learned_starts
 from adapters.controller.publishing.events import EventRing
 from adapters.controller.publishing.info import make_info
@@ -22,7 +22,7 @@ from orchestrator.bus.base import BusSample, RequestHandler
 from orchestrator.bus.decoding import read_request
 from orchestrator.clock.base import NS_PER_S
 from orchestrator.clock.estimator import TickMapping
-from orchestrator.model.fleet import Axis, DigitalInput, DigitalOutput
+from orchestrator.model.fleet import DigitalInput, DigitalOutput
 from orchestrator.model.messages import TraceRequest
 from orchestrator.model.state import (
     RESTING_MODES,
@@ -37,13 +37,11 @@ from orchestrator.model.state import (
     FaultReport,
     LinkTotals,
     Mode,
-    PairState,
     ReadPosition,
 )
 
 STATES_PER_BACKGROUND = 10  # of a controller that moves, between two publications of what changes slowly
 BACKGROUND_NS = 10 * NS_PER_S  # at rest
-_NONE = Fraction(0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +66,7 @@ class StatePublisher:
         self._fence = sources.fence
         self._remembered = sources.remembered
         self._status = sources.status
+        self._axes = AxisStates(context.config.axes, sources.status)
         self._steps = sources.steps
         self._leases = sources.leases
         self._events = EventRing(context.instance)
@@ -183,33 +182,7 @@ class StatePublisher:
         self._context.outlet.put_value(self._controller, "link", totals.to_json())
 
     def _axis_state(self, name: str, reading: ControllerReading | None) -> AxisState:
-        axis = self._config.axes[name]
-        offset = self._remembered.values.offsets.get(name, _NONE)
-        if reading is None:
-            return _make_unseen(axis, offset, may_move=self._status.may_move)
-        axis_reading = reading.axes[name]
-        play = self._status.play.find_play(name)
-        ahead_counts = 0.0 if play is None else float(play.middle)
-        motor = axis.to_unit(axis_reading.actual_counts + ahead_counts)
-        shift = float(offset) if offset else 0.0
-        return AxisState(
-            position=axis.wrap_position(motor + shift),
-            commanded=axis.wrap_position(axis.to_unit(axis_reading.commanded_counts + ahead_counts) + shift),
-            velocity=axis.to_length(axis_reading.velocity_counts_s),
-            motor_position=motor,
-            raw_counts=axis_reading.actual_counts,
-            commanded_counts=axis_reading.commanded_counts,
-            offset=offset,
-            unit=axis.unit,
-            moving=axis_reading.moving,
-            homing=name in self._status.homing,
-            enabled=axis_reading.enabled and name not in self._status.braked,
-            referenced=self._status.referenced[name],
-            limit=axis_reading.limit,
-            fault=next((fault.code for fault in reading.faults if fault.axis == name), None),
-            play=play,
-            pair=_make_pair(axis, axis_reading),
-        )
+        return self._axes.make_state(name, reading, self._remembered.values.offsets.get(name))
 
     def _clock_mapping(self) -> TickMapping | None:
         return self._driver.clock_mapping() if self._status.reading is not None else None
@@ -287,31 +260,6 @@ class StatePublisher:
 
     async def _answer_info(self, _: BusSample) -> bytes:
         return make_info(self._context, self._status.identity).to_json()
-
-
-def _make_pair(axis: Axis, axis_reading: AxisReading) -> PairState | None:
-    """Return the state of the two motors of an axis; None for an axis of one motor."""
-    if axis_reading.second is None:
-        return None
-    first, second = axis.to_unit(axis_reading.actual_counts), axis.to_unit(axis_reading.second.actual_counts)
-    return PairState(motors=dict(zip(axis.motors, (first, second), strict=True)), deviation=second - first)
-
-
-def _make_unseen(axis: Axis, offset: Fraction, *, may_move: bool) -> AxisState:
-    """Return the state of an axis of a controller that is not read."""
-    return AxisState(
-        position=0.0,
-        commanded=0.0,
-        velocity=0.0,
-        motor_position=0.0,
-        raw_counts=0.0,
-        commanded_counts=0,
-        offset=offset,
-        unit=axis.unit,
-        moving=may_move,
-        enabled=False,
-        referenced=False,
-    )
 
 
 def _named_points(

@@ -31,7 +31,8 @@ class ControllerContext:
     replace_supervisor: requests from the host that it replaces this supervisor by one with another configuration.
     sessions: when the commands that a person waits for were last seen.
     lowering_lock: lock that lets one controller of the host lower profiles at a time.
-    certificate: of the host's session, if it has one."""
+    certificate: of the host's session, if it has one.
+    poll_grid_ns: polls at rest are made at its multiples."""
 
     controller: str
     config: Controller
@@ -51,6 +52,7 @@ class ControllerContext:
     sessions: SessionSigns
     lowering_lock: asyncio.Lock
     certificate: CertificateEnd | None
+    poll_grid_ns: int
 
     def require_scale(self) -> FleetScale:
         """Fleet time. Raises `Refusal` while it is unknown."""
