@@ -17,10 +17,10 @@ from orchestrator.model.messages import BatchReply, BatchRequest
 
 
 class BatchAnswers:
-    """Answer `host/{id}/cmd/*`. handler_of: returns the handler of a controller's own commands, None where it is not on
+    """Answer `host/{id}/cmd/*`. handler_of: returns what handles a verb for a controller, None where that is not on
     the bus."""
 
-    def __init__(self, keys: FleetKeys, clock: Clock, handler_of: Callable[[str], RequestHandler | None]) -> None:
+    def __init__(self, keys: FleetKeys, clock: Clock, handler_of: Callable[[str, str], RequestHandler | None]) -> None:
         self._keys = keys
         self._clock = clock
         self._handler_of = handler_of
@@ -51,7 +51,7 @@ class BatchAnswers:
                 replies[controller] = reply.decode()
             took_ns[controller] = self._clock.now_ns() - asked_ns
 
-        calls = ((name, self._handler_of(name), payload) for name, payload in batch.requests.items())
+        calls = ((name, self._handler_of(name, verb), payload) for name, payload in batch.requests.items())
         tasks = [
             self._tasks.spawn(request_controller(name, answer, payload))
             for name, answer, payload in calls

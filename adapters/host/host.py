@@ -197,9 +197,10 @@ class AdapterHost:
         self._batch_answers.cancel_all()
         self._owner.cancel_all()
 
-    def _handler_of(self, controller: str) -> RequestHandler | None:
+    def _handler_of(self, controller: str, verb: str) -> RequestHandler | None:
+        """What handles a verb for a controller: a command, or the question for its information."""
         unit = self.supervisors.get(controller)
-        return None if unit is None else unit.find_handler("cmd")
+        return None if unit is None else unit.find_handler("info" if verb == "info" else "cmd")
 
     async def _replace_supervisor(self, controller: str, config: Controller) -> None:
         """Replace a supervisor; the new one keeps the memory of the old one, and must be adopted."""

@@ -136,10 +136,10 @@ class Bus(Protocol):
         key."""
         ...
 
-    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
-        """Ask all processes that serve a matching key, with an empty request; return the names that the transport has
-        for those that gave a valid reply within `timeout_s`. A name is of one connection of a process, and new with
-        each start. Raises `NoReply`, `RequestTimeout` if there is none."""
+    async def find_servers(self, expression: str, timeout_s: float) -> dict[str, set[str]]:
+        """Ask all processes that serve a matching key, with an empty request; return, by key, the names that the
+        transport has for those that gave a valid reply within `timeout_s`. A name is of one connection of a process,
+        and new with each start. Raises `NoReply`, `RequestTimeout` if there is none."""
         ...
 
     async def announce(self, key: str) -> BusDeclaration:
@@ -171,7 +171,7 @@ class Bus(Protocol):
 
 async def find_only_server(bus: Bus, expression: str, timeout_s: float) -> str:
     """The one process that serves the keys of `expression`. Raises `DoubleServer`, `NoReply`, `RequestTimeout`."""
-    servers = await bus.find_servers(expression, timeout_s)
+    servers = set[str]().union(*(await bus.find_servers(expression, timeout_s)).values())
     if len(servers) > 1:
         raise DoubleServer(f"{len(servers)} processes answer on {expression}, where only one may")
     return servers.pop()

@@ -27,8 +27,8 @@ class RequestOutcome:
         self.key = key
         self.replies: dict[str, bytes] = {}
         """The valid replies by key; of several on one key the first."""
-        self.servers: set[str] = set()
-        """The processes that have sent a valid reply."""
+        self.servers: dict[str, set[str]] = {}
+        """By key the processes that have sent a valid reply."""
         self.silence: BusError | None = None
         """Why no reply has arrived, once the request is settled without one."""
         self._expected = expected
@@ -53,7 +53,7 @@ class RequestOutcome:
         """Take a valid reply of `server`. Of several on one key the first counts."""
         if self._counts_answer(server):
             self.replies.setdefault(key, payload)
-            self.servers.add(server)
+            self.servers.setdefault(key, set()).add(server)
             if self._first_only:
                 self._settle_future()
 
@@ -87,8 +87,8 @@ class RequestOutcome:
         if not self.is_over:
             self.settled.set_exception(reason)
 
-    def require_servers(self) -> set[str]:
-        """The processes that have sent a valid reply. Raises `NoReply`, `RequestTimeout` if there is none."""
+    def require_servers(self) -> dict[str, set[str]]:
+        """By key the processes that have sent a valid reply. Raises `NoReply`, `RequestTimeout` if there is none."""
         if not self.servers:
             raise self.silence or NoReply(f"no process serves {self.key}")
         return self.servers

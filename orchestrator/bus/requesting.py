@@ -26,7 +26,7 @@ class RequestingBus(ABC):
         await self._collect_replies(outcome, payload, timeout_s)
         return outcome.replies
 
-    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
+    async def find_servers(self, expression: str, timeout_s: float) -> dict[str, set[str]]:
         outcome = RequestOutcome(check_expression(expression), timeout_s, first_only=False)
         await self._collect_replies(outcome, b"", timeout_s)
         return outcome.require_servers()

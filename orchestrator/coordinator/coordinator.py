@@ -2,19 +2,17 @@
 
 import asyncio
 import traceback
-from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
-
-from orchestrator.bus.base import BusDeclaration, BusError, DoubleServer
+from orchestrator.bus.base import BusDeclaration
 from orchestrator.bus.latch import LatchKeeper
 from orchestrator.bus.log import ProcessLog
 from orchestrator.clock.owner import TaskOwner
 from orchestrator.coordinator.alarms.service import AlarmService
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.adoption import AdoptionReports, FleetAdoption
 from orchestrator.coordinator.fleet.certificates import CertificateEnds
 from orchestrator.coordinator.fleet.lease_states import LeaseUser
 from orchestrator.coordinator.fleet.leases import LeaseRegistry
@@ -46,12 +44,10 @@ from orchestrator.coordinator.steps.motors import switch_motors
 from orchestrator.coordinator.user_requests import UserRequests
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet
-from orchestrator.model.messages import COMPARING, AdoptedReply, AdoptRequest, LeaderHeartbeat
-from orchestrator.model.version import OTHER_VERSION, PartVersion, require_version
+from orchestrator.model.messages import LeaderHeartbeat
 
 T = TypeVar("T")
 
-ADOPT_S = 2.0
 LEAVE_S = 2.0
 MAX_CONTRADICTIONS = 20  # that are reported; more are the same again
 
@@ -136,7 +132,8 @@ class Coordinator:
         maintenance = (reload, WiringCheck(access, self._leases), EpochRepair(access), self._learned)
         intake = JobIntake(services, self.scheduler, environment.new_id)
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)
-        self._adopting: set[str] = set()
+        reports = AdoptionReports(self._alarms.note_version, self._report_double_answer, self._take_adopted)
+        self._adoption = FleetAdoption(access, keys, self.leadership, reports)
         self._declared: list[BusDeclaration] = []
         self._contradictions: set[tuple[int, str]] = set()
         self._double_answers: set[str] = set()
@@ -151,7 +148,7 @@ class Coordinator:
         await self._latch_keeper.start(self.leadership.coordinator)
         await self.leadership.acquire(take_over=take_over, vacant=vacant)
         self.leadership.on_lost = self._lose_leadership
-        self._view.add_arrival_listener(self._adopt_arrived)
+        self._view.add_arrival_listener(self._adoption.take_arrivals)
         self._virtual.start()
         await self._view.start()
         bus, keys = self._environment.bus, self._environment.keys
@@ -185,65 +182,9 @@ class Coordinator:
         await self.leadership.close()
         self._owner.cancel_all()
 
-    # Adoption of every controller that is published and not adopted by this leader yet
-
-    def _adopt_arrived(self, controllers: Collection[str]) -> None:
-        if self.leadership.over or not self.leadership.epoch:
-            return
-        for controller in controllers:
-            state = self._view.arrived_states.get(controller)
-            if state is None or controller in self._adopting:
-                continue
-            if self._view.adopted.get(controller) != state.instance or state.epoch != self.leadership.epoch:
-                self._begin_adoption(controller, state.instance)
-
-    def _begin_adoption(self, controller: str, instance: str) -> None:
-        if (refusal := self._view.find_refusal(controller)) is not None:
-            self._alarms.note_version(controller, refusal)
-            return
-        self._adopting.add(controller)
-        self._spawn(self._adopt_controller(controller, instance))
-
-    async def _adopt_controller(self, controller: str, instance: str) -> None:
-        try:
-            await self._view.bind_server(controller)
-            await self._check_part(controller)
-            request = AdoptRequest(
-                **self._fleet.requests.request_fields("coordinator"), leader=self.leadership.make_heartbeat()
-            )
-            reply = await self._fleet.requests.request(controller, "adopt", request, AdoptedReply, ADOPT_S)
-            if reply.refused is not None and reply.refused.code == COMPARING:
-                pass  # its next state brings it here again
-            elif reply.refused is None:
-                self._view.adopted[controller] = instance
-                self.scheduler.register.wake_up()
-                self._log.info("adopted", controller=controller, epoch=self.leadership.epoch)
-                await self._enable_at_start(controller)
-            elif reply.refused.code == OTHER_VERSION:
-                raise reply.refused.as_step_error()
-            else:
-                self._log.warning(f"not adopted: {reply.refused.text}", controller=controller)
-        except Refusal as error:
-            self._view.refused[controller] = (instance, error)
-            self._alarms.note_version(controller, error)
-            self._log.warning(f"not adopted: {error.text}; {error.remedy}", controller=controller)
-        except DoubleServer:
-            self._report_double_answer(self._environment.keys.state(controller))
-        except BusError as error:
-            self._log.warning(f"not adopted: {error}", controller=controller)
-        finally:
-            self._adopting.discard(controller)
-
-    async def _check_part(self, controller: str) -> None:
-        """Take note of the adapter's certificate. Raises `Refusal` for a version too far from this one, `BusError`."""
-        try:
-            info = await self._view.ask_info(controller)
-            stated_version = PartVersion(info.tutti, info.protocol)
-            self._fleet.certificates.note_stated(controller, info.certificate)
-        except ValidationError:
-            stated_version = PartVersion("", "")
-        host = self._view.fleet.controllers[controller].host
-        require_version(stated_version, f"the adapter of {controller} (adapter host {host})", "the coordinator")
+    async def _take_adopted(self, controller: str) -> None:
+        self.scheduler.register.wake_up()
+        await self._enable_at_start(controller)
 
     async def _enable_at_start(self, controller: str) -> None:
         """Enable axes with `enable: at_start` once the controller is idle."""

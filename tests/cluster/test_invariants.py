@@ -31,10 +31,10 @@ from adapters.yaskawa.smc4000.driver import SMC4000Driver
 from adapters.yaskawa.triggers import probe as latch_probe
 from adapters.yaskawa.triggers.table import TriggerPlayer
 from orchestrator.campaign.scenario import FaultCell, run_scenario
-from orchestrator.coordinator.coordinator import Coordinator
 from orchestrator.coordinator.fleet.access import FleetAccess
+from orchestrator.coordinator.fleet.adoption import FleetAdoption
+from orchestrator.coordinator.fleet.infos import ControllerInfos
 from orchestrator.coordinator.fleet.permits import PermitWatch
-from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.jobs.queue.attendance import SessionMonitor
 from orchestrator.coordinator.jobs.queue.conditions import Obstacle
 from orchestrator.coordinator.jobs.queue.deliberate_starts import DeliberateStarts
@@ -159,13 +159,13 @@ def ignores_other_coordinators(patch: Patch) -> None:
 
 def takes_any_configuration(patch: Patch) -> None:
     """Neither the adapter nor the coordinator polls."""
-    honest, honest_info = StepChecks.check_step, FleetView.query_info
+    honest, honest_info = StepChecks.check_step, ControllerInfos.query
 
-    async def flattered(self: FleetView, controller: str) -> Any:
-        digest = self.fleet.controllers[controller].digest
+    async def flattered(self: ControllerInfos, controller: str) -> Any:
+        digest = self._configs()[controller].digest
         return (await honest_info(self, controller)).model_copy(update={"digest": digest})
 
-    patch.setattr(FleetView, "query_info", flattered)
+    patch.setattr(ControllerInfos, "query", flattered)
 
     def blind(self: StepChecks, request: ProposeRequest | ArmRequest) -> None:
         honest(self, request.model_copy(update={"digest": self._config.digest}))
@@ -207,13 +207,12 @@ def judges_starts_only(patch: Patch) -> None:
 
 def adopts_once(patch: Patch) -> None:
     """A controller whose adapter starts again is not adopted by the leader that had adopted it."""
-    honest = Coordinator._adopt_controller
+    honest = FleetAdoption.is_due
 
-    async def forgetful(self: Coordinator, controller: str, instance: str) -> None:
-        if controller not in self._view.adopted:
-            await honest(self, controller, instance)
+    def forgetful(self: FleetAdoption, controller: str) -> bool:
+        return controller not in self._view.adopted and honest(self, controller)
 
-    patch.setattr(Coordinator, "_adopt_controller", forgetful)
+    patch.setattr(FleetAdoption, "is_due", forgetful)
 
 
 def names_no_command(patch: Patch) -> None:

@@ -212,7 +212,7 @@ class RecordedBus:
     async def request_all(self, expression: str, payload: bytes, timeout_s: float) -> dict[str, bytes]:
         return await self._bus.request_all(expression, payload, timeout_s)
 
-    async def find_servers(self, expression: str, timeout_s: float) -> set[str]:
+    async def find_servers(self, expression: str, timeout_s: float) -> dict[str, set[str]]:
         return await self._bus.find_servers(expression, timeout_s)
 
     async def announce(self, key: str) -> BusDeclaration:

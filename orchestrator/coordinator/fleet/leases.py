@@ -10,7 +10,7 @@ from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.owner import wait_for_first
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
-from orchestrator.coordinator.fleet.view import FleetView, prefetch_infos
+from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
 from orchestrator.model.messages import JogRoom, LeaseReply, LeaseRequest, PairLease
@@ -302,10 +302,10 @@ async def _complete_controllers(view: FleetView, axes: Iterable[str]) -> tuple[s
     """Extend `axes` to all axes of the controllers whose axes can only be leased together. Raises `Refusal`."""
     all_axes: list[str] = []
     groups = group_by_controller(axes)
-    await prefetch_infos(view, groups)
+    await view.infos.prefetch(groups)
     for controller, names in groups.items():
         try:
-            info = await view.query_info(controller)
+            info = await view.infos.query(controller)
         except BusError as error:
             raise view.make_absence(controller, str(error)) from None
         digest = view.fleet.controllers[controller].digest

@@ -14,9 +14,10 @@ from pydantic import ValidationError
 from orchestrator.bus.base import Bus, BusError, NoReply, OtherServer, RequestRefused, RequestTimeout
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S
+from orchestrator.coordinator.fleet.batches import HostBatches
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.leadership.leadership import Leadership
-from orchestrator.model.messages import BatchReply, BatchRequest, RefusalDetails, Reply, Request
+from orchestrator.model.messages import BatchReply, RefusalDetails, Reply, Request
 
 R = TypeVar("R", bound=Reply)
 
@@ -25,9 +26,6 @@ ANSWER_S = 2.0
 TRY_S = 0.3
 """For one try of a repeated request: the usual answer to a stop takes a tenth of that."""
 RETRY_PAUSE_S = 0.05
-HOST_TIMEOUT_SHARE = 0.9
-"""Share of the members' timeout after which an adapter host answers for those that have answered; the rest is for
-its own answer."""
 MAX_UNDER_WAY = 16
 """Hosts that are asked at once."""
 ABSENT_S = 0.7
@@ -139,12 +137,11 @@ class MemberRequests:
         took."""
         begun_s = asyncio.get_running_loop().time()
         texts = {member: request.to_json().decode() for member, request in requests.items()}
-        asked_request = BatchRequest(requests=texts, answer_within_ns=round(HOST_TIMEOUT_SHARE * timeout_s * NS_PER_S))
         first = next(iter(requests))
-        key, server = self.keys.batch_command(self._host_of(first), verb), self.view.servers.get(first)
-        batch, failure = BatchReply(), None
+        host = (self._host_of(first), self.view.servers.get(first))
+        batches, batch, failure = HostBatches(self.bus, self.keys), BatchReply(), None
         try:
-            batch = BatchReply.read_message(await self.bus.request(key, asked_request.to_json(), timeout_s, server))
+            batch = await batches.ask(host, verb, texts, timeout_s)
         except (BusError, ValidationError) as error:
             failure = error
         took_ns = _elapsed_ns(begun_s)
@@ -158,7 +155,7 @@ class MemberRequests:
                 if member in batch.errors:
                     raise RequestRefused(batch.errors[member])
                 if member not in batch.replies:
-                    raise RequestTimeout(key)
+                    raise RequestTimeout(batches.make_key(host[0], verb))
                 return reply.read_message(batch.replies[member])
             except (BusError, ValidationError) as error:
                 return reply(refused=self._make_refusal(member, verb, error, timeout_s))

@@ -1,18 +1,18 @@
 """The coordinator's view of the fleet: every controller's last state, its information, its events."""
 
-import asyncio
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 from pydantic import ValidationError
 
-from orchestrator.bus.base import Bus, BusDeclaration, BusError, BusSample, find_only_server
+from orchestrator.bus.base import Bus, BusDeclaration, BusSample
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.log import ProcessLog
 from orchestrator.bus.states.feed import Arrival, ControllerFeed
 from orchestrator.bus.states.frame import SEEN_NS, Confirmation
 from orchestrator.clock.base import NS_PER_MS, Clock
 from orchestrator.coordinator.fleet.controller_events import ControllerEvents, EventListener
+from orchestrator.coordinator.fleet.infos import QUERY_S, ControllerInfos
 from orchestrator.coordinator.fleet.listening import Remove, add_to, add_to_each
 from orchestrator.coordinator.fleet.slow_starts import SlowStarts
 from orchestrator.model.errors import Refusal
@@ -21,7 +21,6 @@ from orchestrator.model.names import controller_of, split_name
 from orchestrator.model.problems import first_error_text
 from orchestrator.model.state import (
     AxisState,
-    ControllerInfo,
     ControllerState,
     EventsReply,
     EventsRequest,
@@ -34,8 +33,6 @@ from orchestrator.model.units import Unit
 SILENT_NS = 700 * NS_PER_MS
 # added for each of them: a poll takes up to four exchanges of 25 ms, on the slowest lines
 OTHER_NS = 80 * NS_PER_MS
-
-QUERY_S = 1.0  # for an adapter to answer a query
 
 SLOW_REMEDY = "wait; its computer is slow, or overloaded"
 
@@ -71,7 +68,8 @@ class FleetView:
         """By controller: the instance of its adapter that this coordinator has adopted."""
         self.refused: dict[str, tuple[str, Refusal]] = {}
         """By controller: the instance of its adapter that is not adopted because of its version, and why."""
-        self._infos: dict[str, ControllerInfo] = {}
+        self.infos = ControllerInfos(bus, keys, self.servers, self.arrived_states, lambda: self.fleet.controllers)
+        self.infos.make_absence = self.make_absence
         self._events = ControllerEvents(self._request_events, clock, log)
         self._state_listeners: list[StateListener] = []
         self._listeners_by_controller: dict[str, list[StateListener]] = {}
@@ -155,10 +153,12 @@ class FleetView:
             return Refusal("absent", f"{controller}: {slow_start}", SLOW_REMEDY, controller)
         return Refusal("absent", f"{controller}: {reason}", "is its adapter host running?", controller)
 
-    async def bind_server(self, controller: str) -> None:
-        """Find the process that answers for the controller: from now on only its replies count. Raises `DoubleServer`,
-        and other `BusError`."""
-        self.servers[controller] = await find_only_server(self._bus, self._keys.state(controller), QUERY_S)
+    async def find_servers(self, controllers: Sequence[str]) -> dict[str, set[str]]:
+        """By controller, the processes that answer for it; without those for which none does. Raises `BusError`."""
+        expression = self._keys.state(controllers[0] if len(controllers) == 1 else None)
+        return {
+            key.split("/")[-2]: servers for key, servers in (await self._bus.find_servers(expression, QUERY_S)).items()
+        }
 
     async def query_state(self, controller: str, since_ns: int | None = None) -> ControllerState:
         """Query the current state; or return the last one that was queried, or received with a lease, not before
@@ -177,31 +177,6 @@ class FleetView:
         """Record that this state is the answer to a query of `asked_ns`."""
         self._asked[state.controller] = (asked_ns, state)
         self._store_state(state)
-
-    async def query_info(self, controller: str) -> ControllerInfo:
-        """Identity and capabilities of the controller; queried once per instance of its adapter. Raises `BusError`."""
-        info = self.find_info(controller)
-        if info is None:
-            info = self._infos[controller] = await self.ask_info(controller)
-        return info
-
-    def find_info(self, controller: str) -> ControllerInfo | None:
-        """Identity and capabilities of the adapter that runs now, if they are known."""
-        info, state = self._infos.get(controller), self.arrived_states.get(controller)
-        return info if info is not None and state is not None and info.instance == state.instance else None
-
-    async def require_info(self, controller: str) -> ControllerInfo:
-        """The same. Raises `Refusal`."""
-        try:
-            return await self.query_info(controller)
-        except BusError as error:
-            raise self.make_absence(controller, str(error)) from None
-
-    async def ask_info(self, controller: str) -> ControllerInfo:
-        """Identity and capabilities of the controller as of now: it may not be connected yet. Raises `BusError`,
-        `ValidationError`."""
-        server = self.servers.get(controller)
-        return ControllerInfo.read_message(await self._bus.request(self._keys.info(controller), b"", QUERY_S, server))
 
     def add_event_listener(self, listener: EventListener) -> Remove:
         """Call `listener` with every event; the result removes the listener."""
@@ -290,14 +265,6 @@ class FleetView:
         self._events.expect(state)
         for listener in [*self._state_listeners, *self._listeners_by_controller.get(controller, ())]:
             listener(state)
-
-
-async def prefetch_infos(view: FleetView, controllers: Iterable[str]) -> None:
-    """Query the identities and capabilities that are not known yet, all at once. A controller that does not answer is
-    left to the query that needs it."""
-    new_controllers = [name for name in controllers if view.find_info(name) is None]
-    if len(new_controllers) > 1:
-        await asyncio.gather(*map(view.query_info, new_controllers), return_exceptions=True)
 
 
 def find_answering_states(view: FleetView, axes: Iterable[str]) -> dict[str, ControllerState]:

@@ -235,11 +235,10 @@ class StartNegotiation:
         if planned_step.path is None:
             return None
         movers = [controller_of(axis) for axis in planned_step.plan.profiles]
+        members = dict.fromkeys([*movers, *self._triggers.owners])
+        await self._view.infos.prefetch(members)
         try:
-            infos = {
-                member: await self._view.require_info(member)
-                for member in dict.fromkeys([*movers, *self._triggers.owners])
-            }
+            infos = {member: await self._view.infos.require(member) for member in members}
             return plan_first_chunk(planned_step, infos)
         except PlanError as error:
             raise Refusal("plan", str(error)) from None
@@ -363,7 +362,7 @@ class StartNegotiation:
             waiters = {
                 member: name
                 for member, name in map(split_name, wire.to)
-                if member in movers and "line" in (await self._view.query_info(member)).start_classes
+                if member in movers and "line" in (await self._view.infos.query(member)).start_classes
             }
             line = TriggerStart(wire, waiters)
             online = waiters and (await self._view.query_state(line.driver)).mode != "offline"

@@ -206,7 +206,7 @@ async def plan_following(services: MotionServices, request: StepRequest, before:
         state = view.last_state(controller)
         if state is None or state.mode == "offline" or view.is_silent(controller):
             raise Refusal("offline", f"{controller} is offline or silent", "check its link", controller)
-        infos[controller], instances[controller] = await view.query_info(controller), state.instance
+        infos[controller], instances[controller] = await view.infos.query(controller), state.instance
         states |= {f"{controller}.{axis}": axis_state for axis, axis_state in state.axes.items()}
     for axis, (_, counts) in before.ends.items():
         if axis in states:
@@ -291,7 +291,7 @@ async def _query_controller(
     view: FleetView, controller: str, seen_ns: int | None
 ) -> tuple[ControllerState, ControllerInfo]:
     try:
-        state, info = await view.query_state(controller, seen_ns), await view.query_info(controller)
+        state, info = await view.query_state(controller, seen_ns), await view.infos.query(controller)
     except BusError as error:
         raise view.make_absence(controller, str(error)) from None
     if state.mode == "offline":

@@ -38,7 +38,7 @@ class AxisTargets:
 async def read_infos(services: MotionServices, axes: Iterable[str]) -> dict[str, ControllerInfo]:
     """What the controllers of axes can do. Raises `Refusal`."""
     view = services.fleet.view
-    return {name: await view.require_info(name) for name in dict.fromkeys(map(controller_of, axes))}
+    return {name: await view.infos.require(name) for name in dict.fromkeys(map(controller_of, axes))}
 
 
 def resolve_retarget(

@@ -168,7 +168,7 @@ async def plan_probe(context: StepContext, step: Probe) -> PlannedProbe:
     view = context.fleet.view
     axes = {name: view.fleet.axis(name) for name in step.axes}
     states = {name: await require_axis(view, name) for name in axes}
-    infos = {member: await view.require_info(member) for member in map(controller_of, axes)}
+    infos = {member: await view.infos.require(member) for member in map(controller_of, axes)}
     for name, axis in axes.items():
         require_no_play(name, axis, "contact")
         require_single_motor(name, axis, "probe")

@@ -58,12 +58,16 @@ def test_a_state_is_made_again_when_anything_of_it_has_changed() -> None:
     status = ControllerStatus(config)
     states, (name, *_) = AxisStates(config.axes, status), config.axes
     axis_reading = AxisReading(commanded_counts=5, actual_counts=5.0, velocity_counts_s=0.0, moving=False, enabled=True)
-    reading = ControllerReading(at_ns=1, axes=dict.fromkeys(config.axes, axis_reading), inputs={}, outputs={}, faults=[])
+    reading = ControllerReading(
+        at_ns=1, axes=dict.fromkeys(config.axes, axis_reading), inputs={}, outputs={}, faults=[]
+    )
     made = states.make_state(name, reading, None)
     assert states.make_state(name, replace(reading, at_ns=2), None) is made
     fault = FaultReport(code="following", text="", remedy="", axis=name)
     others = [
-        states.make_state(name, replace(reading, axes={**reading.axes, name: replace(axis_reading, moving=True)}), None),
+        states.make_state(
+            name, replace(reading, axes={**reading.axes, name: replace(axis_reading, moving=True)}), None
+        ),
         states.make_state(name, replace(reading, faults=[fault]), None),
         states.make_state(name, reading, Fraction(1, 3)),
     ]

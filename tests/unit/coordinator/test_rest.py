@@ -36,7 +36,7 @@ def test_a_controller_rests_once_neither_its_mode_nor_an_axis_says_otherwise(
         async def query_info(member: str) -> Any:
             return SimpleNamespace(costs=SimpleNamespace(stop_ns=STOP_NS))
 
-        view = SimpleNamespace(fleet=demo_fleet(), query_state=query_state, query_info=query_info)
+        view = SimpleNamespace(fleet=demo_fleet(), query_state=query_state, infos=SimpleNamespace(query=query_info))
         services = SimpleNamespace(view=view, clock=clock, motion=SimpleNamespace(stop_times_ns={}))
         steps = SimpleNamespace(list_steps=lambda first: job("[{do: move, to: {gantry.x: 1}}]").steps)
         began_ns = clock.now_ns()

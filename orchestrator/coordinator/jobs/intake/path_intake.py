@@ -31,7 +31,7 @@ async def _split_path(services: JobServices, step: FollowPath) -> Step:
     slow = set[str]()
     for name in dict.fromkeys(controller_of(axis) for axis in step.axes if axis in known_names):
         with suppress(BusError):
-            if max((await view.query_info(name)).orders) < 3:
+            if max((await view.infos.query(name)).orders) < 3:
                 slow |= {axis for axis in step.axes if controller_of(axis) == name}
     if not slow or not known_names.issuperset(step.axes):
         return step

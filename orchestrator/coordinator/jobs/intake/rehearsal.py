@@ -6,7 +6,6 @@ from contextlib import suppress
 from typing import Literal
 
 from orchestrator.bus.base import BusError
-from orchestrator.coordinator.fleet.view import prefetch_infos
 from orchestrator.coordinator.jobs.check import forecast_at_once, forecast_step
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
 from orchestrator.coordinator.jobs.services import JobServices
@@ -48,11 +47,11 @@ class JobRehearsal:
         chunks: dict[str, ChunkAbility] = {}
         probes: dict[str, ProbeAbilities] = {}
         alone_times: dict[str, float | None] = {}
-        await prefetch_infos(view, view.fleet.controllers)
+        await view.infos.prefetch(view.fleet.controllers)
         for name in view.fleet.controllers:
             # A controller that does not answer is planned by the fleet file.
             with suppress(BusError):
-                info = await view.query_info(name)
+                info = await view.infos.query(name)
                 orders[name], chunks[name] = max(info.orders), make_chunk_ability(info)
                 probes[name] = ProbeAbilities.of(info)
                 alone_times[name] = info.alone_s

@@ -104,7 +104,7 @@ class HeldProbes:
         services, planned_probe = self._services, await plan_probe(self._context, step)
         watch_s, info = (
             find_watch_s(services.view.fleet, step),
-            await services.view.require_info(controller_of(step.until)),
+            await services.view.infos.require(controller_of(step.until)),
         )
         watch = InputWatch(services.fleet, services.leadership, step, watch_s, shows_moving=info.shows_inputs)
         close_states = await services.view.follow_closely(controller_of(step.until))

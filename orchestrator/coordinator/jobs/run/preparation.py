@@ -121,7 +121,7 @@ class JobPreparation:
         arm_ns = 0
         for member in members:
             with suppress(BusError):
-                arm_ns = max(arm_ns, (await self._services.view.query_info(member)).costs.arm_ns)
+                arm_ns = max(arm_ns, (await self._services.view.infos.query(member)).costs.arm_ns)
         return ANSWER_S + 2 * arm_ns / NS_PER_S
 
     async def publish_beginning(self) -> None:

@@ -48,7 +48,7 @@ class RestMonitor:
         # The ramps of a step may be gentler than the limits of its axes.
         stop_ns = services.motion.stop_times_ns.get(member, 0)
         with suppress(BusError):
-            stop_ns = max(stop_ns, (await services.view.query_info(member)).costs.stop_ns)
+            stop_ns = max(stop_ns, (await services.view.infos.query(member)).costs.stop_ns)
         until_ns = services.clock.now_ns() + stop_ns + REST_NS
         while services.clock.now_ns() < until_ns:
             # A member that does not answer is stopped by its guardian or its own watchdog, which takes as long.

@@ -83,7 +83,7 @@ class ScanFlights:
         """The lines from a point on that are flown in one motion; None where they are flown one by one. Raises
         `Refusal` for an absent member."""
         view = self._services.fleet.view
-        abilities = {name: make_chunk_ability(await view.require_info(name)) for name in list_members(lines)}
+        abilities = {name: make_chunk_ability(await view.infos.require(name)) for name in list_members(lines)}
         part, reason = await self._services.plan(choose_part, lines, self._fleet, first, abilities)
         if part is None:
             self._services.fleet.log.info(f"flown line by line: {reason}")
