@@ -121,6 +121,11 @@ class FleetKeys:
         return key if axis is None else f"{key}/{check_id(axis, 'axis')}"
 
     @property
+    def controller_leases(self) -> str:
+        """The leases of all controllers."""
+        return f"{self.prefix}/lease/*"
+
+    @property
     def leases(self) -> str:
         """All leases, of controllers and of axes."""
         return f"{self.prefix}/lease/**"

@@ -823,6 +823,11 @@ class Fleet(Model):
         """All axes, as `controller.axis`, in the order of the file."""
         return [f"{c}.{a}" for c, controller in self.controllers.items() for a in controller.axes]
 
+    def has_axis(self, name: str) -> bool:
+        """Whether there is an axis of this name, `controller.axis`; a virtual one is none."""
+        controller, axis = split_name(name)
+        return controller in self.controllers and axis in self.controllers[controller].axes
+
     def expand_name(self, name: str) -> list[str]:
         """The axes that `name` stands for: a group, a controller, one axis, or the real axes of virtual ones. Raises
         `UnknownName`."""

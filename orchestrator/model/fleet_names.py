@@ -33,18 +33,34 @@ class DefinedNames:
     frames: list[str] = field(default_factory=list[str])
     virtual_groups: list[str] = field(default_factory=list[str])
     virtual: list[str] = field(default_factory=list[str])
+    _sets: dict[str, frozenset[str]] = field(default_factory=dict[str, frozenset[str]], compare=False, repr=False)
+
+    def _find_set(self, kind: str) -> frozenset[str]:
+        """The names of a kind; made once, because a step of a large fleet has thousands."""
+        names = self._sets.get(kind)
+        if names is None:
+            names = self._sets[kind] = frozenset(self._list_known(kind))
+        return names
+
+    def _list_known(self, kind: str) -> list[str]:
+        match kind:
+            case "axis":
+                return self.axes
+            case "target":
+                return [*self.axes, *self.virtual]
+            case "input":
+                return self.inputs
+            case "output":
+                return self.outputs
+            case _:
+                return [*self.axes, *self.groups, *self.controllers, *self.virtual_groups, *self.virtual]
 
     def explain_unknown(self, name: object, kind: str) -> str | None:
         """Why `name` is no name of that kind: axis (a real one), target (also a virtual one), axes (also groups and
         controllers), input or output; or None."""
-        known_names = {
-            "axis": self.axes,
-            "target": [*self.axes, *self.virtual],
-            "input": self.inputs,
-            "output": self.outputs,
-        }.get(kind, [*self.axes, *self.groups, *self.controllers, *self.virtual_groups, *self.virtual])
-        if name in known_names or not isinstance(name, str):
+        if not isinstance(name, str) or name in self._find_set(kind):
             return None  # another type is reported by the field itself
+        known_names = self._list_known(kind)
         if name in self.virtual:
             return f"{name} is a virtual axis, which moves only; name one of its real axes here"
         noun = {"axes": "axis, group or controller", "target": "axis"}.get(kind, kind)

@@ -121,7 +121,7 @@ class ResolvedTrigger:
 
 def resolve_triggers(fleet: Fleet, triggers: Sequence[Trigger], find_offset: FindOffset) -> list[ResolvedTrigger]:
     """The triggers of a step in counts. Raises `Refusal` for an output that is unknown or in use, and for units."""
-    used_outputs = find_used_outputs(fleet)
+    used_outputs = find_used_outputs(fleet) if triggers else {}
     resolved_triggers: list[ResolvedTrigger] = []
     for number, trigger in enumerate(triggers):
         explanation = fleet.names.explain_unknown(trigger.output, "output")

@@ -50,7 +50,7 @@ class FleetAlarms:
         """Whether the subject of an alarm is in the fleet file; so is that of one of no controller."""
         fleet, parts = self._view.fleet, record.subject.split("+")
         return record.kind not in KINDS or all(
-            part in fleet.axis_names if "." in part else part in fleet.controllers for part in parts
+            fleet.has_axis(part) if "." in part else part in fleet.controllers for part in parts
         )
 
     def take_state(self, state: ControllerState) -> None:

@@ -89,7 +89,7 @@ class MotionAlarms:
         """A motion step is over. report: None for one that was interrupted."""
         for axis in recording.axes:
             sums = self._sums.pop(axis, None)
-            if sums is not None and sums.speed and axis in self._view.fleet.axis_names:
+            if sums is not None and sums.speed and self._view.fleet.has_axis(axis):
                 self._note_following(axis, self._view.fleet.axis(axis), sums)
         if report is not None and report.state == "done":
             self._note_budget(report)

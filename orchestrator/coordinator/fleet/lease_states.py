@@ -1,12 +1,12 @@
 """Leases as the fleet sees them: their records, and what is published of them."""
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from typing import NamedTuple
 
-from orchestrator.bus.base import Bus, Priority
+from orchestrator.bus.base import Bus, Priority, RequestHandler
 from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, NS_PER_US
 from orchestrator.coordinator.fleet.access import FleetAccess
@@ -117,3 +117,20 @@ class LeaseStates:
     def make_free_state(self, controller: str) -> LeaseState:
         """The state of a controller without a lease."""
         return LeaseState(controller=controller, holder=None, actor="", epoch=self._fleet.requests.leadership.epoch)
+
+
+class ServedLeases:
+    """The keys `lease/{id}` of all controllers, of which `find_controllers` returns those of now: a `ServedGroup`."""
+
+    def __init__(
+        self, keys: FleetKeys, find_controllers: Callable[[], Collection[str]], handler: RequestHandler
+    ) -> None:
+        self._keys, self._find_controllers, self._handler = keys, find_controllers, handler
+
+    def find_handler(self, key: str) -> RequestHandler | None:
+        """What answers for the lease of a controller."""
+        return self._handler if key.rpartition("/")[2] in self._find_controllers() else None
+
+    def list_values(self) -> Iterable[str]:
+        """The leases of all controllers."""
+        return map(self._keys.lease, self._find_controllers())

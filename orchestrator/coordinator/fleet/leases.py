@@ -9,7 +9,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.owner import wait_for_first
 from orchestrator.coordinator.fleet.access import FleetAccess
-from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser
+from orchestrator.coordinator.fleet.lease_states import LeaseHold, LeaseStates, LeaseUser, ServedLeases
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.errors import Refusal
 from orchestrator.model.fleet import Fleet, group_by_controller
@@ -59,8 +59,8 @@ class LeaseRegistry:
     async def start(self) -> None:
         """Begin to renew leases, and to answer queries for them."""
         self._renewing = self._fleet.tasks.spawn(self._renew_leases(), vital=True)
-        for controller in self._fleet.view.fleet.controllers:
-            self._declared.append(await self._bus.serve(self._keys.lease(controller), self._reply_lease))
+        served_leases = ServedLeases(self._keys, lambda: self._fleet.view.fleet.controllers, self._reply_lease)
+        self._declared.append(await self._bus.serve_group(self._keys.controller_leases, served_leases))
 
     async def close(self) -> None:
         if self._renewing is not None:
@@ -72,7 +72,7 @@ class LeaseRegistry:
     async def _reply_lease(self, sample: BusSample) -> bytes:
         """Return the lease of a controller; where several holders have its axes, that of the first."""
         controller = sample.key.rpartition("/")[2]
-        own_holds = [hold for hold in self._held.values() if controller in group_by_controller(hold.axes)]
+        own_holds = [hold for hold in self._held.values() if controller in map(controller_of, hold.axes)]
         lease = (
             self._states.make_state(own_holds[0], controller, None, own_holds[0].holder)
             if own_holds

@@ -49,7 +49,7 @@ class ManualLeases:
         utc, now_ns = parse_utc(self._fleet.clock.utc()), self._fleet.clock.now_ns()
         for reservation in await self._execute(self._journal.list_reservations):
             left_s = self._find_rest_s(reservation, utc)
-            axes = tuple(axis for axis in reservation.axes if axis in self._fleet.view.fleet.axis_names)
+            axes = tuple(axis for axis in reservation.axes if self._fleet.view.fleet.has_axis(axis))
             if left_s <= 0 or not axes:
                 await self._execute(self._journal.delete_reservation, reservation.holder)
                 continue

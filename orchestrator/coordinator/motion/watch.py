@@ -51,7 +51,7 @@ class StepWatch:
         self._looked_ns = 0
         self._events: asyncio.Queue[ControllerEvent | None] = asyncio.Queue()
         self._removals = [
-            services.fleet.view.add_event_listener(self._events.put_nowait),
+            services.fleet.view.add_event_listener(self._queue_event),
             services.fleet.permits.add_loss_listener(lambda: self._events.put_nowait(None)),
         ]
         self.reports: dict[str, MemberReport] = {}
@@ -190,6 +190,13 @@ class StepWatch:
             return f"{min(self._waiting_end)}: has not reached its end"
         return None
 
+    def _queue_event(self, event: ControllerEvent) -> None:
+        """Queue an event of this step: those of other jobs wake nothing."""
+        request = self._planned.request
+        is_ours = (event.job, event.step) == (request.job_id, request.index)
+        if is_ours and event.controller in self._agreement.proposals:
+            self._events.put_nowait(event)
+
     async def _next_event(self) -> ControllerEvent | None:
         """The next event of this step; None after a while, or when a permit was lost."""
         try:
@@ -199,9 +206,7 @@ class StepWatch:
             return None
         if event is None:
             return None
-        request = self._planned.request
-        is_ours = (event.job, event.step) == (request.job_id, request.index)
         # Members that were armed again have reported that they were disarmed before; unloading may have taken a while.
         since_ns = max(self._state.arming_fleet_ns, self._state.promised_fleet_ns)
         stale = event.kind == "disarmed" and event.fleet_ns is not None and event.fleet_ns < since_ns
-        return event if is_ours and event.controller in self._agreement.proposals and not stale else None
+        return None if stale else event

@@ -7,13 +7,15 @@ from orchestrator.model.steps.wait_armed import WaitArmed
 from orchestrator.plan.forecast.context import ForecastContext
 from orchestrator.plan.forecast.span import Span
 from orchestrator.plan.forecast.state import ForecastState
+from orchestrator.plan.triggers import find_brake_outputs
 
 
 def forecast_output(state: ForecastState, at: ForecastContext, step: SetOutput) -> Span:
     """Switch an output on paper."""
     exists = state.check_name(at, step.output, "output")
-    if exists and step.output in state.reserved:
-        purpose = state.reserved[step.output]
+    reserved_outputs = find_brake_outputs(state.fleet)
+    if exists and step.output in reserved_outputs:
+        purpose = reserved_outputs[step.output]
         text = f"output {step.output} is {purpose}, which switches it by itself"
         remedy = "use another output, or remove that use from the fleet file"
         state.add_problem(at, ("output",), Refusal("output-in-use", text, remedy))

@@ -18,7 +18,6 @@ from orchestrator.plan.flying.path import ChunkAbility
 from orchestrator.plan.forecast.context import ForecastContext, TargetField
 from orchestrator.plan.forecast.ways import ForecastMotion
 from orchestrator.plan.probes import ContactRange, ProbeAbilities
-from orchestrator.plan.triggers import find_brake_outputs
 from orchestrator.plan.zones.rules import FleetZones
 
 Order = Literal[2, 3]
@@ -28,9 +27,9 @@ class ForecastState:
     """Follows axes and outputs; `problems` and `conditions` grow, `axes` is the present state.
 
     motion: the step that was run forward last, if it is a motion all of whose positions are known. notes: conditions of
-    the written step that is run forward. outputs: levels that steps have set. reserved: outputs with a use of their
-    own, by name. contacts: by the names of later steps, where probes may find them; None: not known. ranges: between
-    which motor positions an axis was when its position became unknown, where that is known.
+    the written step that is run forward. outputs: levels that steps have set. contacts: by the names of later steps,
+    where probes may find them; None: not known. ranges: between which motor positions an axis was when its position
+    became unknown, where that is known.
     """
 
     def __init__(
@@ -67,7 +66,6 @@ class ForecastState:
         self.scanned: dict[str, tuple[float, float]] = {}
         """The same of the axes of scans, while steps at their points are run forward."""
         self.outputs: dict[str, bool] = {}
-        self.reserved = find_brake_outputs(fleet)
         self.motion: ForecastMotion | None = None
         self.contacts: dict[str, ContactRange | None] = {}
         self.ranges: dict[str, ContactRange] = {}

@@ -56,6 +56,8 @@ class JobRegister:
     def find_lent(self) -> frozenset[str]:
         """The controllers that only jobs use which wait for a person, so that commands of persons may use them."""
         lent, used = set[str](), set[str]()
+        if not any(run.lends_axes for run in self.running.values()):
+            return frozenset()
         for run in self.running.values():
             (lent if run.lends_axes else used).update(run.needs)
         for held_lease in self._services.leases.all_leases:

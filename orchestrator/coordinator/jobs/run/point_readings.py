@@ -1,9 +1,10 @@
 """Measured positions at the points of a scan: readings of axes that stand where the point has sent them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
 
 from orchestrator.clock.base import NS_PER_MS, Clock, sleep_ns
+from orchestrator.coordinator.fleet.listening import Remove
 from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.model.fleet import Axis
 from orchestrator.model.linear_map import MapError
@@ -22,12 +23,14 @@ class PointReadings:
         self._view = view
         self._target: Mapping[str, float] = {}
         self._found: dict[str, float | None] = {}
-        self._unlisten = view.add_state_listener(self._take_state)
+        self._axes: frozenset[str] = frozenset()
+        self._unlisten: Remove | None = None
 
     def begin_point(self, target: Mapping[str, float]) -> None:
         """The axes have reached a point. target: their positions, in their units."""
         self._target, self._found = target, dict.fromkeys(target)
-        for controller in {controller_of(axis) for axis in self._view.fleet.find_real_axes(list(target))}:
+        self._follow(frozenset(target))
+        for controller in self._list_controllers(target):
             state = self._view.last_state(controller)
             if state is not None:
                 self._take_state(state)
@@ -45,7 +48,20 @@ class PointReadings:
 
     def close(self) -> None:
         """Take no more readings."""
-        self._unlisten()
+        self._follow(frozenset())
+
+    def _follow(self, axes: frozenset[str]) -> None:
+        """Take the readings of these axes, and of no others."""
+        if axes == self._axes:
+            return
+        if self._unlisten is not None:
+            self._unlisten()
+        self._axes = axes
+        self._unlisten = self._view.add_state_listener(self._take_state, self._list_controllers(axes))
+
+    def _list_controllers(self, axes: Iterable[str]) -> list[str]:
+        """The controllers of axes, also of those that virtual ones stand for."""
+        return list(dict.fromkeys(map(controller_of, self._view.fleet.find_real_axes(axes))))
 
     def _take_state(self, state: ControllerState) -> None:
         fleet = self._view.fleet
