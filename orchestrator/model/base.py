@@ -65,9 +65,11 @@ def parse_rational(value: object) -> Fraction:
     # not isinstance: Fraction is an abstract number class, and isinstance costs more than the rest of this function
     if type(value) is Fraction:
         return value
+    if type(value) is str:  # of a message, which has one for each axis
+        return _rational(value)
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError('write a number, or a fraction in quotes such as "10000/3"')
-    return _rational(value if isinstance(value, str) else str(value))
+    return _rational(str(value))
 
 
 def _shorten(text: str) -> str:

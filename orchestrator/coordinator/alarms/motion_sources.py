@@ -80,7 +80,10 @@ class MotionAlarms:
         config = self._view.fleet.controllers[state.controller]
         for name, axis_now in state.axes.items():
             if axis_now.moving and name in config.axes:
-                sums = self._sums.setdefault(f"{state.controller}.{name}", _MoveSums())
+                axis = f"{state.controller}.{name}"
+                sums = self._sums.get(axis)
+                if sums is None:
+                    sums = self._sums[axis] = _MoveSums()
                 sums.readings += 1
                 sums.error += abs(config.axes[name].to_length(axis_now.commanded_counts - axis_now.raw_counts))
                 sums.speed += abs(axis_now.velocity)
