@@ -30,6 +30,7 @@ from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.grouped_calls import GroupedCalls
+from orchestrator.coordinator.leadership.copies import CopyWatch
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.maintenance.epochs import EpochRepair
@@ -59,7 +60,7 @@ class Coordinator:
         self._environment = environment
         bus, keys, clock = environment.bus, environment.keys, environment.clock
         tasks = self._owner = TaskOwner(self._report_defect)
-        self.leadership = Leadership(fleet.fleet, environment, tasks)
+        self.leadership = Leadership(fleet, environment, tasks)
         self._latch_keeper = LatchKeeper(bus, keys, clock.utc, environment.latches, environment.execute)
         self.leadership.kept_estop = self._latch_keeper.find_event
         self._log = ProcessLog("coordinator", self.leadership.coordinator[:8], clock, environment.sink, (bus, keys))
@@ -83,6 +84,8 @@ class Coordinator:
         calls = self._journal_calls = GroupedCalls(
             environment.journal, environment.execute, clock, lambda: self.leadership.epoch, tasks
         )
+        server = environment.journal_server
+        self._copies = CopyWatch(None if server is None else server.read_health, calls, clock, tasks)
         self._positions = PositionBook(access, environment.journal, calls)
         publisher = StepPublisher(bus, keys)
         motion = MotionServices(
@@ -124,6 +127,7 @@ class Coordinator:
             alarms=self._alarms.register,
             statistics=self._statistics,
             leadership=self.leadership,
+            copies=self._copies,
             log=self._log,
         )
         self.scheduler = Scheduler(services)
@@ -156,6 +160,7 @@ class Coordinator:
         await self._manual.start()
         await self._positions.start()
         await self._alarms.start(self.leadership.epoch)
+        await self._copies.start(self._alarms.report_condition)
         await self._statistics.start()
         await self._learned.start()
         await self.scheduler.start()

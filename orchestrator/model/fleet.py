@@ -34,6 +34,7 @@ from orchestrator.model.links import (
 )
 from orchestrator.model.names import split_name
 from orchestrator.model.numbers import Duration, Hertz, Part, Seconds, SignedNumber, UnitNumber
+from orchestrator.model.operation.journal_policy import JournalPolicy
 from orchestrator.model.pairs.fields import explain_pair_field
 from orchestrator.model.pairs.rack import MotorRack
 from orchestrator.model.problems import Problem, raise_problems, validate_with
@@ -649,6 +650,11 @@ class Fleet(Model):
         "several, another one is used when one goes away.",
     )
     queue: QueuePolicy = QueuePolicy()
+    journal: JournalPolicy = Field(
+        default_factory=JournalPolicy,
+        exclude_if=lambda policy: policy == JournalPolicy(),
+        description="Copies and lease of a journal in a database.",
+    )
     alarms: AlarmRules = Field(default_factory=AlarmRules, description="What raises an alarm, by kind of alarm.")
     notify: NotifyCommand | None = Field(default=None, description="The command that is run for alarms.")
     web: WebSettings = Field(

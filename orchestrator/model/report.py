@@ -7,6 +7,7 @@ from pydantic import Field
 
 from orchestrator.model.base import Int53, Model, Rational
 from orchestrator.model.messages import BudgetTerm, RefusalDetails
+from orchestrator.model.operation.journal_policy import CopyMode
 from orchestrator.model.profile import Profile
 from orchestrator.model.queue import QueueStop, QueueTerms
 from orchestrator.model.state import AxisEvidence, ClockMapping, ReadPosition, RetargetWay, StartClass, TimeInterval
@@ -682,3 +683,8 @@ class QueueState(Model):
     stopped: QueueStop | None = Field(default=None, description="No job of the queue begins: since when, and why.")
     waiting: int = Field(default=0, description="Number of waiting jobs.")
     missing_permits: list[MissingPermit] = Field(default=[])
+    journal: CopyMode | None = Field(
+        default=None,
+        exclude_if=lambda mode: mode is None,
+        description="On how many machines the journal is, where that is in a database.",
+    )

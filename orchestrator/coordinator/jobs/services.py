@@ -22,6 +22,7 @@ from orchestrator.coordinator.fleet.zone_states import ZoneObserver
 from orchestrator.coordinator.journal.grouped_calls import RecordLater
 from orchestrator.coordinator.journal.records import DamagedRecord
 from orchestrator.coordinator.journal.store import JournalStore
+from orchestrator.coordinator.leadership.copies import CopyWatch
 from orchestrator.coordinator.leadership.leadership import Leadership
 from orchestrator.coordinator.motion.services import MotionServices
 from orchestrator.coordinator.statistics.collector import StatisticsCollector
@@ -57,6 +58,7 @@ class JobServices:
     alarms: AlarmRegister
     statistics: StatisticsCollector
     leadership: Leadership
+    copies: CopyWatch
     log: ProcessLog
 
     def make_transition(self, state: JobState, reason: str, actor: str) -> JobTransition:

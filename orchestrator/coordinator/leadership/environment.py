@@ -11,6 +11,8 @@ from orchestrator.bus.log import LogSink
 from orchestrator.clock.base import Clock
 from orchestrator.clock.executor import Executor, run_inline
 from orchestrator.coordinator.journal.store import JournalStore
+from orchestrator.coordinator.leadership.copies import JournalHealth
+from orchestrator.coordinator.leadership.lease import LeaderLease
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.state import CertificateEnd
 
@@ -34,6 +36,16 @@ async def run_no_command(words: Sequence[str], _: bytes, __: Mapping[str, str], 
 
 
 @dataclass(frozen=True, slots=True)
+class JournalServer:
+    """A journal in a database that other computers reach. run_lease: runs calls of the lease, in a thread of their own.
+    read_health: a call of the journal."""
+
+    lease: LeaderLease
+    run_lease: Executor
+    read_health: Callable[[], JournalHealth]
+
+
+@dataclass(frozen=True, slots=True)
 class CoordinatorEnvironment:
     """The environment of a coordinator: everything that differs between live and virtual fleets.
 
@@ -41,7 +53,7 @@ class CoordinatorEnvironment:
     command of `notify`. find_free: returns the free bytes on the disk of the journal, None: not known. plan: plans
     paths, which may take seconds; heartbeats and stops go on meanwhile. plan_long: those of many pieces. decode: reads
     large requests and jobs, which would hold the interpreter's lock. check: checks jobs with long paths, for the same
-    reason. certificate: of its session, if it has one.
+    reason. certificate: of its session, if it has one. journal_server: of a journal that is no file of this computer.
     """
 
     bus: Bus
@@ -60,3 +72,4 @@ class CoordinatorEnvironment:
     decode: Executor = run_inline
     check: Executor = run_inline
     certificate: CertificateEnd | None = None
+    journal_server: JournalServer | None = None

@@ -10,8 +10,10 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.clock.base import NS_PER_MS, sleep_ns
 from orchestrator.clock.fleet import FleetScale
 from orchestrator.clock.owner import TaskOwner
-from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
+from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment, JournalServer
+from orchestrator.coordinator.leadership.lease import LeaseKeeper, LeaseTerms
 from orchestrator.model.errors import TuttiError
+from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import HEARTBEAT_NS, LeaderHeartbeat, TimeReply
 from orchestrator.model.state import ControllerState
 from orchestrator.model.version import PROTOCOL, find_own_version
@@ -39,23 +41,20 @@ async def confirm_leader(bus: Bus, keys: FleetKeys, heartbeat: LeaderHeartbeat) 
 class Leadership:
     """Acquires the leadership and keeps it.
 
-    on_lost: called once, when a coordinator with a newer epoch has answered that it leads. on_contradicted: called with
+    on_lost: called once, when a coordinator with a newer epoch has answered that it leads, or the lease in the journal
+    has ended. on_contradicted: called with
     the heartbeat of a coordinator that does not answer.
     """
 
-    def __init__(
-        self,
-        fleet: str,
-        environment: CoordinatorEnvironment,
-        tasks: TaskOwner,
-    ) -> None:
+    def __init__(self, fleet: Fleet, environment: CoordinatorEnvironment, tasks: TaskOwner) -> None:
         self._tasks = tasks
-        self._fleet = fleet
+        self._fleet = fleet.fleet
         self._bus = environment.bus
         self._keys = environment.keys
         self._clock = environment.clock
         self._journal = environment.journal
         self._execute = environment.execute
+        self._lease = self._make_lease(fleet, environment.journal_server)
         self.coordinator = environment.new_id()
         self.epoch = 0
         self.scale = FleetScale("", 0)
@@ -87,6 +86,8 @@ class Leadership:
                 f"coordinator {heartbeat.coordinator[:8]} leads fleet {self._fleet} (epoch {heartbeat.epoch}); "
                 "stop it first, or start with --take-over"
             )
+        if self._lease is not None and not take_over and not vacant:
+            await self._lease.wait_for_end()
         highest_epoch = 0 if heartbeat is None else heartbeat.epoch
         for payload in (await self._bus.request_all(self._keys.state(), b"", timeout_s=1.0)).values():
             try:
@@ -94,6 +95,8 @@ class Leadership:
             except ValidationError:
                 continue
         self.epoch = await self._execute(self._journal.take_epoch, highest_epoch)
+        if self._lease is not None:
+            await self._lease.start()
         now_ns = self._clock.now_ns()
         scale_id = f"{self.epoch}-{self.coordinator[:8]}"
         scale_id, origin_ns = await self._execute(
@@ -106,13 +109,26 @@ class Leadership:
         self._beat = self._tasks.spawn(self._send_heartbeats(), vital=True)
 
     async def close(self) -> None:
-        """Resign: send no more heartbeats."""
+        """Resign: send no more heartbeats, and give the lease back."""
         for task in (self._beat, self._asking):
             if task is not None:
                 task.cancel()
         for declaration in self._declared:
             await declaration.undeclare()
         self._declared.clear()
+        if self._lease is not None:
+            await self._lease.close()
+
+    def _make_lease(self, fleet: Fleet, server: JournalServer | None) -> LeaseKeeper | None:
+        if server is None:
+            return None
+        terms = LeaseTerms(server.lease, server.run_lease, fleet.journal.lease)
+        return LeaseKeeper(terms, self._clock, lambda: self.epoch, self._lose)
+
+    def _lose(self, reason: str) -> None:
+        if not self.over:
+            self.over = True
+            self.on_lost(reason)
 
     def fleet_now_ns(self) -> int:
         return self.scale.to_fleet_ns(self._clock.now_ns())
@@ -134,7 +150,7 @@ class Leadership:
         )
 
     async def _send_heartbeats(self) -> None:
-        while not self.over:
+        while not self.over and (self._lease is None or self._lease.holds):
             self._seq += 1
             self._bus.put(self._keys.leader, self.make_heartbeat().to_json(), Priority.EVENT)
             await sleep_ns(self._clock, HEARTBEAT_NS)
@@ -160,9 +176,8 @@ class Leadership:
             self._ask_again_ns = self._clock.now_ns() + ASK_AGAIN_NS
         if not leads:
             self.on_contradicted(heartbeat)
-        elif not self.over:
-            self.over = True
-            self.on_lost(
+        else:
+            self._lose(
                 f"coordinator {heartbeat.coordinator[:8]} leads with epoch {heartbeat.epoch}; "
                 f"this one had epoch {self.epoch}"
             )

@@ -69,6 +69,10 @@ class LeaseKeeper:
         behind the end of its lease."""
         return not self._is_over and self._clock.now_ns() < self._until_ns
 
+    async def wait_for_end(self) -> None:
+        """Wait until no leader holds the lease."""
+        await wait_for_lease_end(self._terms, self._clock)
+
     async def start(self) -> None:
         """Take the lease. Raises `JournalError`."""
         await self._renew()

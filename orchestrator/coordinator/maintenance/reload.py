@@ -67,6 +67,12 @@ class FleetReload:
                 "notify would change: the command that is run for alarms",
                 "end `tutti up` and start it with the new file",
             )
+        if fresh.journal != old.journal:
+            raise Refusal(
+                "other-journal",
+                "journal would change: a leader and its standbys must count by the same lease",
+                "end `tutti up` and start it with the new file",
+            )
         controllers: dict[str, Controller] = {}
         for name, config in fresh.controllers.items():
             running_controller = old.controllers[name]

@@ -10,6 +10,7 @@ from orchestrator.clock.base import NS_PER_S
 from orchestrator.coordinator.fleet.access import FleetAccess
 from orchestrator.coordinator.fleet.view import SLOW_REMEDY
 from orchestrator.coordinator.jobs.needs import find_needed_controllers
+from orchestrator.coordinator.leadership.copies import CopyWatch
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.messages import EPOCH_REMEDY, MAX_EPOCH_STEP
 from orchestrator.model.names import split_name
@@ -83,7 +84,8 @@ def find_needs(fleet: Fleet, steps: list[Step]) -> JobNeeds:
 class WorldConditions:
     """Finds what the world must change before a job can begin."""
 
-    def __init__(self, fleet: FleetAccess) -> None:
+    def __init__(self, fleet: FleetAccess, copies: CopyWatch) -> None:
+        self._copies = copies
         self._view = fleet.view
         self._leadership = fleet.requests.leadership
         self._permits = fleet.permits
@@ -102,6 +104,10 @@ class WorldConditions:
 
     def find_obstacle(self, needs: JobNeeds) -> Obstacle | None:
         """The first condition that does not hold; None: the job can begin."""
+        missing_copy = self._copies.find_obstacle()
+        if missing_copy is not None:
+            # What would begin now is not known to the copy that may have to take over.
+            return Obstacle("journal-copies", *missing_copy, asks=False)
         obstacle = self._find_obstacle(needs)
         if obstacle is None or obstacle.code == "permit":
             return obstacle

@@ -43,6 +43,7 @@ class QueuePublisher:
             stopped=self._register.stopped,
             waiting=len(self._register.waiting),
             missing_permits=self._services.fleet.permits.list_missing(),
+            journal=self._services.copies.mode,
         )
 
     def make_entries(self, rows: Iterable[JobRecord]) -> list[QueueEntry]:

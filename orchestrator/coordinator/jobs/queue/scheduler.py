@@ -48,7 +48,7 @@ class Scheduler:
         self.publisher = publisher = QueuePublisher(services, register)
         self.gate = QueueGate(services, register, publisher)
         self._ends = ends = JobEnds(services, register, publisher, self._tasks)
-        self._conditions = WorldConditions(services.fleet)
+        self._conditions = WorldConditions(services.fleet, services.copies)
         self.starts = DeliberateStarts(services, register, self._conditions)
         self.queue_requests = QueueRequests(services, register, publisher, ends, starts=self.starts)
         self.run_requests = RunRequests(services, register)
@@ -58,6 +58,7 @@ class Scheduler:
         self._declared: list[BusDeclaration] = []
         services.leases.add_release_listener(lambda _: register.wake_up())
         services.fleet.permits.on_change = publisher.note_change
+        services.copies.on_change = publisher.note_change
 
     async def start(self) -> None:
         """End the jobs that an earlier leader left running, then begin with the queue. Raises `JournalError`."""
