@@ -69,6 +69,7 @@ from orchestrator.model.messages import (
     SettingsChecked,
     StartAtOnceRequest,
     StartedReply,
+    StepRequest,
     StopRequest,
     TakeSamples,
     TakeTriggers,
@@ -76,6 +77,9 @@ from orchestrator.model.messages import (
 )
 from orchestrator.model.problems import describe_first_error
 from orchestrator.model.version import PartVersion, require_version
+
+_WORKS = ("commit", "go", "start-at-once", "enable", "home", "set-position", "probe")
+"""Verbs of a job that may change something at the machine."""
 
 
 class ControllerCommands:
@@ -87,6 +91,7 @@ class ControllerCommands:
         self._fence, self._status, self._publisher = components.fence, components.status, components.publisher
         self._stops = stops
         self._answers = AnswerCache()
+        self._last_work: tuple[str, int | None] = "", None
         searches = SearchCommands(components, stops, context.clock, self._require_idle)
         latches = LatchControl(context, self._require_idle)
         checks = SettingsChecks(components.surveillance, components.polling, components.publisher, self._require_idle)
@@ -141,6 +146,7 @@ class ControllerCommands:
         try:
             if isinstance(request, FencedRequest) and not isinstance(request, AdoptRequest):
                 await self._fence.require_current_leader(request)
+                self._note_work(verb, request)
             return (await handler(request)).to_json()
         except Refusal as error:
             refusal = RefusalDetails.of(error)
@@ -157,6 +163,13 @@ class ControllerCommands:
         self._publisher.emit_event("refusal", f"{verb} by {request.actor}: {refusal.text}")
         return reply(refused=refusal.model_copy(update={"member": self._context.controller})).to_json()
 
+    def _note_work(self, verb: str, request: FencedRequest) -> None:
+        """Remember the job that commands something which may change the machine."""
+        if verb in _WORKS and isinstance(request, StepRequest):
+            self._last_work = request.job, request.step
+        elif verb in _WORKS and isinstance(request, LeasedRequest):
+            self._last_work = request.holder, None
+
     async def _handle_adopt(self, request: AdoptRequest) -> AdoptedReply:
         leader = request.leader
         if (leader.epoch, leader.coordinator) != (request.epoch, request.coordinator):
@@ -169,7 +182,10 @@ class ControllerCommands:
             self._components.leases.end_all(f"new leader, epoch {request.epoch}")
             await self._components.withdrawal.abandon_step(f"new leader, epoch {request.epoch}")
         self._publisher.publish_state()
-        return AdoptedReply(epoch=self._fence.epoch, mode=self._publisher.current_mode())
+        last_job, last_step = self._last_work
+        return AdoptedReply(
+            epoch=self._fence.epoch, mode=self._publisher.current_mode(), last_job=last_job, last_step=last_step
+        )
 
     async def _handle_accept_epoch(self, request: AcceptEpoch) -> Reply:
         """Only at rest: until the leader adopts the controller, nothing can be started, and jogs have ended."""

@@ -136,7 +136,12 @@ class Coordinator:
         maintenance = (reload, WiringCheck(access, self._leases), EpochRepair(access), self._learned)
         intake = JobIntake(services, self.scheduler, environment.new_id)
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)
-        reports = AdoptionReports(self._alarms.note_version, self._report_double_answer, self._take_adopted)
+        reports = AdoptionReports(
+            version=self._alarms.note_version,
+            double_answer=self._report_double_answer,
+            worked=self.scheduler.end_unknown_work,
+            adopted=self._take_adopted,
+        )
         self._adoption = FleetAdoption(access, keys, self.leadership, reports)
         self._declared: list[BusDeclaration] = []
         self._contradictions: set[tuple[int, str]] = set()

@@ -151,8 +151,14 @@ class AcceptEpoch(Request):
 
 
 class AdoptedReply(Reply):
+    """last_job, last_step: of the last command to the controller that may have changed something at the machine, since
+    its adapter has started; the step only of one that has steps. A journal that was replaced by a copy may not know of
+    it. Empty: none."""
+
     epoch: Int53 = 0
     mode: str = "idle"
+    last_job: str = ""
+    last_step: Int53 | None = None
 
 
 class StepRequest(FencedRequest):

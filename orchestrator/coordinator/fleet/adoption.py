@@ -19,10 +19,12 @@ ADOPT_S = 2.0
 @dataclass(frozen=True, slots=True)
 class AdoptionReports:
     """What is done with the outcome. version: a controller is not adopted because of its version. double_answer: two
-    processes answer on a key. adopted: a controller is adopted."""
+    processes answer on a key. worked: called before a controller counts as adopted, with the job that has commanded
+    something there last. adopted: a controller is adopted."""
 
     version: Callable[[str, Refusal], None]
     double_answer: Callable[[str], None]
+    worked: Callable[[str, AdoptedReply], Awaitable[None]]
     adopted: Callable[[str], Awaitable[None]]
 
 
@@ -114,6 +116,8 @@ class FleetAdoption:
         }
         replies = await self._fleet.requests.request_all("adopt", requests, AdoptedReply, ADOPT_S) if requests else {}
         for controller, reply in replies.items():
+            if reply.refused is None and reply.last_job:
+                await self._reports.worked(controller, reply)
             self._take_reply(controller, reply)
         adopted = [controller for controller, reply in replies.items() if reply.refused is None]
         await asyncio.gather(*map(self._reports.adopted, adopted))

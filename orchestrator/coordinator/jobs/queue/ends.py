@@ -107,9 +107,24 @@ class JobEnds:
 
     async def cancel_waiting(self, waiting: WaitingJob, reason: str, actor: str) -> None:
         """End a job that was taken out of the queue; it returns there if its end cannot be recorded."""
+        await self._end_waiting(waiting, JobEnd("cancelled", reason, actor))
+
+    async def interrupt_waiting(self, waiting: WaitingJob, reason: str) -> None:
+        """End a job that was taken out of the queue, and that has begun all the same; it is tried until it is
+        recorded."""
+        while True:
+            try:
+                await self._end_waiting(waiting, JobEnd("interrupted", reason, COORDINATOR))
+                return
+            except JournalError as error:
+                self._register.waiting.pop(waiting.row.id, None)
+                self._services.log.warning(f"the end of a job cannot be recorded yet: {error}", job=waiting.row.id)
+                await sleep_ns(self._services.clock, RETRY_NS)
+
+    async def _end_waiting(self, waiting: WaitingJob, end: JobEnd) -> None:
         report = self.make_report(waiting.row, waiting.job)
         try:
-            await self.end_job(waiting.row, waiting.job, report, JobEnd("cancelled", reason, actor))
+            await self.end_job(waiting.row, waiting.job, report, end)
         except JournalError:
             self._register.waiting[waiting.row.id] = waiting
             raise

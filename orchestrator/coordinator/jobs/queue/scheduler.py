@@ -30,7 +30,7 @@ from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobHasEnded, JobRecord, JournalError
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.messages import EstopMessage, StopMode
+from orchestrator.model.messages import AdoptedReply, EstopMessage, StopMode
 from orchestrator.model.queue import APPROVAL, QueueTerms
 
 SCHEDULE_DELAY_PER_JOB_NS = 20 * NS_PER_US  # per job
@@ -126,6 +126,15 @@ class Scheduler:
     async def interrupt_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
         """Stop and end all running jobs."""
         await asyncio.gather(*(run.interrupt_job(interrupt, mode) for run in self.register.running.values()))
+
+    async def end_unknown_work(self, controller: str, reply: AdoptedReply) -> None:
+        """End a waiting job for which a controller has worked: the journal does not know of it, because it is a copy
+        that was promoted while it lacked the last records. It must not begin anew."""
+        waiting_job = self.register.waiting.pop(reply.last_job, None)
+        if waiting_job is not None:
+            step = "" if reply.last_step is None else f" step {reply.last_step + 1} of"
+            reason = f"{controller} has begun{step} this job, which the journal does not know: it has lost records"
+            await self._ends.interrupt_waiting(waiting_job, reason)
 
     # Scheduling loop
 
