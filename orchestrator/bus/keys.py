@@ -21,6 +21,9 @@ ANY_STATE, ANY_TIME = f"{ROOT}/*/ctl/*/state", f"{ROOT}/*/time"
 ANY_KEPT_ESTOP = f"{ROOT}/*/kept-estop/*"
 """What a router answers itself, so that a session sees whether its name counts there."""
 
+STANDBY = "standby"
+"""The instance in the token of a coordinator that stands by."""
+
 SLOW_START = "slow-start"
 """The instance in the token of an adapter host that is not there yet."""
 

@@ -26,6 +26,7 @@ from orchestrator.coordinator.fleet.view import FleetView
 from orchestrator.coordinator.fleet.virtual_states import VirtualObserver
 from orchestrator.coordinator.fleet.zone_states import ZoneObserver
 from orchestrator.coordinator.fleet.zone_watch import ZoneWatch
+from orchestrator.coordinator.jobs.hand_over import HandOver
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.queue.scheduler import Scheduler
 from orchestrator.coordinator.jobs.services import JobServices
@@ -84,8 +85,7 @@ class Coordinator:
         calls = self._journal_calls = GroupedCalls(
             environment.journal, environment.execute, clock, lambda: self.leadership.epoch, tasks
         )
-        server = environment.journal_server
-        self._copies = CopyWatch(None if server is None else server.read_health, calls, clock, tasks)
+        self._copies = CopyWatch(environment.read_journal_health, calls, clock, tasks)
         self._positions = PositionBook(access, environment.journal, calls)
         publisher = StepPublisher(bus, keys)
         motion = MotionServices(
@@ -133,13 +133,15 @@ class Coordinator:
         self.scheduler = Scheduler(services)
         self._positions.on_change = self.scheduler.register.forget_needs
         reload = FleetReload(access, self._leases, environment.save_fleet)
-        maintenance = (reload, WiringCheck(access, self._leases), EpochRepair(access), self._learned)
+        self._hand_over = HandOver(services, self.scheduler)
+        wiring, epochs = WiringCheck(access, self._leases), EpochRepair(access)
+        maintenance = (reload, wiring, epochs, self._learned, self._hand_over)
         intake = JobIntake(services, self.scheduler, environment.new_id)
         self._requests = UserRequests(services, intake, self.scheduler, self._manual, maintenance)
         reports = AdoptionReports(
             version=self._alarms.note_version,
             double_answer=self._report_double_answer,
-            worked=self.scheduler.end_unknown_work,
+            worked=self.scheduler.ends.end_unknown_work,
             adopted=self._take_adopted,
         )
         self._adoption = FleetAdoption(access, keys, self.leadership, reports)
@@ -147,6 +149,8 @@ class Coordinator:
         self._contradictions: set[tuple[int, str]] = set()
         self._double_answers: set[str] = set()
         self.leadership_lost = asyncio.Event()
+        self.handed_over = self._hand_over.is_left
+        """A standby is to lead: the process must end."""
         self.broken = asyncio.Event()
         """A vital task has ended by a defect: the process must be restarted."""
 
@@ -169,6 +173,7 @@ class Coordinator:
         await self._statistics.start()
         await self._learned.start()
         await self.scheduler.start()
+        await self._hand_over.start()
         self._declared = [
             await bus.serve(keys.service(), self._requests.answer),
             await bus.announce(keys.live("coordinator", self.leadership.coordinator[:8], f"e{self.leadership.epoch}")),
@@ -180,6 +185,7 @@ class Coordinator:
         for declaration in self._declared:
             await declaration.undeclare()
         self._declared.clear()
+        await self._hand_over.close()
         await self.scheduler.close(reason)
         self._manual.close()
         await self._alarms.close()

@@ -2,7 +2,8 @@
 
 Prints `ready` when it leads, or stands by to lead as soon as there is no leader. Ends with SIGTERM or SIGINT
 (running jobs are stopped first), with its parent, and when it loses the leadership. Exit codes: 2 bad input, 3 the
-bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used, 6 the leadership was lost, 7 a defect.
+bus cannot be reached, 4 another coordinator leads, 5 the journal cannot be used, 6 the leadership was lost, 7 a defect,
+8 the leadership was handed over to a standby.
 """
 
 import argparse
@@ -15,7 +16,7 @@ from pathlib import Path
 
 from orchestrator.bus.base import Bus
 from orchestrator.bus.expiry import find_session_certificate
-from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.keys import STANDBY, FleetKeys
 from orchestrator.bus.latch import FileLatchStore, LatchKeeper
 from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES
 from orchestrator.bus.log import ProcessLog
@@ -41,7 +42,7 @@ from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
 
-ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN = 4, 5, 6, 7
+ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN, HANDED_OVER = 4, 5, 6, 7, 8
 CLOSE_S = 2.0  # after a defect
 
 
@@ -66,9 +67,11 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
 async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end: asyncio.Event) -> bool:
     """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end."""
     # Kept meanwhile: the leader may be away when an e-stop comes.
-    keeper = LatchKeeper(bus, keys, LiveClock().utc, _latch_store(options.journal))
-    await keeper.start(f"standby-{uuid.uuid4().hex}")
+    keeper, name = LatchKeeper(bus, keys, LiveClock().utc, _latch_store(options.journal)), uuid.uuid4().hex
+    await keeper.start(f"standby-{name}")
+    token = await bus.announce(keys.live("coordinator", name[:8], STANDBY))
     await wait_for_first(wait_for_vacancy(bus, keys, LiveClock()), end.wait())
+    await token.undeclare()
     await keeper.close()
     if end.is_set():
         return False
@@ -113,7 +116,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         prepare_live_process()
         if not options.standby:
             _print_ready()
-        events = (end, coordinator.leadership_lost, coordinator.broken)
+        events = (end, coordinator.leadership_lost, coordinator.broken, coordinator.handed_over)
         async with (
             running(_feed_watchdog(options, coordinator)),
             report_own_alarms(bus, court.keys, ("coordinator", "own"), options.connect),
@@ -128,7 +131,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
                     await coordinator.close("a defect of the coordinator, which is restarted")
             return BROKEN
         await coordinator.close()
-        return 0
+        return HANDED_OVER if coordinator.handed_over.is_set() else 0
     finally:
         for executor in (decode, check, plan_long):
             executor.close()

@@ -12,6 +12,7 @@ from orchestrator.bus.keys import FleetKeys
 from orchestrator.bus.service_verbs import NOT_LEADER, SERVICE_VERBS
 from orchestrator.coordinator.command_log import CommandLog
 from orchestrator.coordinator.fleet.manual import ManualLeases
+from orchestrator.coordinator.jobs.hand_over import HandOver
 from orchestrator.coordinator.jobs.intake.approval import JobApprovals
 from orchestrator.coordinator.jobs.intake.job_intake import JobIntake
 from orchestrator.coordinator.jobs.intake.path_intake import split_paths
@@ -70,12 +71,12 @@ class UserRequests:
         intake: JobIntake,
         scheduler: Scheduler,
         manual: ManualLeases,
-        maintenance: tuple[FleetReload, WiringCheck, EpochRepair, LearnedTimesKeeper],
+        maintenance: tuple[FleetReload, WiringCheck, EpochRepair, LearnedTimesKeeper, HandOver],
     ) -> None:
         self._services = services
         self._intake = intake
         self._scheduler = scheduler
-        self._reload, self._wiring, epochs, learned_times = maintenance
+        self._reload, self._wiring, epochs, learned_times, hand_over = maintenance
         self._keys: FleetKeys = services.keys
         self._answers = AnswerCache()
         self._rehearsal = JobRehearsal(services)
@@ -112,6 +113,7 @@ class UserRequests:
             "release-axes": self._release_axes,
             "reload": self._reload_fleet,
             "check-wiring": self._check_wiring,
+            "hand-over": hand_over.answer,
             "repair-epoch": epochs.answer,
             "forget-times": learned_times.forget_times,
             "positions": services.positions.list_positions,

@@ -45,7 +45,7 @@ RIGHTS: dict[Role, set[str]] = {
         *("acknowledge", "shelve", "save-position", "acquire-axes", "release-axes", "jog", "work", "reset"),
         *("check-fleet", "check-wiring", "ask-live", "stop-live", "end-live", "retarget", "go"),
     },
-    "maintainer": {"remove-position", "prune", "reload", "repair-epoch", "forget-times", "forget", "raw"},
+    "maintainer": {"remove-position", "prune", "reload", "hand-over", "repair-epoch", "forget-times", "forget", "raw"},
 }
 
 

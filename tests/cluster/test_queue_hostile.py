@@ -80,6 +80,7 @@ SERVICE: dict[str, dict[str, Any]] = {
     "check-wiring": {},
     "repair-epoch": {},
     "forget-times": {"controllers": []},
+    "hand-over": {},
 }
 COMMANDS: dict[str, dict[str, Any]] = {
     "adopt": {"leader": {}},

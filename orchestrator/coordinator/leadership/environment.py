@@ -73,3 +73,8 @@ class CoordinatorEnvironment:
     check: Executor = run_inline
     certificate: CertificateEnd | None = None
     journal_server: JournalServer | None = None
+
+    @property
+    def read_journal_health(self) -> Callable[[], JournalHealth] | None:
+        """Asks the database of the journal; None: it is a file of this computer."""
+        return None if self.journal_server is None else self.journal_server.read_health

@@ -336,6 +336,12 @@ class FleetLoaded(Reply):
     digest: str = ""
 
 
+class HandedOver(Reply):
+    """The standbys that wait, one of which leads next: their names on the bus."""
+
+    standbys: list[str] = Field(default=[])
+
+
 class EpochRepaired(Reply):
     """The controllers that have accepted the epoch of this leader; empty if all had adopted it already."""
 

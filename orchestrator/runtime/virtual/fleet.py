@@ -16,7 +16,7 @@ from adapters.host.host import AdapterHost, HostEnvironment
 from adapters.host.makes import stops_by_line
 from adapters.toolkit.firing import LoopTimedWriter
 from orchestrator.bus.base import Bus
-from orchestrator.bus.keys import FleetKeys
+from orchestrator.bus.keys import STANDBY, FleetKeys
 from orchestrator.bus.latch import FileLatchStore
 from orchestrator.bus.limits import MAX_COORDINATOR_MESSAGE_BYTES, MAX_HOST_MESSAGE_BYTES
 from orchestrator.bus.memory.bus import MemoryBus, MemoryNet
@@ -299,7 +299,9 @@ class VirtualFleet:
         async def run_coordinator() -> None:
             try:
                 if standby:
+                    token = await bus.announce(self.keys.live("coordinator", name, STANDBY))
                     await wait_for_vacancy(bus, self.keys, self.clock)
+                    await token.undeclare()
                     for other_name, (silent, _) in self.coordinators.items():
                         if other_name != name and silent.alive:
                             silent.kill()

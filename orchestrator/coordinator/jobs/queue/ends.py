@@ -12,6 +12,7 @@ from orchestrator.coordinator.jobs.queue.register import JobRegister
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import DamagedRecord, JobRecord, JournalError
 from orchestrator.model.jobs.job import Job
+from orchestrator.model.messages import AdoptedReply
 from orchestrator.model.report import FINISHED_STATES, JobReport, JobState, make_queued_progress
 from orchestrator.model.steps.order import StepOrder
 
@@ -109,16 +110,16 @@ class JobEnds:
         """End a job that was taken out of the queue; it returns there if its end cannot be recorded."""
         await self._end_waiting(waiting, JobEnd("cancelled", reason, actor))
 
-    async def interrupt_waiting(self, waiting: WaitingJob, reason: str) -> None:
-        """End a job that was taken out of the queue, and that has begun all the same; it is tried until it is
-        recorded."""
-        while True:
+    async def end_unknown_work(self, controller: str, reply: AdoptedReply) -> None:
+        """End a waiting job for which a controller has worked: the journal does not know of it, because it is a copy
+        that was promoted while it lacked the last records. It must not begin anew; it is tried until it is recorded."""
+        while (waiting_job := self._register.waiting.pop(reply.last_job, None)) is not None:
+            step = "" if reply.last_step is None else f" step {reply.last_step + 1} of"
+            reason = f"{controller} has begun{step} this job, which the journal does not know: it has lost records"
             try:
-                await self._end_waiting(waiting, JobEnd("interrupted", reason, COORDINATOR))
-                return
+                await self._end_waiting(waiting_job, JobEnd("interrupted", reason, COORDINATOR))
             except JournalError as error:
-                self._register.waiting.pop(waiting.row.id, None)
-                self._services.log.warning(f"the end of a job cannot be recorded yet: {error}", job=waiting.row.id)
+                self._services.log.warning(f"the end of a job cannot be recorded yet: {error}", job=reply.last_job)
                 await sleep_ns(self._services.clock, RETRY_NS)
 
     async def _end_waiting(self, waiting: WaitingJob, end: JobEnd) -> None:

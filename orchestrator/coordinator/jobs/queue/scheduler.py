@@ -30,7 +30,7 @@ from orchestrator.coordinator.jobs.run.outcome import JobInterrupted, JobOutcome
 from orchestrator.coordinator.jobs.services import JobServices
 from orchestrator.coordinator.journal.records import JobHasEnded, JobRecord, JournalError
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.messages import AdoptedReply, EstopMessage, StopMode
+from orchestrator.model.messages import EstopMessage, StopMode
 from orchestrator.model.queue import APPROVAL, QueueTerms
 
 SCHEDULE_DELAY_PER_JOB_NS = 20 * NS_PER_US  # per job
@@ -47,7 +47,7 @@ class Scheduler:
         self.register = register = JobRegister(services)
         self.publisher = publisher = QueuePublisher(services, register)
         self.gate = QueueGate(services, register, publisher)
-        self._ends = ends = JobEnds(services, register, publisher, self._tasks)
+        self.ends = ends = JobEnds(services, register, publisher, self._tasks)
         self._conditions = WorldConditions(services.fleet, services.copies)
         self.starts = DeliberateStarts(services, register, self._conditions)
         self.queue_requests = QueueRequests(services, register, publisher, ends, starts=self.starts)
@@ -56,6 +56,8 @@ class Scheduler:
         self._sessions = SessionMonitor(services, register, ends, self._tasks)
         self._trouble = False
         self._declared: list[BusDeclaration] = []
+        self.is_leaving = False
+        """No job begins any more: another coordinator is about to lead."""
         services.leases.add_release_listener(lambda _: register.wake_up())
         services.fleet.permits.on_change = publisher.note_change
         services.copies.on_change = publisher.note_change
@@ -66,7 +68,7 @@ class Scheduler:
         remaining_jobs: list[tuple[JobRecord, Job]] = []
         is_damaged = False
         for row in await services.execute(services.journal.list_unfinished):
-            job = await self._ends.load_job(row)
+            job = await self.ends.load_job(row)
             if job is None:
                 is_damaged = True
             elif row.state == "queued":
@@ -78,11 +80,11 @@ class Scheduler:
                 remaining_jobs.append((row, job))
         for row, job in remaining_jobs:
             reason = f"the coordinator ended while the job was {row.state}"
-            await self._ends.end_job(
-                row, job, self._ends.make_report(row, job), JobEnd("interrupted", reason, COORDINATOR)
+            await self.ends.end_job(
+                row, job, self.ends.make_report(row, job), JobEnd("interrupted", reason, COORDINATOR)
             )
         for waiting_job in list(self.register.waiting.values()):
-            await self._ends.settle_follower(waiting_job)
+            await self.ends.settle_follower(waiting_job)
         await self.gate.start(interrupted=bool(remaining_jobs) or is_damaged)
         await self._sessions.start()
         self._declared.append(await services.bus.subscribe(services.keys.estop, self._receive_estop))
@@ -113,7 +115,7 @@ class Scheduler:
     async def enter_job(self, row: JobRecord, job: Job) -> None:
         """Enter a job that was accepted."""
         waiting_job = self.register.waiting[row.id] = WaitingJob(row, job, row.after)
-        await self._ends.settle_follower(waiting_job)
+        await self.ends.settle_follower(waiting_job)
         self._times.note_entry()
         self.register.wake_up()
         self.publisher.schedule_publication()
@@ -126,15 +128,6 @@ class Scheduler:
     async def interrupt_jobs(self, interrupt: JobInterrupted, mode: StopMode = "decelerate") -> None:
         """Stop and end all running jobs."""
         await asyncio.gather(*(run.interrupt_job(interrupt, mode) for run in self.register.running.values()))
-
-    async def end_unknown_work(self, controller: str, reply: AdoptedReply) -> None:
-        """End a waiting job for which a controller has worked: the journal does not know of it, because it is a copy
-        that was promoted while it lacked the last records. It must not begin anew."""
-        waiting_job = self.register.waiting.pop(reply.last_job, None)
-        if waiting_job is not None:
-            step = "" if reply.last_step is None else f" step {reply.last_step + 1} of"
-            reason = f"{controller} has begun{step} this job, which the journal does not know: it has lost records"
-            await self._ends.interrupt_waiting(waiting_job, reason)
 
     # Scheduling loop
 
@@ -149,6 +142,8 @@ class Scheduler:
                 self.register.wake_up()
             # A long queue is scheduled less often: a pass takes some microseconds per job.
             await sleep_ns(services.clock, len(self.register.waiting) * SCHEDULE_DELAY_PER_JOB_NS)
+            if self.is_leaving:
+                continue
             choice = self._make_schedule()
             if choice.waits_for_world:
                 services.clock.call_at_ns(services.clock.now_ns() + CONDITION_POLL_NS, self.register.wake_up)
@@ -199,7 +194,7 @@ class Scheduler:
             if self.register.waiting.pop(waiting_job.row.id, None) is not None:
                 reason = f"not begun, because it must not wait: {reasons[waiting_job.row.id]}"
                 try:
-                    await self._ends.cancel_waiting(waiting_job, reason, COORDINATOR)
+                    await self.ends.cancel_waiting(waiting_job, reason, COORDINATOR)
                 except JournalError as error:
                     # It is in the queue again, and this is tried again.
                     self._services.log.warning(str(error), job=waiting_job.row.id)
@@ -210,7 +205,7 @@ class Scheduler:
         row = waiting.row
         del self.register.waiting[row.id]
         needs = self.register.take_needs(row.id).controllers
-        run = JobRun(self._services, row, waiting.job, self._ends.make_report(row, waiting.job), needs)
+        run = JobRun(self._services, row, waiting.job, self.ends.make_report(row, waiting.job), needs)
         self.register.running[row.id] = run
         run.task = asyncio.get_running_loop().create_task(run.run())
         self._tasks.spawn(self._finish_job, run, waiting)
@@ -253,7 +248,7 @@ class Scheduler:
         """Record an end as soon as the journal can be written. Its controllers stay taken until then."""
         while True:
             try:
-                await self._ends.end_job(
+                await self.ends.end_job(
                     run.row, run.job, outcome.report, JobEnd(outcome.state, outcome.reason, outcome.actor)
                 )
                 return
