@@ -7,6 +7,7 @@ from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobState
 
 UNREADABLE_TIME = "1970-01-01T00:00:00.000000Z"  # stands for one that cannot be read
+BRING_BACK = "end the fleet, and bring back a backup: `tutti journal import FILE --state DIR --replace`"
 
 
 class JournalError(TuttiError):

@@ -20,8 +20,8 @@ from typing import BinaryIO, Literal
 from pydantic import Field, ValidationError
 
 from orchestrator.coordinator.journal.records import BadBackup
+from orchestrator.coordinator.journal.sqlite.database import copy_database
 from orchestrator.coordinator.journal.sqlite.portable import read_stored_epoch
-from orchestrator.coordinator.journal.sqlite.transaction import copy_database
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.files.private_files import FILE_MODE, sync_folder, write_new_file
 from orchestrator.runtime.state.folder import ADAPTERS, FLEET_FILE, JOURNAL

@@ -15,9 +15,10 @@ from typing import BinaryIO, NamedTuple
 
 from adapters.controller.state.store import FileStore
 from orchestrator.coordinator.journal.records import BadBackup, JournalError
-from orchestrator.coordinator.journal.sqlite.inspection import JournalDamage, check_journal
+from orchestrator.coordinator.journal.sql.inspection import JournalDamage
+from orchestrator.coordinator.journal.sqlite.inspection import check_journal
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.journal.sqlite.portable import import_journal, read_stored_epoch, set_epoch
+from orchestrator.coordinator.journal.sqlite.portable import import_journal, read_stored_epoch
 from orchestrator.model.files.private_files import make_private_folder, sync_folder
 from orchestrator.model.messages import MAX_EPOCH
 from orchestrator.model.queue import QueueStop
@@ -112,7 +113,7 @@ def _prepare_journal(path: Path, file: Path, epoch: int, wishes: ImportWishes) -
         text = error.text.replace(str(path), f"{file}: {JOURNAL}")
         raise BadBackup(text, "use another backup, or a newer Tutti if its schema is newer") from None
     try:
-        set_epoch(journal, epoch)
+        journal.set_epoch(epoch)
         reason = f"the journal was imported from {file.name}; look which jobs still have to run"
         journal.store_queue_stop(QueueStop(reason=reason, actor=wishes.actor, utc=wishes.utc))
     finally:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.coordinator.journal.facts import AlarmChange, AlarmNotice, StatisticsRow
-from orchestrator.coordinator.journal.sqlite import alarm_tables
+from orchestrator.coordinator.journal.sql import alarm_tables
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.operation.alarms import AlarmCause, AlarmRecord
 from orchestrator.model.operation.transitions import raise_alarm
@@ -28,7 +28,7 @@ def test_alarms_and_notices_are_kept_and_a_damaged_one_is_named(tmp_path: Path) 
     assert journal.alarms.load_notices() == [AlarmNotice(one), AlarmNotice(two, 3)]
     journal.alarms.delete_notice("1-1")
     journal.alarms.store_changes([], forgotten=[one.id])
-    journal.database.execute("UPDATE alarms SET body = replace(body, 'high', 'low')")
+    journal.database.write("UPDATE alarms SET body = replace(body, 'high', 'low')")
     assert journal.alarms.load_alarms() == ([], [two.id])
     assert journal.alarms.load_notices() == [AlarmNotice(two, 3)]
     assert journal.alarms.load_history(10) == [two, one]

@@ -55,7 +55,7 @@ def test_accepted_is_on_disk_with_its_terms(tmp_path: Path) -> None:
     assert row.terms == terms
     assert (row.at_utc, row.due, row.held_by) == ("2026-12-01T10:00:00.000000Z", False, "unknown")
     assert (row.origin, row.from_step, row.place) == ("z", 1, 1)
-    assert journal._db.execute("PRAGMA synchronous").fetchone() == (2,)  # pyright: ignore[reportPrivateUsage]
+    assert journal.database.connection.execute("PRAGMA synchronous").fetchone() == (2,)
 
 
 def test_jobs_are_found_by_state_name_and_time() -> None:
@@ -152,7 +152,7 @@ def test_upgrade_from_older_versions(tmp_path: Path, version: int) -> None:
     # Its keys had no owner: they count for all.
     assert journal.accept_job("x", "k1", JOB, utc(4), QueueEntryOptions(key_owner="anna")) == ("j1", False)
     assert journal.accept_job("j4", "k4", JOB, utc(4)) == ("j4", True)
-    assert journal._db.execute("PRAGMA user_version").fetchone() == (VERSION,)  # pyright: ignore[reportPrivateUsage]
+    assert journal.database.connection.execute("PRAGMA user_version").fetchone() == (VERSION,)
     journal.close()
     assert [row.id for row in SqliteJournal(path).list_unfinished()] == ["j2", "j3", "j4"]
 
@@ -165,14 +165,14 @@ def test_jobs_of_an_older_version_keep_their_checksums(tmp_path: Path) -> None:
     columns = [f"ALTER TABLE jobs DROP COLUMN {name}" for name in ("proposed", "request_digest", "continues")]
     columns.append("ALTER TABLE point_rows DROP COLUMN flown")
     for statement in ("DROP TABLE approvals", "DROP TABLE commands", "DROP TABLE learned", *columns):
-        journal.database.execute(statement)
-    journal.database.execute("PRAGMA user_version=9")
+        journal.database.connection.execute(statement)
+    journal.database.connection.execute("PRAGMA user_version=9")
     journal.close()
     journal = SqliteJournal(path)
     assert journal.load_job("a") == JOB
     row = journal.load_record("a")
     assert row is not None and not row.proposed
-    journal.database.execute("UPDATE jobs SET proposed = 1")
+    journal.database.connection.execute("UPDATE jobs SET proposed = 1")
     with pytest.raises(DamagedRecord, match="its checksum is wrong"):
         journal.load_job("a")
 
@@ -209,7 +209,7 @@ def test_an_approval_releases_its_job_and_is_deleted_with_it() -> None:
     found, row = journal.approvals.load_approval("a"), journal.load_record("a")
     assert found == approval("a").model_copy(update={"void": "held again: x"})
     assert row is not None and row.held_by == APPROVAL
-    journal.database.execute("UPDATE approvals SET body = replace(body, 'anna', 'anne')")
+    journal.database.connection.execute("UPDATE approvals SET body = replace(body, 'anna', 'anne')")
     with pytest.raises(DamagedRecord, match="the approval of job a is damaged"):
         journal.approvals.load_approval("a")
     end(journal, "a", "cancelled")
@@ -267,7 +267,7 @@ def test_a_damaged_journal_is_reported_and_not_written_to(tmp_path: Path) -> Non
 
 def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
     journal = SqliteJournal(tmp_path / "journal.db")
-    db = journal._db  # pyright: ignore[reportPrivateUsage]
+    db = journal.database.connection
     pages = db.execute("PRAGMA page_count").fetchone()[0]
     db.execute(f"PRAGMA max_page_count={pages + 4}")
     accepted = 0
@@ -292,7 +292,7 @@ def test_a_disk_that_fills_up_or_turns_read_only(tmp_path: Path) -> None:
 def test_an_unreadable_body_names_the_job() -> None:
     journal = SqliteJournal(":memory:")
     journal.accept_job("a", "a", JOB, utc(1))
-    journal._db.execute("UPDATE jobs SET body = '{}'")  # pyright: ignore[reportPrivateUsage]
+    journal.database.connection.execute("UPDATE jobs SET body = '{}'")
     with pytest.raises(JournalError, match="the Job of job a cannot be read"):
         journal.load_job("a")
 
@@ -348,7 +348,7 @@ def test_a_damaged_record_is_a_failed_job_and_affects_no_other(damage: str, show
     journal = SqliteJournal(":memory:")
     for job_id in ("a", "b"):
         journal.accept_job(job_id, job_id, JOB, utc(1))
-    journal._db.execute(f"UPDATE jobs SET {damage} WHERE id = 'a'")  # pyright: ignore[reportPrivateUsage]
+    journal.database.connection.execute(f"UPDATE jobs SET {damage} WHERE id = 'a'")
     first, second = journal.list_unfinished()
     assert (second.id, second.state, second.damage) == ("b", "queued", "")
     assert (first.id, first.state) == ("a", "failed") and first.damage.endswith(shown)
@@ -366,7 +366,7 @@ def test_a_bit_that_changes_in_a_job_is_noticed_although_the_job_can_be_read(col
     terms = QueueTerms(at="2026-12-01T12:00:00+02:00", missed="run")
     journal.accept_job("a", "a", JOB, utc(1), QueueEntryOptions(terms))
     change = "replace(body, '1', '3')" if column == "body" else f"replace({column}, substr({column}, 2, 1), '2')"
-    journal.database.execute(f"UPDATE jobs SET {column} = {change}")
+    journal.database.connection.execute(f"UPDATE jobs SET {column} = {change}")
     with pytest.raises(DamagedRecord, match="the Job of job a cannot be read: its checksum is wrong"):
         journal.load_job("a")
 
@@ -379,8 +379,8 @@ def test_a_bit_that_changes_in_a_value_is_taken_back_from_its_copy(damaged: str)
     stop = QueueStop(reason="test", actor="anna", utc=utc(1))
     journal.store_queue_stop(stop)
     journal.store_instances({"a": "i1"})
-    journal.database.execute(f"UPDATE {damaged} SET value = replace(replace(value, '7', '3'), '2', '6')")
-    journal.database.execute(f"UPDATE {damaged} SET value = 'x' WHERE key IN ('kernel_id', 'instances')")
+    journal.database.connection.execute(f"UPDATE {damaged} SET value = replace(replace(value, '7', '3'), '2', '6')")
+    journal.database.connection.execute(f"UPDATE {damaged} SET value = 'x' WHERE key IN ('kernel_id', 'instances')")
     assert journal.take_epoch(0) == 8
     assert journal.fleet_time_scale("k", 99, "t") == ("s", 1234)
     assert journal.load_queue_stop() == stop and journal.load_instances() == {"a": "i1"}
@@ -390,7 +390,7 @@ def test_a_scale_whose_origin_cannot_be_read_begins_anew() -> None:
     journal = SqliteJournal(":memory:")
     journal.fleet_time_scale("k", 1234, "s")
     for table in ("meta", "meta_copies"):
-        journal.database.execute(f"UPDATE {table} SET value = '12x4' WHERE key = 'origin_host_ns'")
+        journal.database.connection.execute(f"UPDATE {table} SET value = '12x4' WHERE key = 'origin_host_ns'")
     assert journal.fleet_time_scale("k", 99, "t") == ("t", 99)
 
 
@@ -399,7 +399,7 @@ def test_damaged_bytes_and_damaged_values_of_the_queue(tmp_path: Path) -> None:
     journal = SqliteJournal(path)
     for job_id in ("a", "b"):
         journal.accept_job(job_id, job_id, JOB, utc(1))
-    db = journal._db  # pyright: ignore[reportPrivateUsage]
+    db = journal.database.connection
     db.execute("UPDATE jobs SET body = CAST(X'7B22FF' AS TEXT), name = CAST(X'FF41' AS TEXT) WHERE id = 'a'")
     db.execute("UPDATE transitions SET state = 'q' WHERE job_id = 'a'")
     db.executemany("INSERT INTO meta VALUES (?, '{x')", [("queue_stop",), ("instances",)])

@@ -19,8 +19,9 @@ from orchestrator.coordinator.jobs.run.point_feed import PointFeed
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
+from orchestrator.coordinator.journal.sql.point_store import PointStore
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.journal.sqlite.point_store import PointStore
+from orchestrator.coordinator.journal.sqlite.points import open_points
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import load_fleet, parse_document
@@ -56,7 +57,7 @@ def store_points(store: PointStore, count: int, scale: float = 0.1, part: int = 
 
 
 def test_points_come_back_from_any_part() -> None:
-    store = PointStore(":memory:")
+    store = PointStore(open_points(":memory:"))
     digest = store_points(store, 1000)
     assert store.read_rows(digest, 0, 2) == [(0.0, 0.0), (0.1, 1.0)]
     assert store.read_rows(digest, 95, 10) == [(k * 0.1, k % 7) for k in range(95, 105)]
@@ -66,7 +67,7 @@ def test_points_come_back_from_any_part() -> None:
 
 
 def test_an_upload_that_broke_off_is_continued_or_deleted_after_an_hour() -> None:
-    store = PointStore(":memory:")
+    store = PointStore(open_points(":memory:"))
     digest, rows = make_points(300)
     store.begin_upload(digest, AXES, 300, NOON, [])
     assert store.add_part(digest, 0, rows[:1600], NOON).received == 1600
@@ -84,7 +85,7 @@ def test_an_upload_that_broke_off_is_continued_or_deleted_after_an_hour() -> Non
 
 
 def test_points_that_jobs_name_stay_and_count_against_the_quota() -> None:
-    store = PointStore(":memory:", quota_bytes=10_000)
+    store = PointStore(open_points(":memory:"), quota_bytes=10_000)
     kept = store_points(store, 600)
     digest, _ = make_points(100, 0.2)
     with pytest.raises(Refusal, match="the points need 1600 B; 9600 B of 10000 B for points are in use") as full:
@@ -95,7 +96,7 @@ def test_points_that_jobs_name_stay_and_count_against_the_quota() -> None:
 
 
 def test_points_that_are_not_those_announced_are_refused_and_deleted() -> None:
-    store = PointStore(":memory:")
+    store = PointStore(open_points(":memory:"))
     digest, rows = make_points(10)
     store.begin_upload(digest, AXES, 10, NOON, [])
     with pytest.raises(Refusal, match="are not those that were announced"):
@@ -109,20 +110,21 @@ def test_points_that_are_not_those_announced_are_refused_and_deleted() -> None:
 
 
 def test_a_bit_that_changed_on_the_disk_moves_nothing(tmp_path: Path) -> None:
-    store = PointStore(str(tmp_path / "points"))
-    digest = store_points(store, 300)
-    store.close()
+    database = open_points(str(tmp_path / "points"))
+    digest = store_points(PointStore(database), 300)
+    database.close()
     with sqlite3.connect(tmp_path / "points") as db:
         (data,) = db.execute("SELECT data FROM parts WHERE begin = 1600").fetchone()
         db.execute("UPDATE parts SET data = ? WHERE begin = 1600", (data[:99] + bytes([data[99] ^ 1]) + data[100:],))
     db.close()
-    store = PointStore(str(tmp_path / "points"))
+    database = open_points(str(tmp_path / "points"))
+    store = PointStore(database)
     assert len(store.read_rows(digest, 0, 100)) == 100
     with pytest.raises(DamagedRecord, match="have changed on the disk"):
         store.read_rows(digest, 100, 10)
     with pytest.raises(JournalError, match="are not stored any more"):
         store.read_rows(f"sha256:{'0' * 64}", 0, 1)
-    store.close()
+    database.close()
 
 
 def test_quantiles_are_within_their_resolution() -> None:
