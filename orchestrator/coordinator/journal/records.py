@@ -35,6 +35,19 @@ class DamagedRecord(JournalError):
     """One record of the journal cannot be read. The others can."""
 
 
+class UnknownResult(JournalError):
+    """The journal was asked to store something, and gave no answer in time: it may be stored or not. A request with the
+    same key finds out."""
+
+
+class CopyMissing(JournalError):
+    """A copy of the journal that the fleet asks for is missing. Nothing was stored."""
+
+
+class HistoryLost(JournalError):
+    """The journal is older than what adapters have seen of it: what it does not know may have been done."""
+
+
 class JobRecord(NamedTuple):
     """A job in the journal.
 

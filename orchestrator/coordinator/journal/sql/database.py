@@ -1,7 +1,8 @@
 """What the tables of the journal need of a database, in statements that SQLite and PostgreSQL both take.
 
-Such a statement marks values by `?` and has no other question mark. Rows of a table that has no number of its own are
-in the order of `rowid`. Numbers are integers of 64 bits, texts are UTF-8, and are compared by code points.
+Such a statement marks values by `?`, and has no other question mark and no percent sign. Rows of a table that has no
+number of its own are in the order of `rowid`. Numbers are integers of 64 bits, texts are UTF-8, and are compared by
+code points.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -47,11 +48,6 @@ class Database(Protocol):
 
         copied: it must be on all machines that the fleet asks for before it counts; what is not may be stored on fewer
         while one of them is missing."""
-        ...
-
-    def list_columns(self) -> dict[str, list[str]]:
-        """The columns of each table of records, in the order in which the tables were made: a record comes after those
-        that it names."""
         ...
 
 

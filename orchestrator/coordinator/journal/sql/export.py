@@ -8,17 +8,16 @@ find accidents and careless edits; they are no signature. Bytes, which only poin
 import hashlib
 import json
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
 from orchestrator.coordinator.journal.sql.database import Database
+from orchestrator.coordinator.journal.sql.tables import IN_ORDER
 from orchestrator.model.base import Model
 
 POINTS = "points."  # in front of the tables of the points of scans
-IN_ORDER = ("transitions", "decisions", "reservations", "alarm_notices")
-"""Tables whose rows have no number of their own, and an order."""
 
 
 class ExportHeader(Model):
@@ -32,15 +31,20 @@ class ExportHeader(Model):
     utc: str
 
 
-def export_databases(
-    header: ExportHeader, databases: Sequence[tuple[str, Database]], write: Callable[[str], object]
-) -> int:
-    """Write the tables of databases line by line, each with the prefix of its database; return how many records.
+class ExportPart(NamedTuple):
+    """Tables of a database. prefix: in front of their names. columns: of each, in the order of `tables.RECORDS`."""
 
-    The caller keeps them as they are at one instant. Raises `JournalError`."""
+    prefix: str
+    db: Database
+    columns: Mapping[str, Sequence[str]]
+
+
+def export_parts(header: ExportHeader, parts: Sequence[ExportPart], write: Callable[[str], object]) -> int:
+    """Write tables line by line; return how many records. The caller keeps them as they are at one instant. Raises
+    `JournalError`."""
     seal = _Seal(write)
     seal.write_line(header.model_dump_json())
-    count = sum(_export_tables(db, prefix, seal) for prefix, db in databases)
+    count = sum(_export_tables(part, seal) for part in parts)
     write(json.dumps({"end": count, "sum": seal.digest.hexdigest()}) + "\n")
     return count
 
@@ -68,15 +72,20 @@ def sum_record(number: int, table: str, row: object) -> str:
     return hashlib.sha256(json.dumps([number, table, row], sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _export_tables(db: Database, prefix: str, seal: _Seal) -> int:
+def _export_tables(part: ExportPart, seal: _Seal) -> int:
     count = 0
-    for table, columns in db.list_columns().items():
-        order = " ORDER BY rowid" if table in IN_ORDER else ""
-        for row in db.stream(f"SELECT {', '.join(columns)} FROM {table}{order}"):
+    for table, columns in part.columns.items():
+        for row in stream_table(part.db, table, columns):
             values = dict(zip(columns, map(_encode, row), strict=True))
-            seal.write_record(prefix + table, values)
+            seal.write_record(part.prefix + table, values)
             count += 1
     return count
+
+
+def stream_table(db: Database, table: str, columns: Sequence[str]) -> Iterator[Any]:
+    """The rows of a table, in their order if they have one. Raises `JournalError`."""
+    order = " ORDER BY rowid" if table in IN_ORDER else ""
+    return db.stream(f"SELECT {', '.join(columns)} FROM {table}{order}")
 
 
 def _encode(value: object) -> object:

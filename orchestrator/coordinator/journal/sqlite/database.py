@@ -75,6 +75,8 @@ class SqliteDatabase:
             raise
 
     def list_columns(self) -> dict[str, list[str]]:
+        """The columns of each table that the file has, in the order in which the tables were made: a record comes after
+        those that it names. Raises `JournalError`."""
         query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%' ORDER BY rowid"
         names = [name for (name,) in self.select(query)]
         return {name: [row[1] for row in self.select(f"PRAGMA table_info({name})")] for name in names}

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from orchestrator.coordinator.journal.records import BadBackup
 from orchestrator.coordinator.journal.sql.database import make_insert
-from orchestrator.coordinator.journal.sql.export import POINTS, ExportHeader, export_databases, sum_record
+from orchestrator.coordinator.journal.sql.export import POINTS, ExportHeader, ExportPart, export_parts, sum_record
 from orchestrator.coordinator.journal.sql.values import StoredValues
 from orchestrator.coordinator.journal.sqlite.database import (
     DATABASE_ERRORS,
@@ -38,14 +38,14 @@ def export_journal(path: Path, tutti: str, utc: str, write: Callable[[str], obje
             db = stack.enter_context(open_read_only(path))
             db.connection.execute("BEGIN")  # all records as they are at one instant
             header = ExportHeader(journal_schema=read_version(db.connection, str(path)), tutti=tutti, utc=utc)
-            databases = [("", db)]
+            parts = [ExportPart("", db, db.list_columns())]
             points = find_points(path)
             if points.exists():
                 point_db = stack.enter_context(open_read_only(points))
                 # Read later: a job comes after the points that it names.
                 point_db.connection.execute("BEGIN")
-                databases.append((POINTS, point_db))
-            return export_databases(header, databases, write)
+                parts.append(ExportPart(POINTS, point_db, point_db.list_columns()))
+            return export_parts(header, parts, write)
     except DATABASE_ERRORS as error:
         raise make_unusable_error(str(path), error) from None
 

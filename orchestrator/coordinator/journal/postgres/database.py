@@ -1,0 +1,163 @@
+"""A database on a server: what is written in a transaction is sent with its next read or its end, in one round trip.
+
+The first statement of a transaction holds the leader's row, so that a coordinator whose epoch is over writes nothing.
+The last one before its end states a mark: after a commit without an answer, the mark says whether it was done.
+"""
+
+import secrets
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from orchestrator.coordinator.journal.postgres.errors import ConnectionLost
+from orchestrator.coordinator.journal.postgres.health import JournalHealth, read_health
+from orchestrator.coordinator.journal.postgres.session import Session, Statement
+from orchestrator.coordinator.journal.postgres.transaction import Fence, Transaction
+from orchestrator.coordinator.journal.records import CopyMissing, JournalError, UnknownResult
+from orchestrator.coordinator.journal.sql.database import Row
+
+ROWS_AT_ONCE = 16  # of many; each may have some megabytes
+
+_COMMIT = Statement("COMMIT")
+_LOCAL = Statement("SET LOCAL synchronous_commit TO local")
+_MARK = "UPDATE confirmations SET writer = ?, number = ?"
+_FIND_MARK = Statement("SELECT writer, number, epoch FROM confirmations CROSS JOIN leader")
+_CONFIRM = Statement("UPDATE confirmations SET confirmed = confirmed + 1")
+
+
+class PostgresDatabase:
+    """`Database` of one fleet on a server. copies: the machines on which a promise has to be before it counts, 1 or 2.
+
+    epoch: that of the leader that writes here; 0 until it has taken one, and then only a journal that has had no leader
+    is written to."""
+
+    def __init__(self, session: Session, copies: int = 1) -> None:
+        self.session = session
+        self.copies = copies
+        self.epoch = 0
+        self.is_copy_missing = False
+        """With two copies: what is no promise is committed on this machine alone, and promises are refused."""
+        self._transaction: Transaction | None = None
+        self._writer = secrets.token_hex(8)
+        self._number = 0
+
+    @property
+    def name(self) -> str:
+        return self.session.name
+
+    @property
+    def in_transaction(self) -> bool:
+        return self._transaction is not None and not self._transaction.is_lost
+
+    def close(self) -> None:
+        self.session.close()
+
+    def select(self, statement: str, values: Row = ()) -> list[Any]:
+        if self._transaction is None:
+            return self.session.run_again([Statement(statement, values)])[0]
+        return self._transaction.read(Statement(statement, values))
+
+    def stream(self, statement: str, values: Row = ()) -> Iterator[Any]:
+        """Only in a transaction, and one at a time."""
+        self.select(f"DECLARE rows NO SCROLL CURSOR FOR {statement}", values)
+        try:
+            while rows := self.select(f"FETCH {ROWS_AT_ONCE} FROM rows"):
+                yield from rows
+        finally:
+            if self.in_transaction:
+                self.write("CLOSE rows")
+
+    def write(self, statement: str, values: Row = ()) -> None:
+        self.write_many(statement, [values])
+
+    def write_many(self, statement: str, rows: Iterable[Row]) -> None:
+        if self._transaction is None:
+            with self.transaction():
+                self.write_many(statement, rows)
+            return
+        for row in rows:
+            self._transaction.send_later(Statement(statement, row))
+
+    @contextmanager
+    def transaction(self, *, copied: bool = False) -> Generator[None]:
+        if self._transaction is not None:
+            with self._transaction.part(copied=copied):
+                yield
+            return
+        with self._run_transaction(Fence.hold(self.epoch), copied=copied):
+            yield
+
+    @contextmanager
+    def lock_leader(self) -> Generator[None]:
+        """A transaction that holds the leader's row alone, whatever its epoch is: its result is a promise."""
+        with self._run_transaction(Fence.lock(), copied=True):
+            yield
+
+    @contextmanager
+    def snapshot(self) -> Generator[None]:
+        """All that is read inside is as it was at one instant; nothing is written."""
+        transaction = self._transaction = Transaction(self.session, None)
+        try:
+            yield
+        finally:
+            self._transaction = None
+            transaction.roll_back()
+
+    def read_health(self) -> JournalHealth:
+        """Ask the server, and note whether a copy is missing. Raises `JournalError`."""
+        health = read_health(self.session, self.copies)
+        self.is_copy_missing = health.mode == "waits for a copy"
+        return health
+
+    @contextmanager
+    def _run_transaction(self, fence: Fence, *, copied: bool) -> Generator[None]:
+        self._require_copies(copied=copied)
+        transaction = self._transaction = Transaction(self.session, fence, copied=copied)
+        try:
+            yield
+            self._transaction = None
+            self._commit(transaction)
+        except BaseException:
+            self._transaction = None
+            transaction.roll_back()
+            raise
+
+    def _require_copies(self, *, copied: bool) -> None:
+        if copied and self.copies > 1 and self.is_copy_missing:
+            raise CopyMissing(
+                f"{self.name}: the copy of the journal on a second machine is missing; no job is accepted",
+                "look at the standby server, and at pg_stat_replication on the primary",
+            )
+
+    def _commit(self, transaction: Transaction) -> None:
+        self._require_copies(copied=transaction.copied)
+        statements = transaction.take_last(needs_standby=transaction.copied and self.copies > 1)
+        self._number += 1
+        is_local = self.copies > 1 and self.is_copy_missing
+        statements += [Statement(_MARK, (self._writer, self._number)), *([_LOCAL] if is_local else []), _COMMIT]
+        try:
+            self.session.run(statements)
+        except ConnectionLost as error:
+            if not self._find_result(is_promise=transaction.copied):
+                raise error from None
+
+    def _find_result(self, *, is_promise: bool) -> bool:
+        """Whether a commit without an answer was done. Raises `UnknownResult` where that cannot be found out."""
+        try:
+            ((mark,),) = self.session.run([_FIND_MARK])
+            is_stored = tuple(mark[:2]) == (self._writer, self._number)
+            if is_stored and self.copies > 1:
+                # Visible is not copied: a later commit that is confirmed confirms all before it.
+                if self.read_health().mode == "two copies":
+                    self.session.run([_CONFIRM])
+                elif is_promise:
+                    raise self._make_unknown_error()
+        except JournalError:
+            raise self._make_unknown_error() from None
+        if not is_stored and (mark[2] != self.epoch or mark[0] != self._writer):
+            raise self._make_unknown_error()  # another leader has written its mark over it, or may have
+        return is_stored
+
+    def _make_unknown_error(self) -> UnknownResult:
+        text = f"{self.name}: there was no answer whether it was stored"
+        return UnknownResult(text, "ask for it again, with the same key: nothing is stored twice")
