@@ -251,5 +251,5 @@ def test_damaged_values_of_the_queue(journal: OpenJournal) -> None:
         journal.database.write("INSERT INTO meta (key, value) VALUES (?, '{x')", (key,))
     stop = journal.load_queue_stop()
     assert stop is not None and "damaged" in stop.reason and journal.load_instances() == {}
-    with pytest.raises(JournalError, match="its epoch .* is damaged"):
+    with pytest.raises(JournalError, match=r"its epoch .* is damaged"):
         journal.take_epoch(0)

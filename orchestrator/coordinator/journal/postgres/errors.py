@@ -73,7 +73,7 @@ def make_failed_error(name: str, error: Exception) -> JournalError:
 
 def make_lost_error(name: str, reason: str) -> ConnectionLost:
     """The error for a connection that ended, or that gave no answer in time."""
-    return ConnectionLost(f"{name}: {reason}; nothing of it was stored", _SERVER)
+    return ConnectionLost(f"{name}: the connection was lost ({reason}), and nothing of it was stored", _SERVER)
 
 
 def _flatten(error: Exception) -> str:

@@ -98,18 +98,17 @@ class Session:
             cursors = self._send(connection, statements)
             return [cursor.fetchall() if cursor.description else [] for cursor in cursors]
         except (psycopg.Error, UnicodeError) as error:
-            raise self._translate_error(error) from None
+            raise self._translate_error(connection, error, is_together=len(statements) > 1) from None
 
-    def _translate_error(self, error: Exception) -> JournalError:
+    def _translate_error(self, connection: _Connection, error: Exception, *, is_together: bool) -> JournalError:
         """The error of the journal for one of the connection, which is dropped if it cannot be used any more."""
-        connection = self._connection
-        if connection is None:
-            return make_lost_error(self.name, "the connection was lost")
         if connection.closed:
             is_late = monotonic() >= connection.deadline
-            reason = f"no answer within {self.deadline_s:g} s" if is_late else "the connection was lost"
             self._drop()
-            return make_lost_error(self.name, reason)
+            return make_lost_error(self.name, f"no answer within {self.deadline_s:g} s" if is_late else "it was ended")
+        if is_together:
+            # psycopg counts statements as prepared that the server has skipped after the error.
+            self._drop()
         return make_failed_error(self.name, error)
 
     @staticmethod
