@@ -9,6 +9,10 @@ class ConnectionLost(JournalError):
     """The connection ended, or no answer came in time. What was not committed before is not stored."""
 
 
+class AnswerLate(ConnectionLost):
+    """No answer came before the deadline, and the connection was closed."""
+
+
 _SERVER = "see whether its server runs, and the network to it"
 _SPACE = "free space on the disk of the database"
 _READS = "it takes no writes: a standby, or read-only"
@@ -71,9 +75,15 @@ def make_failed_error(name: str, error: Exception) -> JournalError:
     return JournalError(f"{name}: {problem} ({_flatten(error).partition(' LINE 1')[0]})", remedy)
 
 
-def make_lost_error(name: str, reason: str) -> ConnectionLost:
-    """The error for a connection that ended, or that gave no answer in time."""
-    return ConnectionLost(f"{name}: the connection was lost ({reason}), and nothing of it was stored", _SERVER)
+def make_lost_error(name: str) -> ConnectionLost:
+    """The error for a connection that ended."""
+    return ConnectionLost(f"{name}: the connection was lost, and nothing of it was stored", _SERVER)
+
+
+def make_late_error(name: str, deadline_s: float) -> AnswerLate:
+    """The error for a connection that was closed because no answer came in time."""
+    text = f"{name}: no answer within {deadline_s:g} s; the connection was closed, and nothing of it was stored"
+    return AnswerLate(text, _SERVER)
 
 
 def _flatten(error: Exception) -> str:

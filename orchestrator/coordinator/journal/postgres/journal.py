@@ -22,7 +22,7 @@ from orchestrator.model.messages import MAX_EPOCH_STEP
 
 MIGRATION_S = 60.0
 _END_LEADERS = (
-    "SELECT pg_terminate_backend(pid, 1000) FROM pg_stat_activity"
+    "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
     " WHERE datname = current_database() AND application_name ~ ? AND pid <> pg_backend_pid()"
 )
 

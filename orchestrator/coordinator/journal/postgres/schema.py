@@ -166,6 +166,6 @@ def migrate(session: Session, schema: str) -> None:
             session.run([Statement(f"{create}{steps} {change}")])
         session.run([Statement("COMMIT")])
     except JournalError:
-        if session.is_connected:
+        if session.connection is not None:
             session.run([Statement("ROLLBACK")])
         raise

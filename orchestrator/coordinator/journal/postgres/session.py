@@ -1,5 +1,6 @@
 """One session with the server, whose deadlines are kept here: a server that is suspended keeps none of its own."""
 
+import logging
 from collections.abc import Sequence
 from functools import lru_cache
 from time import monotonic
@@ -11,14 +12,19 @@ from psycopg.rows import TupleRow
 
 from orchestrator.coordinator.journal.postgres.address import JournalAddress
 from orchestrator.coordinator.journal.postgres.errors import (
+    AnswerLate,
     ConnectionLost,
     make_failed_error,
+    make_late_error,
     make_lost_error,
     make_refused_error,
 )
 from orchestrator.coordinator.journal.records import JournalError
 
 RV = TypeVar("RV")
+
+# Its warnings are of errors that it raises as well.
+logging.getLogger("psycopg").setLevel(logging.ERROR)
 
 DEADLINE_S = 2.0  # of the statements that are sent together
 OLDEST = 14  # `pg_terminate_backend` waits, from this version on
@@ -66,8 +72,9 @@ class Session:
         self._is_closed = False
 
     @property
-    def is_connected(self) -> bool:
-        return self._connection is not None
+    def connection(self) -> object | None:
+        """What is connected at present; another object after it was lost."""
+        return self._connection
 
     def run(self, statements: Sequence[Statement]) -> list[list[Any]]:
         """Send statements together; return the rows of each.
@@ -79,10 +86,13 @@ class Session:
         return self._run(connection, statements)
 
     def run_again(self, statements: Sequence[Statement]) -> list[list[Any]]:
-        """The same for statements that change nothing yet: once more on a new connection if the present one is lost."""
+        """The same for statements that change nothing yet: once more on a new connection if the present one has
+        ended. Not after a deadline, which would be another one."""
         if self._connection is not None:
             try:
                 return self._run(self._connection, statements)
+            except AnswerLate:
+                raise
             except ConnectionLost:
                 pass
         return self.run(statements)
@@ -105,7 +115,7 @@ class Session:
         if connection.closed:
             is_late = monotonic() >= connection.deadline
             self._drop()
-            return make_lost_error(self.name, f"no answer within {self.deadline_s:g} s" if is_late else "it was ended")
+            return make_late_error(self.name, self.deadline_s) if is_late else make_lost_error(self.name)
         if is_together:
             # psycopg counts statements as prepared that the server has skipped after the error.
             self._drop()
@@ -157,7 +167,7 @@ class Session:
         if self._backend is not None and self._connection is not None:
             (ends,) = self._run(self._connection, [Statement(_END, self._backend)])
             if ends == [(False,)]:
-                raise make_lost_error(self.name, "the session of before does not end")
+                raise make_lost_error(self.name)
 
     def _drop(self) -> None:
         connection, self._connection = self._connection, None

@@ -45,6 +45,7 @@ class Transaction:
         self._statements = [_SNAPSHOT] if fence is None else [_BEGIN, fence.statement]
         self._bytes = 0
         self._has_begun = False
+        self._connection: object | None = None
         self._has_standby = False
         self.copied = copied
         self.is_lost = False
@@ -78,7 +79,7 @@ class Transaction:
     def roll_back(self) -> None:
         """Roll it back, if the server has it."""
         self.is_lost = True
-        if self._has_begun and self._session.is_connected:
+        if self._is_open:
             with suppress(JournalError):  # a connection that is lost has rolled it back
                 self._session.run([Statement("ROLLBACK")])
 
@@ -97,8 +98,13 @@ class Transaction:
             raise
         self.send_later(Statement("RELEASE part"))
 
+    @property
+    def _is_open(self) -> bool:
+        """Whether the server has it, and its connection was not lost since."""
+        return self._connection is not None and self._session.connection is self._connection
+
     def _require_whole(self) -> None:
-        if self.is_lost:
+        if self.is_lost or (self._has_begun and not self._is_open):
             raise JournalError(f"{self._session.name}: the transaction was rolled back as a whole")
 
     def _take_statements(self) -> list[Statement]:
@@ -113,6 +119,7 @@ class Transaction:
             # Nothing is committed yet: what begins a transaction may be sent again.
             run = self._session.run_again if is_first else self._session.run
             results = run(self._take_statements())
+            self._connection = self._session.connection
             if is_first and self._fence is not None:
                 self._check_leader(results[1], self._fence)
         except BaseException:
