@@ -9,8 +9,8 @@ from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from orchestrator.coordinator.journal.postgres.errors import ConnectionLost
-from orchestrator.coordinator.journal.postgres.health import JournalHealth, read_health
+from orchestrator.coordinator.journal.postgres.errors import AnswerLate, ConnectionLost
+from orchestrator.coordinator.journal.postgres.health import BEGINNING, JournalHealth, read_health
 from orchestrator.coordinator.journal.postgres.session import Session, Statement
 from orchestrator.coordinator.journal.postgres.transaction import Fence, Transaction
 from orchestrator.coordinator.journal.records import CopyMissing, JournalError, UnknownResult
@@ -20,9 +20,10 @@ ROWS_AT_ONCE = 16  # of many; each may have some megabytes
 
 _COMMIT = Statement("COMMIT")
 _LOCAL = Statement("SET LOCAL synchronous_commit TO local")
-_MARK = "UPDATE confirmations SET writer = ?, number = ?"
-_FIND_MARK = Statement("SELECT writer, number, epoch FROM confirmations CROSS JOIN leader")
-_CONFIRM = Statement("UPDATE confirmations SET confirmed = confirmed + 1")
+_MARK = "UPDATE marks SET writer = ?, number = ?"
+_FIND_MARK = Statement("SELECT writer, number, epoch, pg_current_wal_flush_lsn()::text FROM marks CROSS JOIN leader")
+# A row that no write holds: one that waits for a copy delays no other session.
+_CONFIRM = Statement("UPDATE confirmations SET number = number + 1")
 
 
 class PostgresDatabase:
@@ -38,6 +39,8 @@ class PostgresDatabase:
         self.is_copy_missing = False
         """With two copies: what is no promise is committed on this machine alone, and promises are refused."""
         self._transaction: Transaction | None = None
+        self._awaited = BEGINNING
+        """The place in the log that a standby must have before it counts again."""
         self._writer = secrets.token_hex(8)
         self._number = 0
 
@@ -103,15 +106,26 @@ class PostgresDatabase:
             self._transaction = None
             transaction.roll_back()
 
+    def require_copies(self) -> None:
+        """Raises `CopyMissing` if commits are not confirmed by as many machines as the fleet asks for."""
+        if self.copies > 1:
+            self.read_health()
+            self._refuse_promise(copied=True)
+            try:
+                self.session.run([_CONFIRM])
+            except AnswerLate:
+                self.is_copy_missing = True
+                self._refuse_promise(copied=True)
+
     def read_health(self) -> JournalHealth:
         """Ask the server, and note whether a copy is missing. Raises `JournalError`."""
-        health = read_health(self.session, self.copies)
+        health = read_health(self.session, self.copies, self._awaited)
         self.is_copy_missing = health.mode == "waits for a copy"
         return health
 
     @contextmanager
     def _run_transaction(self, fence: Fence, *, copied: bool) -> Generator[None]:
-        self._require_copies(copied=copied)
+        self._refuse_promise(copied=copied)
         transaction = self._transaction = Transaction(self.session, fence, copied=copied)
         try:
             yield
@@ -122,7 +136,7 @@ class PostgresDatabase:
             transaction.roll_back()
             raise
 
-    def _require_copies(self, *, copied: bool) -> None:
+    def _refuse_promise(self, *, copied: bool) -> None:
         if copied and self.copies > 1 and self.is_copy_missing:
             raise CopyMissing(
                 f"{self.name}: the copy of the journal on a second machine is missing; no job is accepted",
@@ -130,7 +144,7 @@ class PostgresDatabase:
             )
 
     def _commit(self, transaction: Transaction) -> None:
-        self._require_copies(copied=transaction.copied)
+        self._refuse_promise(copied=transaction.copied)
         statements = transaction.take_last(needs_standby=transaction.copied and self.copies > 1)
         self._number += 1
         is_local = self.copies > 1 and self.is_copy_missing
@@ -138,25 +152,31 @@ class PostgresDatabase:
         try:
             self.session.run(statements)
         except ConnectionLost as error:
-            if not self._find_result(is_promise=transaction.copied):
+            if not self._find_result(is_promise=transaction.copied, is_late=isinstance(error, AnswerLate)):
                 raise error from None
 
-    def _find_result(self, *, is_promise: bool) -> bool:
-        """Whether a commit without an answer was done. Raises `UnknownResult` where that cannot be found out."""
+    def _find_result(self, *, is_promise: bool, is_late: bool) -> bool:
+        """Whether a commit without an answer was done. is_late: it has waited for one, perhaps for a standby. Raises
+        `UnknownResult` where that cannot be found out."""
         try:
-            ((mark,),) = self.session.run([_FIND_MARK])
-            is_stored = tuple(mark[:2]) == (self._writer, self._number)
+            (((writer, number, epoch, awaited),),) = self.session.run([_FIND_MARK])
+            is_stored = (writer, number) == (self._writer, self._number)
             if is_stored and self.copies > 1:
-                # Visible is not copied: a later commit that is confirmed confirms all before it.
-                if self.read_health().mode == "two copies":
-                    self.session.run([_CONFIRM])
-                elif is_promise:
-                    raise self._make_unknown_error()
+                self._awaited = awaited if is_late else self._awaited
+                self._confirm(is_promise=is_promise)
         except JournalError:
             raise self._make_unknown_error() from None
-        if not is_stored and (mark[2] != self.epoch or mark[0] != self._writer):
+        if not is_stored and (epoch, writer) != (self.epoch, self._writer):
             raise self._make_unknown_error()  # another leader has written its mark over it, or may have
         return is_stored
+
+    def _confirm(self, *, is_promise: bool) -> None:
+        """Visible is not copied: have a later commit confirmed, which confirms all before it. What is no promise counts
+        without, while a copy is missing."""
+        if self.read_health().mode == "two copies":
+            self.session.run([_CONFIRM])
+        elif is_promise:
+            raise self._make_unknown_error()
 
     def _make_unknown_error(self) -> UnknownResult:
         text = f"{self.name}: there was no answer whether it was stored"

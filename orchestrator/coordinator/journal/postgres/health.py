@@ -15,7 +15,11 @@ _READ = Statement(
     " CASE WHEN pg_is_in_recovery() THEN '' ELSE pg_walfile_name(pg_current_wal_lsn()) END,"
     " extract(epoch FROM clock_timestamp())::double precision, pg_has_role('pg_monitor', 'usage')"
 )
-_READ_STANDBYS = Statement("SELECT application_name, sync_state, state FROM pg_stat_replication ORDER BY 1")
+_READ_STANDBYS = (
+    "SELECT application_name, sync_state IN ('sync', 'quorum') AND state = 'streaming'"
+    " AND flush_lsn >= CAST(? AS pg_lsn) FROM pg_stat_replication ORDER BY 1"
+)
+BEGINNING = "0/0"  # of the log
 
 
 class HealthProblem(NamedTuple):
@@ -29,7 +33,7 @@ class JournalHealth(NamedTuple):
     """What a database says of itself.
 
     server_commit: `synchronous_commit` as the server gives it to a session; session_commit: as this one has it.
-    standbys: those that confirm commits, and receive them at present. timeline: counts up with each promotion; 0 in
+    standbys: those that confirm commits, and have those of before. timeline: counts up with each promotion; 0 in
     recovery. system: the same for a primary and its standbys. clock_s: the server's clock, less this computer's.
     """
 
@@ -47,15 +51,14 @@ class JournalHealth(NamedTuple):
     problems: tuple[HealthProblem, ...]
 
 
-def read_health(session: Session, copies: int) -> JournalHealth:
-    """Ask the server. copies: the machines that the fleet asks for. Raises `JournalError`."""
+def read_health(session: Session, copies: int, awaited: str = BEGINNING) -> JournalHealth:
+    """Ask the server. copies: the machines that the fleet asks for. awaited: the place in the log that a standby must
+    have to count; one that hangs stays connected for a minute. Raises `JournalError`."""
     sent_s = datetime.now(UTC).timestamp()
-    rows, standby_rows = session.run_again([_READ, _READ_STANDBYS])
+    rows, standby_rows = session.run_again([_READ, Statement(_READ_STANDBYS, (awaited,))])
     clock_s = rows[0][8] - (sent_s + datetime.now(UTC).timestamp()) / 2
     version, fsync, session_commit, server_commit, in_recovery, names, system, wal, _, is_monitor = rows[0]
-    standbys = tuple(
-        name for name, sync_state, state in standby_rows if sync_state in ("sync", "quorum") and state == "streaming"
-    )
+    standbys = tuple(name for name, counts in standby_rows if counts)
     health = JournalHealth(
         version=version,
         fsync=fsync == "on",
@@ -100,7 +103,7 @@ def _find_problems(health: JournalHealth, copies: int, *, may_monitor: bool) -> 
         text = "commits wait for no copy: synchronous_standby_names is empty"
         problems.append(HealthProblem(text, "name the standby in synchronous_standby_names"))
     elif copies > 1 and not health.standbys:
-        text = f"no standby of synchronous_standby_names = '{health.standby_names}' is connected: commits wait for it"
+        text = f"no standby of synchronous_standby_names = '{health.standby_names}' follows: commits wait for it"
         remedy = "start the standby; after a promotion: `ALTER SYSTEM RESET synchronous_standby_names`, and reload"
         problems.append(HealthProblem(text, remedy))
     return problems

@@ -61,6 +61,8 @@ class PostgresJournal(SqlJournal):
         writes under the epoch. Raises `HistoryLost` if an adapter has seen a later epoch: with its epochs the database
         has lost what was done under them, and a larger one would let the older history win."""
         db, session = self.database, self.database.session
+        # Else the leader that goes on without its copy would end for one that cannot begin.
+        db.require_copies()
         # A transaction of a leader that is suspended would hold the row.
         session.run_again([Statement(_END_LEADERS, (make_leader_pattern(self._place.fleet),))])
         with db.lock_leader():

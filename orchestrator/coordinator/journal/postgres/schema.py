@@ -13,13 +13,14 @@ CREATE TABLE leader (
 CREATE TABLE lease (
   one bigint PRIMARY KEY DEFAULT 1 CHECK (one = 1), renewals bigint NOT NULL, renewed timestamptz NOT NULL
 );
-CREATE TABLE confirmations (
-  one bigint PRIMARY KEY DEFAULT 1 CHECK (one = 1), writer text NOT NULL, number bigint NOT NULL,
-  confirmed bigint NOT NULL
+CREATE TABLE marks (
+  one bigint PRIMARY KEY DEFAULT 1 CHECK (one = 1), writer text NOT NULL, number bigint NOT NULL
 );
+CREATE TABLE confirmations (one bigint PRIMARY KEY DEFAULT 1 CHECK (one = 1), number bigint NOT NULL);
 INSERT INTO leader (epoch, coordinator) VALUES (0, '');
 INSERT INTO lease (renewals, renewed) VALUES (0, clock_timestamp());
-INSERT INTO confirmations (writer, number, confirmed) VALUES ('', 0, 0);
+INSERT INTO marks (writer, number) VALUES ('', 0);
+INSERT INTO confirmations (number) VALUES (0);
 
 CREATE TABLE meta (key text COLLATE "C" PRIMARY KEY, value text NOT NULL);
 CREATE TABLE meta_copies (key text COLLATE "C" PRIMARY KEY, value text NOT NULL, crc bigint NOT NULL);
