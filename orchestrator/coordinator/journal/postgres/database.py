@@ -12,7 +12,7 @@ from typing import Any
 from orchestrator.coordinator.journal.postgres.errors import AnswerLate, ConnectionLost
 from orchestrator.coordinator.journal.postgres.health import BEGINNING, JournalHealth, read_health
 from orchestrator.coordinator.journal.postgres.session import Session, Statement
-from orchestrator.coordinator.journal.postgres.transaction import Fence, Transaction
+from orchestrator.coordinator.journal.postgres.transaction import BEGIN, SNAPSHOT, Fence, Transaction
 from orchestrator.coordinator.journal.records import CopyMissing, JournalError, UnknownResult
 from orchestrator.coordinator.journal.sql.database import Row
 
@@ -97,9 +97,22 @@ class PostgresDatabase:
             yield
 
     @contextmanager
+    def unfenced(self) -> Generator[None]:
+        """A transaction that holds no leader's row: of a schema that is made in it."""
+        transaction = self._transaction = Transaction(self.session, None, BEGIN)
+        try:
+            yield
+            self._transaction = None
+            self.session.run([*transaction.take_last(needs_standby=False), _COMMIT])
+        except BaseException:
+            self._transaction = None
+            transaction.roll_back()
+            raise
+
+    @contextmanager
     def snapshot(self) -> Generator[None]:
         """All that is read inside is as it was at one instant; nothing is written."""
-        transaction = self._transaction = Transaction(self.session, None)
+        transaction = self._transaction = Transaction(self.session, None, SNAPSHOT)
         try:
             yield
         finally:

@@ -47,7 +47,9 @@ class PostgresJournal(SqlJournal):
         self.database = PostgresDatabase(open_session(place, STANDBY), place.copies)
         """The database, for what looks at it, or damages it, from outside."""
         try:
-            _prepare_schema(self.database.session, place.fleet, is_new=is_new)
+            if is_new:
+                _make_schema(self.database, place.fleet)
+            require_schema(self.database, place.fleet)
         except JournalError:
             self.database.close()
             raise
@@ -114,27 +116,33 @@ def open_session(place: FleetDatabase, role: str) -> Session:
     return Session(place.address, name_session(place.fleet, role), settings, place.deadline_s)
 
 
-def _prepare_schema(session: Session, fleet: str, *, is_new: bool) -> None:
+def _make_schema(db: PostgresDatabase, fleet: str) -> None:
+    deadline_s = db.session.deadline_s
+    db.session.deadline_s = MIGRATION_S
+    try:
+        migrate(db, name_schema(fleet))
+    finally:
+        db.session.deadline_s = deadline_s
+
+
+def require_schema(db: PostgresDatabase, fleet: str) -> None:
+    """Raises `JournalError` if the schema of a fleet is not that of this version, with all its columns."""
     schema = name_schema(fleet)
-    if is_new:
-        session.deadline_s, deadline_s = MIGRATION_S, session.deadline_s
-        migrate(session, schema)
-        session.deadline_s = deadline_s
-    version = read_version(session, schema)
+    version = read_version(db, schema)
     if not version:
         raise JournalError(
-            f"{session.name}: the journal of fleet {fleet} is missing",
+            f"{db.name}: the journal of fleet {fleet} is missing",
             "bring a backup back: `tutti journal import`; or begin a new one",
         )
     if version < VERSION:
-        text = f"{session.name}: schema {version} is older than this Tutti's {VERSION}"
+        text = f"{db.name}: schema {version} is older than this Tutti's {VERSION}"
         raise JournalError(text, "start the fleet, which leads it there")
-    columns = list_columns(session, schema)
+    columns = list_columns(db, schema)
     for table, names in {**tables.RECORDS, **tables.POINTS}.items():
         missing_names = sorted(set(names) - columns.get(table, set()))
         if missing_names:
             what = f"the column {missing_names[0]}" if table in columns else "the table"
-            text = f"{session.name}: {what} of {schema}.{table} is missing: it was changed by hand"
+            text = f"{db.name}: {what} of {schema}.{table} is missing: it was changed by hand"
             raise JournalError(text, BRING_BACK)
 
 

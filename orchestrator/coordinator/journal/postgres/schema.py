@@ -1,7 +1,8 @@
 """The schema of a fleet's journal, and its migrations: one transaction, under a lock, for all sessions that begin."""
 
-from orchestrator.coordinator.journal.postgres.session import Session, Statement
+from orchestrator.coordinator.journal.postgres.database import PostgresDatabase
 from orchestrator.coordinator.journal.records import JournalError
+from orchestrator.coordinator.journal.sql.database import Database
 
 VERSION = 1
 
@@ -122,51 +123,61 @@ _LIST_COLUMNS = (
 )
 
 
-def list_statements(version: int, wanted: int = VERSION) -> str:
-    """The statements that lead from a version, 0 for an empty schema, to the wanted one; empty: none."""
+def list_statements(version: int, wanted: int = VERSION) -> list[str]:
+    """The statements that lead from a version, 0 for an empty schema, to the wanted one."""
     steps = "" if version else SCHEMA
-    return steps + "".join(MIGRATIONS[number] for number in range(max(version, 1), wanted))
+    steps += "".join(MIGRATIONS[number] for number in range(max(version, 1), wanted))
+    return [statement for statement in steps.split(";") if statement.strip()]
 
 
-def list_columns(session: Session, schema: str) -> dict[str, set[str]]:
+def list_columns(db: Database, schema: str) -> dict[str, set[str]]:
     """The columns of each table that a schema has; empty if it is empty, or missing. Raises `JournalError`."""
     columns: dict[str, set[str]] = {}
-    for table, column in session.run([Statement(_LIST_COLUMNS, (f'"{schema}"',))])[0]:
+    for table, column in db.select(_LIST_COLUMNS, (f'"{schema}"',)):
         columns.setdefault(table, set()).add(column)
     return columns
 
 
-def read_version(session: Session, schema: str) -> int:
+def read_version(db: Database, schema: str) -> int:
     """The version of a schema, 0 for one that is empty or missing. Raises `JournalError` for one that is no journal, or
     newer than this Tutti."""
-    columns = list_columns(session, schema)
+    columns = list_columns(db, schema)
     if not columns:
         return 0
     if "journal_schema" not in columns:
-        text = f"{session.name}: the schema {schema} is not a journal of Tutti"
+        text = f"{db.name}: the schema {schema} is not a journal of Tutti"
         raise JournalError(text, "choose another database for the journal")
-    version = session.run([Statement("SELECT max(version) FROM journal_schema")])[0][0][0] or 0
+    ((number,),) = db.select("SELECT max(version) FROM journal_schema")
+    version: int = number or 0
     if version > VERSION:
-        text = f"{session.name}: schema {version} is newer than this Tutti's {VERSION}"
+        text = f"{db.name}: schema {version} is newer than this Tutti's {VERSION}"
         raise JournalError(text, "use a newer Tutti")
     return version
 
 
-def migrate(session: Session, schema: str) -> None:
+def migrate(db: PostgresDatabase, schema: str) -> None:
     """Make a schema, or lead it to this version. Raises `JournalError`."""
-    if read_version(session, schema) == VERSION:
+    if read_version(db, schema) == VERSION:
         return
-    lock = Statement("SELECT pg_advisory_xact_lock(hashtextextended(?, 0))", (schema,))
-    session.run([Statement("BEGIN"), lock])
-    try:
-        version = read_version(session, schema)  # another session may have led it here
-        steps = list_statements(version)
-        create = f'CREATE SCHEMA IF NOT EXISTS "{schema}"; ' if not version else ""
-        if steps:
-            change = f"DELETE FROM journal_schema; INSERT INTO journal_schema VALUES ({VERSION});"
-            session.run([Statement(f"{create}{steps} {change}")])
-        session.run([Statement("COMMIT")])
-    except JournalError:
-        if session.connection is not None:
-            session.run([Statement("ROLLBACK")])
-        raise
+    with db.unfenced():
+        lock_schema(db, schema)
+        make_schema(db, schema)
+
+
+def lock_schema(db: Database, schema: str) -> None:
+    """Wait for another session that makes this schema, in the caller's transaction. Raises `JournalError`."""
+    db.select("SELECT pg_advisory_xact_lock(hashtextextended(?, 0))", (schema,))
+
+
+def make_schema(db: PostgresDatabase, schema: str) -> None:
+    """Lead a schema to this version, in the caller's transaction. Raises `JournalError`."""
+    version = read_version(db, schema)
+    statements = list_statements(version)
+    # A user that may not make schemas may have one that was made for it.
+    if db.select("SELECT to_regnamespace(?) IS NULL", (f'"{schema}"',)) == [(True,)]:
+        statements = [f'CREATE SCHEMA "{schema}"', *statements]
+    for statement in statements:
+        db.write(statement)
+    if statements:
+        db.write("DELETE FROM journal_schema")
+        db.write("INSERT INTO journal_schema (version) VALUES (?)", (VERSION,))

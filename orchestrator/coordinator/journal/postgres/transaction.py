@@ -11,8 +11,8 @@ from orchestrator.coordinator.journal.sql.leader_values import make_overtaken_er
 SENT_AT_ONCE = 500  # statements
 SENT_BYTES = 4_000_000
 
-_BEGIN = Statement("BEGIN")
-_SNAPSHOT = Statement("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
+BEGIN = Statement("BEGIN")
+SNAPSHOT = Statement("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
 _LEADER = "SELECT epoch, current_setting('synchronous_standby_names') <> '' FROM leader"
 
 
@@ -35,14 +35,16 @@ class Fence(NamedTuple):
 
 
 class Transaction:
-    """The statements of a transaction that were not sent yet. fence: None for one that only reads.
+    """The statements of a transaction that were not sent yet. fence: None for one that holds no leader's row.
 
     copied: it has a promise, which has to be on all machines that the fleet asks for."""
 
-    def __init__(self, session: Session, fence: Fence | None, *, copied: bool = False) -> None:
+    def __init__(
+        self, session: Session, fence: Fence | None, begin: Statement = BEGIN, *, copied: bool = False
+    ) -> None:
         self._session = session
         self._fence = fence
-        self._statements = [_SNAPSHOT] if fence is None else [_BEGIN, fence.statement]
+        self._statements = [begin] if fence is None else [begin, fence.statement]
         self._bytes = 0
         self._has_begun = False
         self._connection: object | None = None
