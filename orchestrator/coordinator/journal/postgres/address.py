@@ -27,6 +27,10 @@ def read_address(address: str) -> JournalAddress:
         raise JournalError(f"it is no address of a PostgreSQL database: {_hide(problem, address)}", _FORM) from None
     if not address.startswith(("postgresql://", "postgres://")) or not given.get("dbname"):
         raise JournalError("it is no address of a PostgreSQL database: its scheme or its database is missing", _FORM)
+    hosts = str(given.get("host") or given.get("hostaddr") or "the local socket").split(",")
+    ports = str(given.get("port") or "").split(",")
+    if not all(port.isdecimal() for port in ports if port) or len(ports) not in (1, len(hosts)):
+        raise JournalError(f"it is no address of a PostgreSQL database: its port is {','.join(ports)!r}", _FORM)
     settings = {
         "connect_timeout": CONNECT_S,
         "target_session_attrs": "read-write",
@@ -34,9 +38,7 @@ def read_address(address: str) -> JournalAddress:
         **given,
         "client_encoding": "UTF8",
     }
-    hosts = str(given.get("host") or given.get("hostaddr") or "the local socket").split(",")
-    ports = str(given.get("port") or "").split(",")
-    ports = ports if len(ports) == len(hosts) else ports[:1] * len(hosts)
+    ports = ports if len(ports) == len(hosts) else ports * len(hosts)
     places = ",".join(f"{host}:{port}" if port else host for host, port in zip(hosts, ports, strict=True))
     user = f"{given['user']}@" if given.get("user") else ""
     return JournalAddress(make_conninfo("", **settings), f"postgresql://{user}{places}/{given['dbname']}")

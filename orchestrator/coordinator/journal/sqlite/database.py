@@ -74,6 +74,10 @@ class SqliteDatabase:
                     self.connection.execute(statement)
             raise
 
+    def end_log(self) -> None:
+        """Have everything in the one file, which can be copied once it is closed. Raises `JournalError`."""
+        self.write("PRAGMA journal_mode=DELETE")
+
     def list_columns(self) -> dict[str, list[str]]:
         """The columns of each table that the file has, in the order in which the tables were made: a record comes after
         those that it names. Raises `JournalError`."""

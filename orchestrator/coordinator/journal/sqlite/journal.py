@@ -29,8 +29,8 @@ class SqliteJournal(SqlJournal):
         self.database = _open_journal(self._path)
         """The database, for what looks at it, or damages it, from outside."""
         self._identity = find_file_identity(self._path)
-        self._point_database = open_points(self._path if self._path == MEMORY else f"{self._path}-points")
-        super().__init__(self.database, self._point_database)
+        self.point_database = open_points(self._path if self._path == MEMORY else f"{self._path}-points")
+        super().__init__(self.database, self.point_database)
 
     def accept_job(
         self, job_id: str, client_key: str, job: Job, utc: str, entry: QueueEntryOptions | None = None
@@ -49,7 +49,7 @@ class SqliteJournal(SqlJournal):
             )
 
     def close(self) -> None:
-        self._point_database.close()
+        self.point_database.close()
         self.database.close()
 
 
