@@ -55,7 +55,7 @@ class PostgresEngine:
         self._stack = stack
 
     def open(self, name: str = "lab") -> "PostgresJournal":
-        from orchestrator.coordinator.journal.postgres.journal import open_journal
+        from orchestrator.coordinator.journal.postgres.opening import open_journal
 
         journal = open_journal(self._server.make_address("journal"), f"{name}{self._number}")
         return self._stack.enter_context(closing(journal))

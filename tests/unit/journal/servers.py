@@ -125,9 +125,11 @@ class PostgresServer:
         return f"postgresql://{user}@127.0.0.1:{self.port}/{database}"
 
     def execute(self, statement: str, database: str = "postgres") -> list[tuple[object, ...]]:
-        """Run a statement as the administrator."""
+        """Run statements as the administrator; return the rows of the last one."""
         with psycopg.connect(self.make_address(database), autocommit=True) as connection:
             cursor = connection.execute(statement.encode())
+            while cursor.nextset():
+                pass
             return cursor.fetchall() if cursor.description else []
 
     def _end(self, sign: signal.Signals) -> None:

@@ -15,7 +15,8 @@ from unit.runtime.test_state_backup import DIGEST, make_folder
 
 from adapters.controller.state.store import AdapterMemory, FileStore
 from orchestrator.cli.main import main
-from orchestrator.coordinator.journal.postgres.journal import PostgresJournal, open_journal
+from orchestrator.coordinator.journal.postgres.journal import PostgresJournal
+from orchestrator.coordinator.journal.postgres.opening import open_journal
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.runtime.state.folder import JOURNAL
 

@@ -1,9 +1,9 @@
 """The journal in PostgreSQL: one schema for each fleet, written by the leader of the latest epoch alone."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from orchestrator.coordinator.journal.facts import KeyedJob
-from orchestrator.coordinator.journal.postgres.address import JournalAddress, read_address
+from orchestrator.coordinator.journal.postgres.address import JournalAddress
 from orchestrator.coordinator.journal.postgres.database import PostgresDatabase
 from orchestrator.coordinator.journal.postgres.health import JournalHealth
 from orchestrator.coordinator.journal.postgres.names import (
@@ -144,11 +144,3 @@ def require_schema(db: PostgresDatabase, fleet: str) -> None:
             what = f"the column {missing_names[0]}" if table in columns else "the table"
             text = f"{db.name}: {what} of {schema}.{table} is missing: it was changed by hand"
             raise JournalError(text, BRING_BACK)
-
-
-def open_journal(
-    address: str, fleet: str, *, copies: Literal[1, 2] = 1, coordinator: str = "", is_new: bool = True
-) -> PostgresJournal:
-    """Open the journal of a fleet; is_new: create it if it is not there. coordinator: what names this one in the
-    database. Raises `JournalError`."""
-    return PostgresJournal(FleetDatabase(read_address(address), fleet, copies, coordinator), is_new=is_new)

@@ -124,9 +124,9 @@ class Session:
     @staticmethod
     def _send(connection: _Connection, statements: Sequence[Statement]) -> list[psycopg.Cursor[TupleRow]]:
         if len(statements) == 1:
-            return [connection.execute(_translate(statements[0].text), statements[0].values or None)]
+            return [connection.execute(*_translate(statements[0]))]
         with connection.pipeline():
-            return [connection.execute(_translate(text), values or None) for text, values in statements]
+            return [connection.execute(*_translate(statement)) for statement in statements]
 
     def _require_connection(self) -> _Connection:
         if self._is_closed:
@@ -183,7 +183,11 @@ _END = (
 )
 
 
+def _translate(statement: Statement) -> tuple[bytes, Sequence[Any] | None]:
+    """A statement with psycopg's marks, and its values."""
+    return _set_marks(statement.text), statement.values or None
+
+
 @lru_cache(maxsize=1000)
-def _translate(text: str) -> bytes:
-    """A statement with psycopg's marks."""
+def _set_marks(text: str) -> bytes:
     return text.replace("?", "%s").encode()
