@@ -1,5 +1,5 @@
 # Environments from locks: one runs Tutti, one also tests and checks it, two have clients of other projects (of single
-# controllers, and of whole fleets), one builds the documentation. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
+# controllers, and of whole fleets), one has a PostgreSQL server, one builds the documentation. Set-up is skipped while the stamp is newer than the lock and pyproject.toml.
 # `make test PYTHON=python3.13` uses environments of its own, .venv-dev-python3.13.
 PYTHON ?= python3
 SUFFIX := $(if $(filter python3,$(PYTHON)),,-$(notdir $(PYTHON)))
@@ -7,6 +7,7 @@ RUN := .venv$(SUFFIX)
 DEV := .venv-dev$(SUFFIX)
 THIRDPARTY := .venv-thirdparty$(SUFFIX)
 ECOSYSTEM := .venv-ecosystem$(SUFFIX)
+POSTGRES := .venv-postgres$(SUFFIX)
 DOCS := .venv-docs$(SUFFIX)
 WHEEL := .venv-wheel$(SUFFIX)
 PAGE := .venv-page$(SUFFIX)
@@ -14,7 +15,7 @@ PIP = -m pip --disable-pip-version-check --quiet
 INSTALL = $(PIP) install --no-deps --no-build-isolation -e .
 SLOWEST = --durations=10
 
-.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty ecosystem test-ecosystem test-ecosystem-nightly check figures docs lock clean
+.PHONY: help demo page page-if-possible test test-fast test-live test-slow test-python test-other-pythons test-decisions test-cost test-browser screenshots test-hosts test-docs test-wheel test-nightly test-thirdparty ecosystem test-ecosystem test-ecosystem-nightly test-postgres test-postgres-nightly check figures docs lock clean
 
 help:
 	@echo "make demo             set up, run a job on a simulated fleet, print its report"
@@ -32,6 +33,7 @@ help:
 	@echo "make test-cost        run all tests and write what each costs, tests/COST.md"
 	@echo "make test-nightly     the long ones: more campaign seeds and random cases, third-party clients"
 	@echo "make test-thirdparty  simulated controllers and fleets against clients from PyPI"
+	@echo "make test-postgres    the journal in PostgreSQL, on servers that the tests start"
 	@echo "make test-ecosystem   the demo fleet against clients of Bluesky, EPICS, OPC UA, ROS 2, MQTT, and the types of our side"
 	@echo "make check            linters, type checks, import contracts"
 	@echo "make figures          figures of the project's order and words"
@@ -62,6 +64,12 @@ $(ECOSYSTEM)/.stamp: requirements/run.lock requirements/ecosystem.lock pyproject
 	$(PYTHON) -m venv --clear $(ECOSYSTEM)
 	$(ECOSYSTEM)/bin/python $(PIP) install --require-hashes -r requirements/run.lock -r requirements/ecosystem.lock
 	$(ECOSYSTEM)/bin/python $(INSTALL)
+	touch $@
+
+$(POSTGRES)/.stamp: requirements/run.lock requirements/postgres.lock pyproject.toml
+	$(PYTHON) -m venv --clear $(POSTGRES)
+	$(POSTGRES)/bin/python $(PIP) install --require-hashes -r requirements/run.lock -r requirements/postgres.lock
+	$(POSTGRES)/bin/python $(INSTALL)
 	touch $@
 
 $(DOCS)/.stamp: requirements/docs.lock pyproject.toml
@@ -99,15 +107,15 @@ demo: $(RUN)/.stamp page-if-possible
 test: test-fast test-live
 
 test-fast: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not slow and not nightly and not browser and not structure" -n 2 --dist worksteal $(SLOWEST)
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "not live and not slow and not nightly and not browser and not structure and not postgres" -n 2 --dist worksteal $(SLOWEST)
 
 # The dear ones of virtual time, tests/slow.txt.
 test-slow: $(DEV)/.stamp
-	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "slow and not nightly" -n 2 --dist worksteal $(SLOWEST) tests/unit tests/contract tests/cluster
+	PYTHONDONTWRITEBYTECODE= $(DEV)/bin/pytest -m "slow and not nightly and not postgres" -n 2 --dist worksteal $(SLOWEST) tests/unit tests/contract tests/cluster
 
 # Syntax and imports of every module, asyncio, typing, SQLite, JSON, random draws: what a version of Python can change.
 test-python: $(DEV)/.stamp
-	$(DEV)/bin/pytest -m "python and not live and not slow and not nightly" -n 2 --dist worksteal tests/unit tests/contract tests/cluster
+	$(DEV)/bin/pytest -m "python and not live and not slow and not nightly and not postgres" -n 2 --dist worksteal tests/unit tests/contract tests/cluster
 
 # The same, or the target that EACH names, on each other version of Python that this machine has.
 EACH = test-python
@@ -157,10 +165,10 @@ test-wheel: $(DEV)/.stamp $(WHEEL)/.stamp page
 	$(DEV)/bin/python tools/wheel_demo.py $(WHEEL)/bin/tutti
 	$(DEV)/bin/python tools/wheel_project.py $(WHEEL)/bin/python
 
-test-nightly: $(DEV)/.stamp page test-thirdparty test-slow test-ecosystem test-ecosystem-nightly
+test-nightly: $(DEV)/.stamp page test-thirdparty test-slow test-ecosystem test-ecosystem-nightly test-postgres-nightly
 	$(DEV)/bin/python tools/campaign_decisions.py
 	-$(DEV)/bin/python tools/mutants.py
-	$(DEV)/bin/pytest -m "nightly and not live and not browser" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
+	$(DEV)/bin/pytest -m "nightly and not live and not browser and not postgres" -n 2 --dist worksteal --timeout 3600 $(SLOWEST)
 	$(DEV)/bin/pytest -m "browser and nightly" tests/browser $(SLOWEST)
 	$(DEV)/bin/pytest -m "nightly and live" -n 2 --dist loadfile --timeout 3600 $(SLOWEST)
 	$(MAKE) test-other-pythons EACH="test-fast test-slow"
@@ -180,6 +188,13 @@ test-ecosystem: $(ECOSYSTEM)/.stamp
 test-ecosystem-nightly: $(ECOSYSTEM)/.stamp
 	TUTTI_ECOSYSTEM=1 $(ECOSYSTEM)/bin/pytest -o filterwarnings=default -m nightly --timeout 3600 tests/ecosystem $(SLOWEST)
 	$(ECOSYSTEM)/bin/python tools/integration_matrix.py
+
+# A skipped test is a failed one here. Two at once: each process has a server of its own.
+test-postgres: $(POSTGRES)/.stamp
+	TUTTI_POSTGRES=1 PYTHONDONTWRITEBYTECODE= $(POSTGRES)/bin/pytest -m "postgres and not nightly" -n 2 --dist loadfile tests/unit/journal $(SLOWEST)
+
+test-postgres-nightly: $(POSTGRES)/.stamp
+	TUTTI_POSTGRES=1 $(POSTGRES)/bin/pytest -m "postgres and nightly" --timeout 3600 tests/unit/journal $(SLOWEST)
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
@@ -201,10 +216,11 @@ LOCK = uv pip compile --quiet --universal --python-version 3.11 --generate-hashe
 lock:
 	$(LOCK) --extra web --extra record -o requirements/run.lock pyproject.toml
 	$(LOCK) --extra dev -c requirements/run.lock -o requirements/dev.lock pyproject.toml
-	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys -c requirements/dev.lock -o requirements/full.lock pyproject.toml
+	$(LOCK) --extra record --extra export --extra scanspec --extra web --extra keys --extra postgres -c requirements/dev.lock -o requirements/full.lock pyproject.toml
 	$(LOCK) --extra docs -c requirements/dev.lock -o requirements/docs.lock pyproject.toml
 	$(LOCK) -c requirements/dev.lock --overrides tests/thirdparty/overrides.txt -o requirements/thirdparty.lock tests/thirdparty/requirements.in
 	$(LOCK) -c requirements/dev.lock -o requirements/ecosystem.lock tests/ecosystem/requirements.in
+	$(LOCK) -c requirements/dev.lock -o requirements/postgres.lock tests/unit/journal/requirements.in
 	$(LOCK) -c requirements/dev.lock -o requirements/page.lock orchestrator/gateway/page/requirements.in
 
 clean:

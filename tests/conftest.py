@@ -12,6 +12,7 @@ PYTHON = (
     "unit/clock",
     "unit/client",
     "unit/coordinator",
+    "unit/journal",
     "unit/link",
     "unit/model",
     "unit/runtime",

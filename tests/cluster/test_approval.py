@@ -420,16 +420,16 @@ def test_an_approval_outlives_the_coordinator_and_is_checked_by_the_next_one(cha
 
 
 def damage_body(fleet: VirtualFleet) -> None:
-    fleet.journal.database.execute("UPDATE approvals SET body = replace(body, '12 mm', '13 mm')")
+    fleet.journal.database.write("UPDATE approvals SET body = replace(body, '12 mm', '13 mm')")
 
 
 def delete_approval(fleet: VirtualFleet) -> None:
-    fleet.journal.database.execute("DELETE FROM approvals")
+    fleet.journal.database.write("DELETE FROM approvals")
 
 
 def release_by_damage(fleet: VirtualFleet) -> None:
     delete_approval(fleet)
-    fleet.journal.database.execute("UPDATE jobs SET held_by = ''")
+    fleet.journal.database.write("UPDATE jobs SET held_by = ''")
 
 
 @pytest.mark.parametrize("damage", [damage_body, delete_approval, release_by_damage])
@@ -468,7 +468,7 @@ def test_an_approval_that_was_void_once_does_not_count_again_although_the_plan_i
         await anna.stop_queue()
         await fleet.make_client().save_position("sample", at={"gantry.x": "12 mm"})
         assert not (await anna.plan_job(job_id)).changed
-        fleet.journal.database.execute("UPDATE jobs SET held_by = ''")
+        fleet.journal.database.write("UPDATE jobs SET held_by = ''")
         await restart(fleet, 2)
         await anna.start_queue()
         assert "no plan of it is approved" in await wait_until_held(anna, job_id)
@@ -481,7 +481,7 @@ def test_a_job_that_no_longer_states_that_it_was_proposed_is_damaged() -> None:
     async def main(fleet: VirtualFleet) -> None:
         anna = fleet.make_client("anna")
         job_id = await anna.submit(job("[{do: dwell, duration: 1 s}]"), terms=PROPOSED)
-        fleet.journal.database.execute("UPDATE jobs SET proposed = 0, held_by = ''")
+        fleet.journal.database.write("UPDATE jobs SET proposed = 0, held_by = ''")
         await restart(fleet, 2)
         report = await anna.wait_for_job(job_id)
         assert report.state == "failed" and "its checksum is wrong" in report.reason

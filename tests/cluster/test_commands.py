@@ -11,7 +11,7 @@ from cluster.worlds import PREPARE, job, outcome, run_fleet
 
 from orchestrator.bus.base import RequestRefused
 from orchestrator.bus.service_verbs import SERVICE_VERBS
-from orchestrator.coordinator.journal.sqlite import command_table
+from orchestrator.coordinator.journal.sql import command_table
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
 from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.service import SubmitJob
@@ -128,7 +128,7 @@ def test_of_the_commands_the_newest_are_kept(monkeypatch: pytest.MonkeyPatch) ->
         utc = f"2026-01-01T00:00:0{number}.000000Z"
         journal.commands.store_command(CommandRecord(utc=utc, actor="a", verb="stop", subject=str(number), refused=""))
     assert [each.subject for each in journal.commands.list_commands(10)] == ["4", "3", "2"]
-    assert journal.database.execute("SELECT count(*) FROM commands").fetchone() == (3,)
+    assert journal.database.select("SELECT count(*) FROM commands") == [(3,)]
 
 
 def test_a_long_subject_is_cut() -> None:

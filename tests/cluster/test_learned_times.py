@@ -1,6 +1,5 @@
 """What a coordinator has learned of the times of its fleet is used by the next one, as far as it still holds."""
 
-import sqlite3
 from collections.abc import Awaitable, Callable
 
 import pytest
@@ -100,7 +99,7 @@ def test_what_does_not_hold_any_more_is_not_used(change: str) -> None:
         if change == "another configuration":
             store.save_times([entry.model_copy(update={"digest": "0"}) for entry in times])
         if change == "damaged":
-            db: sqlite3.Connection = virtual.journal._db  # pyright: ignore[reportPrivateUsage]
+            db = virtual.journal.database.connection
             db.execute("UPDATE learned SET body = replace(body, '0', '1')")
         await fleet.replace_coordinator("second", kill=True)
         assert await fleet.lead_ms() > 2 * learned_ms

@@ -506,7 +506,7 @@ def test_a_client_that_waits_for_a_job_whose_record_is_damaged_gets_a_report() -
         waiting = await client.submit(PREPARE, terms=QueueTerms(held=True))
         ending = asyncio.ensure_future(client.wait_for_job(waiting))
         await asyncio.sleep(1.5)
-        fleet.journal.database.execute("UPDATE jobs SET state = 'quEued'")
+        fleet.journal.database.write("UPDATE jobs SET state = 'quEued'")
         fleet.kill("coordinator/first")
         fleet.start_coordinator("second")
         async with asyncio.timeout(10.0):

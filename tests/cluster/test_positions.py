@@ -240,7 +240,7 @@ def test_a_damaged_position_moves_nothing_and_can_be_replaced() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         await client.save_position("park", at={"gantry.x": "12 mm"})
-        fleet.journal.database.execute("UPDATE positions SET body = replace(body, '12 mm', '92 mm')")
+        fleet.journal.database.write("UPDATE positions SET body = replace(body, '12 mm', '92 mm')")
         fleet.kill("coordinator/first")
         await sleep_ns(fleet.clock, NS_PER_S)
         fleet.start_coordinator("second")

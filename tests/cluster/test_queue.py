@@ -316,7 +316,7 @@ def test_a_damaged_job_fails_alone_when_a_coordinator_starts() -> None:
         dwell = job("[{do: dwell, duration: 10 ms}]")
         ids = [await client.submit(dwell, terms=QueueTerms()) for _ in range(3)]
         follower = await client.submit(dwell, terms=QueueTerms(after=ids[0]))
-        db = virtual.journal._db  # pyright: ignore[reportPrivateUsage]
+        db = virtual.journal.database.connection
         db.execute("UPDATE jobs SET body = '{' WHERE id = ?", (ids[0],))
         db.execute("UPDATE jobs SET at_utc = 'soon' WHERE id = ?", (ids[1],))
         virtual.find_process("coordinator/first").kill()

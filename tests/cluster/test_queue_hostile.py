@@ -257,7 +257,7 @@ def test_a_journal_that_cannot_be_written_refuses_and_forgets_nothing() -> None:
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         await outcome(fleet, PREPARE)
-        db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
+        db = fleet.journal.database.connection
         moving, queued = await client.submit(LONG), await client.submit(SHORT, terms=QueueTerms(held=True))
         await fleet.wait_until(lambda states: states["gantry"].mode == "moving")
         db.execute("PRAGMA query_only=ON")
@@ -296,7 +296,7 @@ def test_a_job_does_not_start_while_the_journal_cannot_record_it(monkeypatch: py
     async def main(fleet: VirtualFleet) -> None:
         client = fleet.make_client()
         await outcome(fleet, PREPARE)
-        db = fleet.journal._db  # pyright: ignore[reportPrivateUsage]
+        db = fleet.journal.database.connection
         held = await client.submit(SHORT, terms=QueueTerms(held=True))
         before = fleet.controllers["gantry"].position("Y")
         take, taken, released = LeaseRegistry.acquire, asyncio.Event(), asyncio.Event()

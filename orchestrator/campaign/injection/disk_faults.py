@@ -49,7 +49,7 @@ def flip_bit(fleet: VirtualFleet, draw: Random) -> None:
     else:
         table, column, row, value = values[number - len(files)]
         new_value = _with_flipped_bit(value, draw)
-        fleet.journal.database.execute(
+        fleet.journal.database.write(
             f"UPDATE {table} SET {column} = CAST(? AS TEXT) WHERE rowid = ?",
             (new_value, row),
         )
@@ -58,11 +58,11 @@ def flip_bit(fleet: VirtualFleet, draw: Random) -> None:
 def _find_values(fleet: VirtualFleet) -> list[tuple[str, str, int, bytes]]:
     """Table, column, row number and value of each text that the next coordinator reads when it starts."""
     db, rows = fleet.journal.database, list[tuple[str, str, int, Any]]()
-    rows += [("meta", "value", *row) for row in db.execute("SELECT rowid, CAST(value AS BLOB) FROM meta")]
+    rows += [("meta", "value", *row) for row in db.select("SELECT rowid, CAST(value AS BLOB) FROM meta")]
     for job in fleet.journal.list_unfinished():
         for column in _START_COLUMNS:
             query = f"SELECT rowid, CAST({column} AS BLOB) FROM jobs WHERE id = ?"
-            rows += [("jobs", column, *row) for row in db.execute(query, (job.id,))]
+            rows += [("jobs", column, *row) for row in db.select(query, (job.id,))]
     return [row for row in rows if row[3]]
 
 

@@ -11,6 +11,7 @@ _EXTRAS = {
     "record": ("mcap", "zstandard", "prometheus_client"),
     "export": ("mcap", "zstandard", "pyarrow", "h5py"),
     "keys": ("cryptography",),
+    "postgres": ("psycopg",),
     "web": ("starlette", "uvicorn", "websockets", "argon2"),
 }
 

@@ -7,6 +7,7 @@ from orchestrator.model.queue import QueueTerms
 from orchestrator.model.report import JobState
 
 UNREADABLE_TIME = "1970-01-01T00:00:00.000000Z"  # stands for one that cannot be read
+BRING_BACK = "end the fleet, and bring back a backup: `tutti journal import FILE --state DIR --replace`"
 
 
 class JournalError(TuttiError):
@@ -32,6 +33,19 @@ class EpochOvertaken(JobHasEnded):
 
 class DamagedRecord(JournalError):
     """One record of the journal cannot be read. The others can."""
+
+
+class UnknownResult(JournalError):
+    """The journal was asked to store something, and gave no answer in time: it may be stored or not. A request with the
+    same key finds out."""
+
+
+class CopyMissing(JournalError):
+    """A copy of the journal that the fleet asks for is missing. Nothing was stored."""
+
+
+class HistoryLost(JournalError):
+    """The journal is older than what adapters have seen of it: what it does not know may have been done."""
 
 
 class JobRecord(NamedTuple):

@@ -12,16 +12,16 @@ import os
 import re
 import shutil
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import BinaryIO, Literal
+from typing import BinaryIO, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
 from orchestrator.coordinator.journal.records import BadBackup
+from orchestrator.coordinator.journal.sqlite.database import copy_database
 from orchestrator.coordinator.journal.sqlite.portable import read_stored_epoch
-from orchestrator.coordinator.journal.sqlite.transaction import copy_database
 from orchestrator.model.base import Int53, Model
 from orchestrator.model.files.private_files import FILE_MODE, sync_folder, write_new_file
 from orchestrator.runtime.state.folder import ADAPTERS, FLEET_FILE, JOURNAL
@@ -54,20 +54,36 @@ class BackupManifest(Model):
     members: dict[str, BackupMember]
 
 
-def write_backup(folder: Path, target: Path, tutti: str, utc: str) -> BackupManifest:
-    """Write the backup of a state folder to a file, which appears as a whole, private, and on disk.
+class BackupSource(NamedTuple):
+    """What is backed up. folder: the state folder; None: the journal alone. copy_journal: copies the journal, and the
+    points of scans, into a folder."""
 
-    Raises `JournalError`, `OSError`."""
-    with TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
-        copies = Path(scratch)
+    folder: Path | None
+    copy_journal: Callable[[Path], None]
+
+
+def find_source(folder: Path) -> BackupSource:
+    """A state folder with its journal."""
+
+    def copy_journal(copies: Path) -> None:
         for name in DATABASES:
             if (folder / name).exists():
                 copy_database(folder / name, copies / name)
+
+    return BackupSource(folder, copy_journal)
+
+
+def write_backup(source: BackupSource, target: Path, tutti: str, utc: str) -> BackupManifest:
+    """Write a backup to a file, which appears as a whole, private, and on disk. Raises `JournalError`, `OSError`."""
+    with TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
+        copies = Path(scratch)
+        source.copy_journal(copies)
         epoch = read_stored_epoch(copies / JOURNAL)
-        for path in _find_plain_files(folder):
-            copy = copies / path.relative_to(folder)
-            copy.parent.mkdir(exist_ok=True)
-            shutil.copyfile(path, copy)
+        if source.folder is not None:
+            for path in _find_plain_files(source.folder):
+                copy = copies / path.relative_to(source.folder)
+                copy.parent.mkdir(exist_ok=True)
+                shutil.copyfile(path, copy)
         names = [file_name for file_name in _order_files(copies) if file_name != MANIFEST]
         members = {name: _describe(copies / name) for name in names}
         manifest = BackupManifest(tutti=tutti, utc=utc, epoch=epoch, members=members)

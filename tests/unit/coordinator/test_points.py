@@ -1,128 +1,29 @@
-"""The store of points, the rows of points, and the report of a scan: quotas, damage, parts that broke off, memory."""
+"""The rows of points, the report of a scan, and its memory."""
 
 import asyncio
-import hashlib
-import sqlite3
 import tracemalloc
 from collections.abc import Mapping, Sequence
-from datetime import timedelta
 from pathlib import Path
 from random import Random
-from struct import pack
 
-import numpy as np
 import pytest
+from unit.journal.stored_points import AXES, NOON, store_points
 
 from orchestrator.clock.executor import run_inline
 from orchestrator.clock.virtual import VirtualClock, run_virtual
 from orchestrator.coordinator.jobs.run.point_feed import PointFeed
 from orchestrator.coordinator.jobs.run.report_collector import ReportCollector
 from orchestrator.coordinator.jobs.run.sequence import StepSequence
-from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
 from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal
-from orchestrator.coordinator.journal.sqlite.point_store import PointStore
 from orchestrator.coordinator.statistics.skew_histogram import SkewHistogram
-from orchestrator.model.errors import Refusal
 from orchestrator.model.jobs.files import load_fleet, parse_document
 from orchestrator.model.jobs.job import Job
-from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.report import PointRecord, SkewInterval, StepReport
 from orchestrator.model.steps.move import Move
 from orchestrator.model.steps.order import StepOrder
-from orchestrator.model.steps.points import PointAxis, make_header
 from orchestrator.model.steps.scan import Scan
-from orchestrator.model.units import Unit
 
-AXES = [PointAxis(axis="gantry.x", unit=Unit.MM), PointAxis(axis="stage.u", unit=Unit.MM)]
 FLEET = load_fleet(Path(__file__).parents[3] / "deploy" / "examples" / "demo.fleet.yaml")
-NOON = "2026-11-26T12:00:00.000000Z"
-
-
-def later(minutes: float) -> str:
-    return format_utc(parse_utc(NOON) + timedelta(minutes=minutes))
-
-
-def make_points(count: int, scale: float = 0.1) -> tuple[str, bytes]:
-    rows = np.column_stack([np.arange(count) * scale, np.arange(count) % 7]).astype("<f8").tobytes()
-    return f"sha256:{hashlib.sha256(make_header(AXES) + rows).hexdigest()}", rows
-
-
-def store_points(store: PointStore, count: int, scale: float = 0.1, part: int = 1600) -> str:
-    digest, rows = make_points(count, scale)
-    state = store.begin_upload(digest, AXES, count, NOON, [])
-    while state.columns is None:
-        state = store.add_part(digest, state.received, rows[state.received : state.received + part], NOON)
-    return digest
-
-
-def test_points_come_back_from_any_part() -> None:
-    store = PointStore(":memory:")
-    digest = store_points(store, 1000)
-    assert store.read_rows(digest, 0, 2) == [(0.0, 0.0), (0.1, 1.0)]
-    assert store.read_rows(digest, 95, 10) == [(k * 0.1, k % 7) for k in range(95, 105)]
-    assert len(store.read_rows(digest, 990, 4096)) == 10
-    columns = store.begin_upload(digest, AXES, 1000, NOON, []).columns
-    assert columns is not None and (columns[0].most, columns[0].most_at) == (99.9, 1000)
-
-
-def test_an_upload_that_broke_off_is_continued_or_deleted_after_an_hour() -> None:
-    store = PointStore(":memory:")
-    digest, rows = make_points(300)
-    store.begin_upload(digest, AXES, 300, NOON, [])
-    assert store.add_part(digest, 0, rows[:1600], NOON).received == 1600
-    # A repeated part, and one after a gap, change nothing.
-    assert store.add_part(digest, 0, rows[:1600], NOON).received == 1600
-    assert store.add_part(digest, 3200, rows[3200:], NOON).received == 1600
-    assert store.begin_upload(digest, AXES, 300, later(30), []).received == 1600
-    store_points(store, 10)
-    store.delete_unused([], later(89))
-    assert store.used_bytes == 4800
-    store.delete_unused([], later(91))
-    assert store.used_bytes == 0
-    with pytest.raises(Refusal, match="begin it again"):
-        store.add_part(digest, 1600, rows[1600:], later(91))
-
-
-def test_points_that_jobs_name_stay_and_count_against_the_quota() -> None:
-    store = PointStore(":memory:", quota_bytes=10_000)
-    kept = store_points(store, 600)
-    digest, _ = make_points(100, 0.2)
-    with pytest.raises(Refusal, match="the points need 1600 B; 9600 B of 10000 B for points are in use") as full:
-        store.begin_upload(digest, AXES, 100, later(90), [kept])
-    assert full.value.code == "point-store-full"
-    # Without a job that names them they make room.
-    assert store.begin_upload(digest, AXES, 100, later(90), []).received == 0
-
-
-def test_points_that_are_not_those_announced_are_refused_and_deleted() -> None:
-    store = PointStore(":memory:")
-    digest, rows = make_points(10)
-    store.begin_upload(digest, AXES, 10, NOON, [])
-    with pytest.raises(Refusal, match="are not those that were announced"):
-        store.add_part(digest, 0, rows[::-1], NOON)
-    endless = pack("<4d", 1.0, 2.0, 3.0, float("nan"))
-    name = f"sha256:{hashlib.sha256(make_header(AXES) + endless).hexdigest()}"
-    store.begin_upload(name, AXES, 2, NOON, [])
-    with pytest.raises(Refusal, match=r"point 2: the position of stage\.u is nan"):
-        store.add_part(name, 0, endless, NOON)
-    assert store.used_bytes == 0
-
-
-def test_a_bit_that_changed_on_the_disk_moves_nothing(tmp_path: Path) -> None:
-    store = PointStore(str(tmp_path / "points"))
-    digest = store_points(store, 300)
-    store.close()
-    with sqlite3.connect(tmp_path / "points") as db:
-        (data,) = db.execute("SELECT data FROM parts WHERE begin = 1600").fetchone()
-        db.execute("UPDATE parts SET data = ? WHERE begin = 1600", (data[:99] + bytes([data[99] ^ 1]) + data[100:],))
-    db.close()
-    store = PointStore(str(tmp_path / "points"))
-    assert len(store.read_rows(digest, 0, 100)) == 100
-    with pytest.raises(DamagedRecord, match="have changed on the disk"):
-        store.read_rows(digest, 100, 10)
-    with pytest.raises(JournalError, match="are not stored any more"):
-        store.read_rows(f"sha256:{'0' * 64}", 0, 1)
-    store.close()
 
 
 def test_quantiles_are_within_their_resolution() -> None:

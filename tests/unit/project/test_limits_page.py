@@ -12,9 +12,9 @@ from orchestrator.coordinator.command_log import MAX_SUBJECT
 from orchestrator.coordinator.jobs.intake.approval import MAX_SHOWN
 from orchestrator.coordinator.jobs.queue.publisher import MAX_PUBLISHED_JOBS
 from orchestrator.coordinator.jobs.queue.queue_order import MAX_JOBS_WITHOUT_AXES
-from orchestrator.coordinator.journal.sqlite.command_table import MAX_COMMANDS
-from orchestrator.coordinator.journal.sqlite.journal import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
-from orchestrator.coordinator.journal.sqlite.point_store import QUOTA_BYTES
+from orchestrator.coordinator.journal.sql.command_table import MAX_COMMANDS
+from orchestrator.coordinator.journal.sql.job_changes import MAX_RECORDED_JOBS, MAX_RECORDED_STEPS
+from orchestrator.coordinator.journal.sql.point_store import QUOTA_BYTES
 from orchestrator.coordinator.motion.recorder import MAX_SAMPLES
 from orchestrator.gateway import (
     app,

@@ -24,7 +24,8 @@ PACKAGES = ("orchestrator", "adapters", "sim", "integrations", "benches")
 # ends, each for the reason that stands in its docstring, and benchmarks that measure real time.
 LIVE = re.compile(
     r"(process|live|guardian|workers|executor|parent|input_thread)\.py$|/link/|^orchestrator/(cli|bus/zenoh)/"
-    r"|^orchestrator/bench/|^integrations/|^benches/(page/|speed/|paths/planning)|^orchestrator/client/(connection|worker)"
+    r"|^orchestrator/bench/|^orchestrator/coordinator/journal/postgres/|^integrations/"
+    r"|^benches/(page/|speed/|paths/planning)|^orchestrator/client/(connection|worker)"
 )
 BANNED_CALLS = {"monotonic", "perf_counter", "run_in_executor", "to_thread"}
 BANNED = {"time", "threading", "concurrent.futures", "uuid", "multiprocessing", "secrets"}

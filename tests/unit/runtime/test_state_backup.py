@@ -311,7 +311,7 @@ def test_the_check_finds_every_damage(tmp_path: Path) -> None:
         "INSERT INTO reports VALUES ('job0', '{}')",
         "INSERT INTO point_rows VALUES ('job0', 1, 2, 'done', '', 0, 0, 0, 0, '[', '{}', NULL)",
     ):
-        journal.database.execute(statement)
+        journal.database.write(statement)
     journal.close()
     points = sqlite3.connect(tmp_path / f"{JOURNAL}-points")
     points.execute("UPDATE parts SET crc = 3")

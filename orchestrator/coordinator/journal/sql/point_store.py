@@ -1,19 +1,15 @@
-"""Points of scans, sent by clients before the jobs that name them: a database of its own beside the journal.
+"""Points of scans, sent by clients before the jobs that name them.
 
 Points are rows of doubles (little-endian, one an axis, in the axis's unit) behind a line that names axes and units; the
 digest is that of both. A double keeps every decimal of 15 digits, so that `0.1` in a table of points is exactly the 0.1
 of a job file: the shortest decimal of the double is what is converted to counts.
 
-A database of its own, because the journal is checked as a whole at each start, and points may be half a gigabyte. Each
-part has a checksum: a bit that has changed on the disk moves nothing.
+Each part has a checksum: a bit that has changed on the disk moves nothing.
 """
 
 import hashlib
-import weakref
 from collections.abc import Collection, Iterator, Sequence
 from datetime import timedelta
-from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -21,13 +17,7 @@ from pydantic import TypeAdapter
 
 from orchestrator.coordinator.journal.facts import UploadState
 from orchestrator.coordinator.journal.records import DamagedRecord, JournalError
-from orchestrator.coordinator.journal.sqlite.transaction import (
-    DATABASE_ERRORS,
-    Transaction,
-    connect_database,
-    create_private_file,
-    make_unusable_error,
-)
+from orchestrator.coordinator.journal.sql.database import Database, JournalPart, make_insert
 from orchestrator.model.errors import Refusal
 from orchestrator.model.queue import format_utc, parse_utc
 from orchestrator.model.scans.point_summary import ColumnSummary
@@ -39,36 +29,16 @@ UNUSED_AFTER = timedelta(hours=1)  # then points that no job names are deleted, 
 _COLUMNS = TypeAdapter(list[PointColumn])
 _AXES = TypeAdapter(list[PointAxis])
 
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS uploads (
-  digest TEXT PRIMARY KEY, header TEXT NOT NULL, size INTEGER NOT NULL, received INTEGER NOT NULL,
-  columns TEXT, used_utc TEXT NOT NULL
-) STRICT;
-CREATE TABLE IF NOT EXISTS parts (
-  digest TEXT NOT NULL REFERENCES uploads (digest) ON DELETE CASCADE, begin INTEGER NOT NULL, data BLOB NOT NULL,
-  crc INTEGER NOT NULL, PRIMARY KEY (digest, begin)
-) STRICT;
-"""
+_INSERT_UPLOAD = make_insert("uploads", ("digest", "header", "size", "received", "columns", "used_utc"))
+_INSERT_PART = make_insert("parts", ("digest", "begin", "data", "crc"))
 
 
-class PointStore:
-    """`PointUploads` in a database: every method that changes something has committed to disk when it returns; all
-    raise `JournalError` if the file cannot be used."""
+class PointStore(JournalPart):
+    """`PointUploads` in a database."""
 
-    def __init__(self, path: str, quota_bytes: int = QUOTA_BYTES) -> None:
-        """Open or create the store at `path` (`:memory:` for tests)."""
-        self._path = path
+    def __init__(self, db: Database, quota_bytes: int = QUOTA_BYTES) -> None:
+        super().__init__(db)
         self.quota_bytes = quota_bytes
-        try:
-            if path != ":memory:":
-                create_private_file(Path(path))
-            self._db = connect_database(path, check_same_thread=False)
-            self.close = weakref.finalize(self, self._db.close)
-            for setting in ("auto_vacuum=FULL", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
-                self._db.execute(f"PRAGMA {setting}")
-            self._db.executescript(_SCHEMA)
-        except (*DATABASE_ERRORS, OSError) as error:
-            raise make_unusable_error(path, error) from None
 
     # Uploads
 
@@ -89,18 +59,18 @@ class PointStore:
                 "delete finished jobs, and their points with them: `tutti job prune --older 7d --keep 0`; points that "
                 "no job names are deleted after an hour",
             )
-        with self._transaction():
+        with self._db.transaction(copied=True):
             values = (digest, make_header(axes).decode(), size, 0, None, utc)
-            self._db.execute("INSERT INTO uploads VALUES (?, ?, ?, ?, ?, ?)", values)
+            self._db.write(_INSERT_UPLOAD, values)
         return UploadState(0, size, None)
 
     def find_upload(self, digest: str, utc: str) -> UploadState | None:
-        with self._transaction():
-            self._db.execute("UPDATE uploads SET used_utc = ? WHERE digest = ?", (utc, digest))
+        with self._db.transaction():
+            self._db.write("UPDATE uploads SET used_utc = ? WHERE digest = ?", (utc, digest))
         return self._read_state(digest)
 
     def _read_state(self, digest: str) -> UploadState | None:
-        rows = self._select("SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,))
+        rows = self._db.select("SELECT received, size, columns FROM uploads WHERE digest = ?", (digest,))
         if not rows:
             return None
         size_received, size, columns = rows[0]
@@ -115,17 +85,17 @@ class PointStore:
         end = begin + len(data)
         if end > state.size:
             raise Refusal("bad-points", f"{end} bytes of points are more than the {state.size} announced", "")
-        with self._transaction():
-            self._db.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (digest, begin, data, crc32(data)))
+        with self._db.transaction(copied=True):
+            self._db.write(_INSERT_PART, (digest, begin, data, crc32(data)))
             values = (end, utc, digest)
-            self._db.execute("UPDATE uploads SET received = ?, used_utc = ? WHERE digest = ?", values)
+            self._db.write("UPDATE uploads SET received = ?, used_utc = ? WHERE digest = ?", values)
         if end < state.size:
             return UploadState(end, state.size, None)
         return UploadState(end, state.size, self._finish_upload(digest))
 
     def _finish_upload(self, digest: str) -> list[PointColumn]:
         """Check the digest, and find the extremes. Raises `Refusal`; the points are deleted then."""
-        (header,) = self._db.execute("SELECT header FROM uploads WHERE digest = ?", (digest,)).fetchone()
+        ((header,),) = self._db.select("SELECT header FROM uploads WHERE digest = ?", (digest,))
         axes = _AXES.validate_json(header)
         content_hash, summary = hashlib.sha256(header.encode()), ColumnSummary(axes)
         try:
@@ -142,8 +112,8 @@ class PointStore:
                 raise
             raise Refusal("bad-points", "a part of the points does not end with a row", "send whole rows") from None
         columns = summary.make_columns()
-        with self._transaction():
-            self._db.execute(
+        with self._db.transaction(copied=True):
+            self._db.write(
                 "UPDATE uploads SET columns = ? WHERE digest = ?", (_COLUMNS.dump_json(columns).decode(), digest)
             )
         return columns
@@ -151,7 +121,7 @@ class PointStore:
     # Reading
 
     def read_rows(self, digest: str, first: int, count: int) -> list[tuple[float, ...]]:
-        rows = self._select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
+        rows = self._db.select("SELECT header, columns FROM uploads WHERE digest = ?", (digest,))
         if not rows or rows[0][1] is None:
             raise JournalError(f"the points {digest[:15]}… are not stored any more", "submit the job again")
         axes = _AXES.validate_json(rows[0][0])
@@ -161,13 +131,14 @@ class PointStore:
 
     def _read_parts(self, digest: str, begin: int, end: int | None) -> Iterator[bytes]:
         """The stored bytes from `begin` to `end`, part by part. Raises `DamagedRecord`."""
-        parts = self._select("SELECT begin, length(data) FROM parts WHERE digest = ? ORDER BY begin", (digest,))
+        parts = self._db.select("SELECT begin, length(data) FROM parts WHERE digest = ? ORDER BY begin", (digest,))
         for start, length in parts:
             if start + length <= begin or (end is not None and start >= end):
                 continue
-            ((data, crc),) = self._select("SELECT data, crc FROM parts WHERE digest = ? AND begin = ?", (digest, start))
+            query = "SELECT data, crc FROM parts WHERE digest = ? AND begin = ?"
+            ((data, crc),) = self._db.select(query, (digest, start))
             if crc32(data) != crc:
-                text = f"{self._path}: points of {digest[:15]}… have changed on the disk"
+                text = f"{self._db.name}: points of {digest[:15]}… have changed on the disk"
                 raise DamagedRecord(text, "submit the job again, with its points; check the disk")
             yield data[max(0, begin - start) : None if end is None else end - start]
 
@@ -175,26 +146,17 @@ class PointStore:
 
     @property
     def used_bytes(self) -> int:
-        return self._select("SELECT coalesce(sum(size), 0) FROM uploads", ())[0][0]
+        return self._db.select("SELECT CAST(coalesce(sum(size), 0) AS bigint) FROM uploads")[0][0]
 
     def delete_upload(self, digest: str) -> None:
-        with self._transaction():
-            self._db.execute("DELETE FROM uploads WHERE digest = ?", (digest,))
+        with self._db.transaction():
+            self._db.write("DELETE FROM uploads WHERE digest = ?", (digest,))
 
     def delete_unused(self, named: Collection[str], utc: str) -> None:
         utc_before = format_utc(parse_utc(utc) - UNUSED_AFTER)
-        old = self._select("SELECT digest FROM uploads WHERE used_utc <= ?", (utc_before,))
+        old = self._db.select("SELECT digest FROM uploads WHERE used_utc <= ?", (utc_before,))
         for digest in {digest for (digest,) in old} - set(named):
             self.delete_upload(digest)
-
-    def _select(self, query: str, values: tuple[object, ...]) -> list[Any]:
-        try:
-            return self._db.execute(query, values).fetchall()
-        except DATABASE_ERRORS as error:
-            raise make_unusable_error(self._path, error) from None
-
-    def _transaction(self) -> Transaction:
-        return Transaction(self._db, self._path)
 
 
 def _format_size(size: int) -> str:

@@ -58,18 +58,18 @@ def is_whole(row: Sequence[Any]) -> bool:
     return crc in (None, find_checksum(dict(zip(JOB_COLUMNS, values, strict=True))))
 
 
-def make_damaged_error(path: str, what: str, job_id: str, problem: str) -> DamagedRecord:
-    """The error for a part of a job that cannot be read."""
-    text = f"{path}: {what} of job {job_id} cannot be read: {problem}"
+def make_damaged_error(journal: str, what: str, job_id: str, problem: str) -> DamagedRecord:
+    """The error for a part of a job that cannot be read. journal: what messages name it by."""
+    text = f"{journal}: {what} of job {job_id} cannot be read: {problem}"
     return DamagedRecord(text, "it is damaged, or was written by another version of Tutti")
 
 
-def read_body(path: str, model: type[M], body: str, job_id: str) -> M:
+def read_body(journal: str, model: type[M], body: str, job_id: str) -> M:
     """A part of a job by its JSON. Raises `DamagedRecord`."""
     try:
         return model.read_stored(body)
     except ValidationError as error:
-        raise make_damaged_error(path, f"the {model.__name__}", job_id, first_error_text(error)) from None
+        raise make_damaged_error(journal, f"the {model.__name__}", job_id, first_error_text(error)) from None
 
 
 def scope_key(owner: str, client_key: str) -> str:

@@ -1,22 +1,19 @@
 """What was recorded at the points of scans: a row a point, written in batches, deleted with the job."""
 
 import json
-import sqlite3
 from collections.abc import Sequence
 from typing import Any
 
-from orchestrator.coordinator.journal.sqlite.transaction import DATABASE_ERRORS, Transaction, make_unusable_error
+from orchestrator.coordinator.journal.sql.database import JournalPart, make_upsert
 from orchestrator.model.report import PointRecord, PointWindow, SkewInterval
 
 _COLUMNS = "step, point, state, verdict, t0_fleet_ns, skew_least_ns, skew_most_ns, took_s, target, measured, flown"
 
+_STORE = make_upsert("point_rows", ("job_id", "step", "point"), _COLUMNS.split(", ")[2:])
 
-class PointRows:
+
+class PointRows(JournalPart):
     """`PointRowStore`: the recorded points in the journal's database."""
-
-    def __init__(self, db: sqlite3.Connection, path: str) -> None:
-        self._db = db
-        self._path = path
 
     def store_points(self, job_id: str, points: Sequence[PointRecord]) -> None:
         rows = [
@@ -36,16 +33,12 @@ class PointRows:
             )
             for point in points
         ]
-        with Transaction(self._db, self._path):
-            self._db.executemany(f"INSERT OR REPLACE INTO point_rows VALUES ({', '.join('?' * 12)})", rows)
+        with self._db.transaction():
+            self._db.write_many(_STORE, rows)
 
     def load_points(self, job_id: str, after: tuple[int, int], limit: int) -> list[PointRecord]:
         condition = "job_id = ? AND (step, point) > (?, ?) ORDER BY step, point LIMIT ?"
         query = f"SELECT {_COLUMNS} FROM point_rows WHERE {condition}"
-        try:
-            rows = self._db.execute(query, (job_id, *after, limit)).fetchall()
-        except DATABASE_ERRORS as error:
-            raise make_unusable_error(self._path, error) from None
         return [
             PointRecord(
                 step=step,
@@ -59,7 +52,19 @@ class PointRows:
                 measured=json.loads(positions),
                 **_decode_flown(flown_text),
             )
-            for step, point, state, verdict, t0_fleet_ns, least, most, took_s, target, positions, flown_text in rows
+            for (
+                step,
+                point,
+                state,
+                verdict,
+                t0_fleet_ns,
+                least,
+                most,
+                took_s,
+                target,
+                positions,
+                flown_text,
+            ) in self._db.select(query, (job_id, *after, limit))
         ]
 
 

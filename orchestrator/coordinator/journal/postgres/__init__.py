@@ -1,0 +1,1 @@
+"""The journal in PostgreSQL, which another machine may take over. Needs the extra `tutti[postgres]`."""

@@ -1,0 +1,57 @@
+"""The lease of the leader: a row that it renews, over a connection of its own, and that no write holds.
+
+A take-over changes another row, which every write holds: were it the same, one slow write would delay the renewal, and
+a healthy leader would stop itself. Instants are not compared: a reader counts, by its own clock, from when it saw the
+number of renewals change.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, open_session
+from orchestrator.coordinator.journal.postgres.names import STANDBY, name_session
+from orchestrator.coordinator.journal.postgres.session import Statement
+
+_RENEW = (
+    "UPDATE lease SET renewals = renewals + 1, renewed = clock_timestamp()"
+    " FROM leader WHERE leader.epoch = ? RETURNING renewals"
+)
+_READ = Statement("SELECT epoch, coordinator, renewals, renewed::text FROM leader CROSS JOIN lease")
+
+
+class LeaseState(NamedTuple):
+    """The leader's row, and its lease. renewals: counts up. renewed: by the server's clock, for people."""
+
+    epoch: int
+    coordinator: str
+    renewals: int
+    renewed: str
+
+
+class LeaseRenewal:
+    """Renews the lease. For one thread at a time, which is not the journal's.
+
+    place: its `deadline_s` is that of each call. is_copy_missing: returns whether a copy is missing; then the renewal
+    is committed on the server's machine alone, else on all that the fleet asks for: a server that was replaced by its
+    standby renews nothing."""
+
+    def __init__(self, place: FleetDatabase, is_copy_missing: Callable[[], bool] = lambda: False) -> None:
+        self._fleet = place.fleet
+        self._session = open_session(place, STANDBY)
+        self._is_copy_missing = is_copy_missing
+
+    def renew(self, epoch: int) -> bool:
+        """Renew it; False: that epoch is over. Raises `JournalError`, also where no answer came in time: count from
+        before the call, and only what returned True."""
+        self._session.application = name_session(self._fleet, str(epoch))
+        local = [Statement("SET LOCAL synchronous_commit TO local")] if self._is_copy_missing() else []
+        statements = [Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
+        return bool(self._session.run_again(statements)[-2])
+
+    def read_state(self) -> LeaseState:
+        """The leader, and how often it has renewed its lease. Raises `JournalError`."""
+        ((row,),) = self._session.run_again([_READ])
+        return LeaseState(*row)
+
+    def close(self) -> None:
+        self._session.close()

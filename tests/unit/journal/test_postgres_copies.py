@@ -1,0 +1,161 @@
+"""Two copies: what a primary and its standby promise, what is refused without the standby, and what goes on."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+import pytest
+
+pytest.importorskip("psycopg")
+from unit.journal.conftest import require_server
+from unit.journal.servers import PostgresServer, find_programs
+from unit.journal.test_journal import JOB, end, utc
+
+from orchestrator.coordinator.journal.postgres.address import read_address
+from orchestrator.coordinator.journal.postgres.journal import FleetDatabase, PostgresJournal
+from orchestrator.coordinator.journal.postgres.lease import LeaseRenewal
+from orchestrator.coordinator.journal.records import CopyMissing, UnknownResult
+from orchestrator.model.report import JobTransition
+
+pytestmark = pytest.mark.postgres
+STEPS, LOOK_S = 400, 0.02  # of waiting for the servers
+
+
+class Pair:
+    """A primary with a synchronous standby."""
+
+    def __init__(self, primary: PostgresServer, standby: PostgresServer) -> None:
+        self.primary = primary
+        self.standby = standby
+
+    @property
+    def address(self) -> str:
+        return f"postgresql://tutti@127.0.0.1:{self.primary.port},127.0.0.1:{self.standby.port}/journal"
+
+    def wait_for_health(self, journal: PostgresJournal, mode: str) -> None:
+        for _ in range(STEPS):
+            if journal.read_health().mode == mode:
+                return
+            signal.sigtimedwait([], LOOK_S)
+        raise AssertionError(journal.read_health())
+
+
+@contextmanager
+def run_pair() -> Iterator[Pair]:
+    require_server()
+    primary = PostgresServer(find_programs())
+    standby: PostgresServer | None = None
+    try:
+        primary.create()
+        primary.execute("CREATE DATABASE journal")
+        primary.execute("ALTER SYSTEM SET synchronous_standby_names = 'ANY 1 (second)'")
+        standby = primary.make_standby("second")
+        primary.execute("SELECT pg_reload_conf()")
+        pair = Pair(primary, standby)
+        with closing(PostgresJournal(FleetDatabase(read_address(pair.address), "watch", copies=2))) as journal:
+            pair.wait_for_health(journal, "two copies")
+        yield pair
+    finally:
+        primary.remove()
+        if standby is not None:
+            standby.remove()
+
+
+@pytest.fixture(scope="module")
+def pair() -> Iterator[Pair]:
+    with run_pair() as pair:
+        yield pair
+
+
+def change(state: str) -> JobTransition:
+    return JobTransition.model_validate({"state": state, "reason": "", "actor": "a", "utc": utc(2)})
+
+
+def test_without_the_standby_promises_are_refused_and_the_job_that_runs_goes_on(pair: Pair, number: int) -> None:
+    place = FleetDatabase(read_address(pair.address), f"pair{number}", copies=2, deadline_s=0.5)
+    with closing(PostgresJournal(place)) as journal, closing(PostgresJournal(place)) as second:
+        lease = LeaseRenewal(place, lambda: journal.database.is_copy_missing)
+        epoch = journal.take_epoch(0)
+        journal.accept_job("a", "a", JOB, utc(1))
+        assert lease.renew(epoch)
+        health = journal.read_health()
+        assert (health.mode, health.standbys, health.problems) == ("two copies", ("second",), ())
+        pair.standby.suspend()
+        try:
+            # Its result is found out: it is on this machine.
+            journal.record_transition("a", change("running"))
+            assert journal.database.is_copy_missing
+            with pytest.raises(CopyMissing, match="no job is accepted"):
+                journal.accept_job("b", "b", JOB, utc(1))
+            with pytest.raises(CopyMissing):
+                journal.find_keyed_job("", "a")
+            journal.record_transition("a", change("paused"))
+            assert lease.renew(epoch)
+            end(journal, "a")
+            assert journal.load_record("b") is None
+            health = journal.read_health()
+            assert health.mode == "waits for a copy" and "follows: commits wait for it" in health.problems[0].text
+            with pytest.raises(CopyMissing):
+                second.take_epoch(0)
+        finally:
+            pair.standby.resume()
+        pair.wait_for_health(journal, "two copies")
+        assert journal.accept_job("b", "b", JOB, utc(1)) == ("b", True)
+        lease.close()
+
+
+def test_a_promise_that_waits_for_the_standby_is_unknown_and_is_answered_once_it_is_copied(
+    pair: Pair, number: int
+) -> None:
+    place = FleetDatabase(read_address(pair.address), f"pair{number}", copies=2, deadline_s=0.5)
+    with closing(PostgresJournal(place)) as journal:
+        journal.take_epoch(0)
+        pair.standby.suspend()
+        try:
+            with pytest.raises(UnknownResult, match="no answer whether it was stored"):
+                journal.accept_job("a", "a", JOB, utc(1))
+            # It can be seen, and is no promise yet.
+            assert journal.load_record("a") is not None
+            with pytest.raises(CopyMissing):
+                journal.accept_job("x", "a", JOB, utc(1))
+        finally:
+            pair.standby.resume()
+        pair.wait_for_health(journal, "two copies")
+        assert journal.accept_job("x", "a", JOB, utc(1)) == ("a", False)
+        keyed = journal.find_keyed_job("", "a")
+        assert keyed is not None and keyed.job_id == "a"
+
+
+def test_a_server_whose_commits_wait_for_no_copy_promises_nothing(server: PostgresServer, number: int) -> None:
+    place = FleetDatabase(read_address(server.make_address("journal")), f"alone{number}", copies=2)
+    with closing(PostgresJournal(place)) as journal:
+        with pytest.raises(CopyMissing, match="copy of the journal on a second machine is missing"):
+            journal.take_epoch(0)
+        with pytest.raises(CopyMissing):
+            journal.accept_job("a", "a", JOB, utc(1))
+        health = journal.read_health()
+        assert health.mode == "waits for a copy" and "synchronous_standby_names is empty" in health.problems[0].text
+    with closing(PostgresJournal(place._replace(copies=1))) as journal:
+        assert journal.take_epoch(0) == 1 and journal.read_health().mode == "one copy"
+
+
+def test_the_promoted_standby_has_what_was_accepted_and_names_what_it_waits_for(number: int) -> None:
+    with run_pair() as pair:
+        place = FleetDatabase(read_address(pair.address), f"pair{number}", copies=2)
+        with closing(PostgresJournal(place)) as journal:
+            epoch = journal.take_epoch(0)
+            timeline, system = journal.read_health()[7:9]
+            accepted = [journal.accept_job(f"j{count}", f"k{count}", JOB, utc(1))[0] for count in range(20)]
+            pair.primary.kill()
+            pair.standby.promote()
+            journal.require_latest_epoch(epoch)  # it has found the other server by itself
+            assert [job.id for job in journal.list_unfinished()] == accepted
+            health = journal.read_health()
+            assert (health.mode, health.timeline, health.system) == ("waits for a copy", timeline + 1, system)
+            assert "`ALTER SYSTEM RESET synchronous_standby_names`" in health.problems[0].remedy
+            with pytest.raises(CopyMissing):
+                journal.accept_job("late", "late", JOB, utc(1))
+            journal.record_transition("j0", change("running"))
+        with closing(PostgresJournal(place._replace(copies=1))) as other:
+            assert other.take_epoch(epoch) == epoch + 1
+            assert other.accept_job("k", "k0", JOB, utc(1)) == ("j0", False)
