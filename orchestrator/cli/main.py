@@ -36,6 +36,7 @@ _COMMANDS: dict[str, tuple[str, str]] = {
     "service": ("machine.service_files", "Run parts as services of systemd."),
     "doctor": ("machine.doctor", "Check this computer, and say what to do."),
     "journal": ("machine.journal", "The journal: check, back up, export, import."),
+    "coordinator": ("machine.coordinator", "Run a coordinator by itself, or hand over to another."),
     "repair": ("machine.repair", "Repair what needs a person's decision: epochs."),
     "log": ("view.log", "Show the logs of all processes, by fleet time."),
     "command": ("view.commands", "Commands of users, as the journal has them."),

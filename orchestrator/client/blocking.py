@@ -906,6 +906,11 @@ class BlockingTutti(BlockingObject[Tutti]):
         while an axis moves."""
         return self._run(self._wrapped.repair_epoch())
 
+    def hand_over(self) -> list[str]:
+        """Let a standby lead; return the names of those that wait. Raises `Refusal` where none does, or something would
+        be interrupted."""
+        return self._run(self._wrapped.hand_over())
+
     def forget_times(self, *controllers: str) -> None:
         """Forget what was learned of the times of controllers, in memory and in the journal: their next steps have the
         lead times that they declare. Without a name: of all, and of the fleet as a whole. Raises `Refusal`."""

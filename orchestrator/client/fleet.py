@@ -20,6 +20,7 @@ from orchestrator.model.jobs.service import (
     FleetLoaded,
     FleetNames,
     FleetReloaded,
+    HandedOver,
     ReloadFleet,
     StopFleet,
     WireFinding,
@@ -165,6 +166,12 @@ class FleetRequests(FleetConnection):
         while an axis moves."""
         request = Request(**self.request_fields())
         return (await self.request_service("repair-epoch", request, EpochRepaired)).controllers
+
+    async def hand_over(self) -> list[str]:
+        """Let a standby lead; return the names of those that wait. Raises `Refusal` where none does, or something would
+        be interrupted."""
+        request = Request(**self.request_fields())
+        return (await self.request_service("hand-over", request, HandedOver)).standbys
 
     async def forget_times(self, *controllers: str) -> None:
         """Forget what was learned of the times of controllers, in memory and in the journal: their next steps have the

@@ -24,6 +24,7 @@ from orchestrator.bus.logfile import make_file_sink
 from orchestrator.bus.zenoh.bus import open_bus
 from orchestrator.bus.zenoh.own_alarms import report_own_alarms
 from orchestrator.bus.zenoh.service_process import BAD_INPUT, run_service
+from orchestrator.clock.base import NS_PER_S, sleep_ns
 from orchestrator.clock.executor import CHECKING, PLANNING, ProcessExecutor, ThreadExecutor
 from orchestrator.clock.live import LiveClock, prepare_live_process
 from orchestrator.clock.owner import running, wait_for_first
@@ -33,17 +34,19 @@ from orchestrator.clock.service_manager import ServiceManager
 from orchestrator.clock.signals import call_at_signals
 from orchestrator.coordinator.alarms.command_process import run_command_process
 from orchestrator.coordinator.coordinator import Coordinator
-from orchestrator.coordinator.journal.records import JournalError
-from orchestrator.coordinator.journal.sqlite.journal import SqliteJournal, require_journal
+from orchestrator.coordinator.journal.records import HistoryLost, JournalError
 from orchestrator.coordinator.leadership.environment import CoordinatorEnvironment
 from orchestrator.coordinator.leadership.leadership import AnotherLeader
+from orchestrator.coordinator.leadership.lease import wait_for_lease_end
 from orchestrator.coordinator.leadership.standby import LeaderFile, wait_for_vacancy
+from orchestrator.coordinator.opening import JournalWish, is_address, open_journal_of, open_lease_of
 from orchestrator.model.files.private_files import replace_private_file
 from orchestrator.model.fleet import Fleet
 from orchestrator.model.jobs.files import FileError, load_fleet
 
 ANOTHER, BAD_JOURNAL, LEADERSHIP_LOST, BROKEN, HANDED_OVER = 4, 5, 6, 7, 8
 CLOSE_S = 2.0  # after a defect
+RETRY_NS = NS_PER_S  # between two tries to open the journal
 
 
 async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
@@ -52,47 +55,71 @@ async def run_coordinator(options: argparse.Namespace, *, urgent: bool) -> int:
     bus = await open_bus(options.connect, max_message_bytes=MAX_COORDINATOR_MESSAGE_BYTES)
     end = asyncio.Event()
     call_at_signals(end.set)
+    log = ProcessLog("coordinator", "standby", LiveClock(), make_file_sink(options.log), (bus, FleetKeys(fleet.fleet)))
     try:
         if options.standby:
             _print_ready()
-            if not await _stand_by(options, bus, FleetKeys(fleet.fleet), end):
+        while True:
+            if options.standby and not await _stand_by(options, fleet, bus, log, end):
                 return 0
             # The fleet may have been reloaded meanwhile.
             fleet = load_fleet(options.fleet)
-        return await _lead(options, fleet, bus, end, urgent=urgent)
+            try:
+                return await _lead(options, fleet, bus, end, urgent=urgent)
+            except JournalError as error:
+                # While a database fails over, it does not answer; a standby tries again.
+                if isinstance(error, HistoryLost) or not (options.standby and is_address(options.journal)):
+                    raise
+                log.warning(f"cannot lead: {error}")
+                await wait_for_first(sleep_ns(LiveClock(), RETRY_NS), end.wait())
     finally:
         await bus.close()
 
 
-async def _stand_by(options: argparse.Namespace, bus: Bus, keys: FleetKeys, end: asyncio.Event) -> bool:
-    """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end."""
+async def _stand_by(options: argparse.Namespace, fleet: Fleet, bus: Bus, log: ProcessLog, end: asyncio.Event) -> bool:
+    """Wait until there is no leader, and make sure that the last one is gone; False when this process is to end. Raises
+    `JournalError` if the journal cannot be used from the first."""
+    keys, clock, name, run = FleetKeys(fleet.fleet), LiveClock(), uuid.uuid4().hex, ThreadExecutor("standby")
     # Kept meanwhile: the leader may be away when an e-stop comes.
-    keeper, name = LatchKeeper(bus, keys, LiveClock().utc, _latch_store(options.journal)), uuid.uuid4().hex
+    keeper = LatchKeeper(bus, keys, clock.utc, _latch_store(options))
     await keeper.start(f"standby-{name}")
     token = await bus.announce(keys.live("coordinator", name[:8], STANDBY))
-    await wait_for_first(wait_for_vacancy(bus, keys, LiveClock()), end.wait())
+    opened = await run(open_lease_of, _make_wish(options, fleet, name), run)
+    if opened is None:
+        await wait_for_first(wait_for_vacancy(bus, keys, clock), end.wait())
+    else:
+        terms, close = opened
+        patience_ns = terms.duration_ns if options.patient else 0
+
+        async def wait_for_both() -> None:
+            await asyncio.gather(wait_for_vacancy(bus, keys, clock), wait_for_lease_end(terms, clock, patience_ns))
+
+        await wait_for_first(wait_for_both(), end.wait())
+        await run(close)
     await token.undeclare()
     await keeper.close()
     if end.is_set():
         return False
-    killed_process = LeaderFile(options.journal).kill_other_process()
+    killed_process = 0 if is_address(options.journal) else LeaderFile(Path(options.journal)).kill_other_process()
     if killed_process:
-        log = ProcessLog("coordinator", "standby", LiveClock(), make_file_sink(options.log), (bus, keys))
         log.warning(f"the coordinator in process {killed_process} was silent and has been killed; taking over")
     return True
 
 
+def _make_wish(options: argparse.Namespace, fleet: Fleet, name: str) -> JournalWish:
+    return JournalWish(options.journal, fleet.fleet, fleet.journal, options.existing_journal, name)
+
+
 async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asyncio.Event, *, urgent: bool) -> int:
-    latches = _latch_store(options.journal)
-    if options.existing_journal:
-        require_journal(options.journal)
-    journal, runs, decode = SqliteJournal(options.journal), ThreadExecutor("journal"), ProcessExecutor()
+    latches, folder = _latch_store(options), _find_state(options)
+    runs, decode = ThreadExecutor("journal"), ProcessExecutor()
+    opened = await runs(open_journal_of, _make_wish(options, fleet, uuid.uuid4().hex))
     check, plan_long = ProcessExecutor(CHECKING), ProcessExecutor(PLANNING)
     court = CoordinatorEnvironment(
         bus=bus,
         keys=FleetKeys(fleet.fleet),
         clock=LiveClock(),
-        journal=journal,
+        journal=opened.journal,
         execute=runs,
         plan=ThreadExecutor("planning", many_objects=True),
         plan_long=plan_long,
@@ -103,8 +130,9 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         save_fleet=lambda taken_fleet: save_fleet(options.fleet, taken_fleet),
         latches=latches,
         run_command=run_command_process,
-        find_free=lambda: runs(_find_free_bytes, options.journal.parent),
+        find_free=lambda: runs(_find_free_bytes, folder),
         certificate=find_session_certificate(options.connect),
+        journal_server=opened.server,
     )
     coordinator = Coordinator(fleet, court)
     try:
@@ -112,7 +140,8 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
             # The adapters stop without the leader: the ends of its jobs must not delay that.
             await bus.subscribe(court.keys.estop, lambda _: yield_priority(RealtimePriority.SERVICE))
         await coordinator.start(take_over=options.take_over, vacant=options.standby)
-        LeaderFile(options.journal).write_own_process()
+        if not is_address(options.journal):
+            LeaderFile(Path(options.journal)).write_own_process()
         prepare_live_process()
         if not options.standby:
             _print_ready()
@@ -136,7 +165,7 @@ async def _lead(options: argparse.Namespace, fleet: Fleet, bus: Bus, end: asynci
         for executor in (decode, check, plan_long):
             executor.close()
         # In the journal's own thread, after its pending writes: SQLite crashes the process if closed during a call.
-        await runs(journal.close)
+        await runs(opened.close)
 
 
 async def _feed_watchdog(options: argparse.Namespace, coordinator: Coordinator) -> None:
@@ -153,9 +182,14 @@ def _find_free_bytes(folder: Path) -> int | None:
         return None
 
 
-def _latch_store(journal: Path) -> FileLatchStore:
-    """The e-stop latch beside the journal."""
-    return FileLatchStore(journal.with_name("estop.json"))
+def _find_state(options: argparse.Namespace) -> Path:
+    """The folder of what this computer keeps besides the journal."""
+    return options.state or Path(options.journal).parent
+
+
+def _latch_store(options: argparse.Namespace) -> FileLatchStore:
+    """The e-stop latch of this computer."""
+    return FileLatchStore(_find_state(options) / "estop.json")
 
 
 def _print_ready() -> None:
@@ -172,14 +206,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m orchestrator.coordinator.process", description=__doc__)
     parser.add_argument("--fleet", type=Path, required=True, help="the fleet file; replaced when it is reloaded")
     parser.add_argument("--connect", required=True, help="the router, e.g. tcp/127.0.0.1:7447")
-    parser.add_argument("--journal", type=Path, required=True)
+    parser.add_argument("--journal", required=True, help="a file, or postgresql://USER@HOST,HOST/DATABASE")
+    parser.add_argument("--state", type=Path, help="folder of the latch, with a database; else that of the file")
     parser.add_argument("--existing-journal", action="store_true", help="refuse a missing journal; else it is begun")
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--take-over", action="store_true", help="lead even if another coordinator does")
     parser.add_argument("--standby", action="store_true", help="lead as soon as there is no leader on this journal")
+    parser.add_argument("--patient", action="store_true", help="with a database: let another standby lead first")
     parser.add_argument("--feed-watchdog", action="store_true", help="feed the watchdog of the service manager")
     parser.add_argument("--parent", type=int, default=0, help="end when this process ends")
     options = parser.parse_args()
+    if is_address(options.journal) and options.state is None:
+        parser.error("--journal postgresql://… needs --state")
     if options.parent:
         die_with_parent(options.parent)
     urgent = set_realtime_priority(RealtimePriority.SERVICE)

@@ -13,11 +13,10 @@ MOVE = "[{do: move, by: {gantry.x: 20 mm, stage.u: 5 mm}}]"
 def forget_work(fleet: VirtualFleet, job_id: str) -> None:
     """Set the records of a job back to those of its acceptance, as a copy has them that lacks the later ones."""
     db = fleet.journal.database
-    db.execute("DELETE FROM transitions WHERE job_id = ? AND state != 'queued'", (job_id,))
-    db.execute("DELETE FROM decisions WHERE job_id = ?", (job_id,))
-    db.execute("DELETE FROM reports WHERE job_id = ?", (job_id,))
-    db.execute("UPDATE jobs SET state = 'queued', reason = 'submitted' WHERE id = ?", (job_id,))
-    db.commit()
+    db.write("DELETE FROM transitions WHERE job_id = ? AND state != 'queued'", (job_id,))
+    db.write("DELETE FROM decisions WHERE job_id = ?", (job_id,))
+    db.write("DELETE FROM reports WHERE job_id = ?", (job_id,))
+    db.write("UPDATE jobs SET state = 'queued', reason = 'submitted' WHERE id = ?", (job_id,))
 
 
 @pytest.mark.parametrize("is_over", [False, True], ids=["in its motion", "done"])

@@ -11,6 +11,7 @@ from orchestrator.cli.base.codes import BAD_INPUT, FAILED
 from orchestrator.cli.base.common import connect_option, console, fleet_option, json_option, print_result
 from orchestrator.cli.base.errors import errors, exit_with_error, run_main
 from orchestrator.cli.base.systems import require_linux
+from orchestrator.cli.machine.following import follow_file
 from orchestrator.clock.owner import running
 from orchestrator.clock.signals import call_at_signals
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from orchestrator.runtime.live.fleet import LiveFleet
 
 RETRY_S = 1.0
-FOLLOW_S = 10.0  # between two looks at whether the fleet runs with another file by now
 
 
 @click.command(
@@ -134,28 +134,9 @@ async def _run_until_ended(live: "LiveFleet", name: str, *, as_json: bool) -> No
     )
     print_result({**value, "connect": live.connect, "state": str(live.state)}, words, as_json=as_json)
     assert live.failed is not None
-    async with running(_follow_file(live)), running(end.wait()) as ended_task:
+    async with running(follow_file(live, "host")), running(end.wait()) as ended_task:
         await asyncio.wait([ended_task, live.failed], return_when=asyncio.FIRST_COMPLETED)
         live.say("stopping")
     await live.close()
     if live.failed.done():
         raise SystemExit(FAILED)
-
-
-async def _follow_file(live: "LiveFleet") -> None:
-    """Store the fleet file whenever the fleet runs with another one, so that a restarted adapter host uses that."""
-    from orchestrator.bus.zenoh.sessions import RouterUnreachable
-    from orchestrator.client import Tutti
-    from orchestrator.model.errors import Refusal
-
-    while True:
-        try:
-            async with Tutti(live.connect, live.fleet.fleet, actor="host") as tutti:
-                while True:
-                    await asyncio.sleep(FOLLOW_S)
-                    fleet = await tutti.load_fleet()
-                    if fleet.digest != live.fleet.digest:
-                        live.say(f"the fleet runs with another file: {fleet.digest} instead of {live.fleet.digest}")
-                        live.save_fleet(fleet)
-        except (Refusal, RouterUnreachable):
-            await asyncio.sleep(FOLLOW_S)

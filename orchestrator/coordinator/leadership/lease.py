@@ -128,10 +128,10 @@ class LeaseKeeper:
             self._on_over(reason)
 
 
-async def wait_for_lease_end(terms: LeaseTerms, clock: Clock) -> None:
+async def wait_for_lease_end(terms: LeaseTerms, clock: Clock, patience_ns: int = 0) -> None:
     """Wait until the leader has not renewed its lease for the whole of it, or has given it back. Instants of others are
     not compared: it is counted from when the number of renewals was seen to change. A journal that does not answer
-    shows no end."""
+    shows no end. patience_ns: how much longer to wait, for another standby that is preferred."""
     turn: tuple[int, int] | None = (0, -1)
     seen_ns = clock.now_ns()
     while True:
@@ -141,10 +141,9 @@ async def wait_for_lease_end(terms: LeaseTerms, clock: Clock) -> None:
         except JournalError:
             seen_ns = clock.now_ns()
         else:
-            if turn_now is None:
-                return
             if turn_now != turn:
                 turn, seen_ns = turn_now, clock.now_ns()
-            elif begun_ns - seen_ns >= terms.duration_ns:
+            held_ns = 0 if turn_now is None else terms.duration_ns
+            if begun_ns - seen_ns >= held_ns + patience_ns or (turn_now is None and not patience_ns):
                 return
         await sleep_ns(clock, terms.duration_ns // LOOKS_A_LEASE)

@@ -174,8 +174,7 @@ class LiveFleet:
             await self._start_hosts()
             command = [*self._make_coordinator_command(file), *self._feed_option]
             coordinator = await self._start_child("coordinator", command)
-            if EXISTING_JOURNAL not in coordinator.command:
-                coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
+            self._require_journal(coordinator)
             if self.run.standby:
                 # Whichever of the two is restarted becomes the standby of the other.
                 coordinator.command = [*coordinator.command, "--standby"]
@@ -188,6 +187,28 @@ class LiveFleet:
         except BaseException:
             await self.close()
             raise
+
+    async def start_coordinator(self) -> None:
+        """Start only a coordinator, which leads as soon as no other one does, for routers and hosts that run elsewhere.
+        Raises `UpFailed`; then no process is left running."""
+        self.failed = asyncio.get_running_loop().create_future()
+        try:
+            self._lock = StateLock(self.state)
+            self._tasks.spawn(self._rotate_logs())
+            self._lock.describe_fleet(self.fleet.fleet, self.connect, COORDINATOR.name)
+            file = self.state / FLEET_FILE
+            replace_private_file(file, self.fleet.to_json())
+            command = [*self._make_coordinator_command(file), "--standby", *self._feed_option]
+            self._require_journal(await self._start_child(COORDINATOR.name, command))
+            self._manager.notify(READY)
+        except BaseException:
+            await self.close()
+            raise
+
+    def _require_journal(self, coordinator: ChildProcess) -> None:
+        """From its next start on a coordinator begins no journal."""
+        if EXISTING_JOURNAL not in coordinator.command:
+            coordinator.command = [*coordinator.command, EXISTING_JOURNAL]
 
     async def start_simulators(self) -> None:
         """Start only the simulated controllers, for other drivers than those of Tutti. Raises `UpFailed`; then no
@@ -466,9 +487,10 @@ class LiveFleet:
 
     def _make_coordinator_command(self, file: Path) -> list[str]:
         command = COORDINATOR.make_command(sys.executable, "--fleet", str(file))
-        command += ["--connect", self.connect, "--journal", str(self.state / JOURNAL)]
+        command += ["--connect", self.connect, "--journal", self.run.journal or str(self.state / JOURNAL)]
+        command += ["--state", str(self.state), *(["--patient"] if self.run.patient else [])]
         command += ["--log", str(self.state / "log" / "coordinator.jsonl"), "--parent", str(os.getpid())]
-        if had_journal(self.state) and not self.run.new_journal:
+        if not self.run.journal and had_journal(self.state) and not self.run.new_journal:
             command.append(EXISTING_JOURNAL)
         return [*command, "--take-over"] if self.run.take_over else command
 
@@ -521,7 +543,7 @@ class LiveFleet:
             code = await child.process.wait()
             if child.ended:
                 return
-            if child.name == "coordinator" and code in EXIT_LEADERSHIP_LOST and not self.run.standby:
+            if child.name == "coordinator" and code in EXIT_LEADERSHIP_LOST and "--standby" not in child.command:
                 self.say(
                     f"{child.name} has lost leadership, another coordinator leads; the adapter hosts here "
                     "serve that one"

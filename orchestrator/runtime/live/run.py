@@ -34,6 +34,8 @@ class FleetRun:
     take_over: it leads although another coordinator does.
     truth: simulators record their real motions, in the folder `truth` of the state folder.
     standby: a second coordinator takes over when the first one dies or hangs.
+    journal: the address of a journal in a database; empty: a file in the state folder.
+    patient: a standby of such a journal lets another one lead first.
     new_journal: a journal is begun although the fleet had one, which is missing.
     first_port: of the simulated controllers on Ethernet; the next ones count up. 0: free ones.
     record_quota: bytes of recordings; None: nothing is recorded, and there are no metrics.
@@ -50,6 +52,8 @@ class FleetRun:
     take_over: bool = False
     truth: bool = False
     standby: bool = False
+    journal: str = ""
+    patient: bool = False
     new_journal: bool = False
     first_port: int = 0
     record_quota: int | None = None
@@ -74,6 +78,7 @@ class FleetRun:
         options += [part for host in sorted(self.hosts or ()) for part in ("--host", host)]
         options += ["--no-web"] if self.web is None else self.web.list_options()
         options += [] if self.keys is None else ["--keys", str(self.keys)]
+        options += ["--journal", self.journal] if self.journal else []
         flags = {"--sim": self.simulated, "--take-over": self.take_over, "--standby": self.standby}
         flags |= {"--truth": self.truth, "--private": self.private, "--new-journal": self.new_journal}
         return [*options, *(name for name, is_given in flags.items() if is_given)]

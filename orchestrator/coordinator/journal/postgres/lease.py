@@ -16,11 +16,13 @@ _RENEW = (
     "UPDATE lease SET renewals = renewals + 1, renewed = clock_timestamp()"
     " FROM leader WHERE leader.epoch = ? RETURNING renewals"
 )
+_RELEASE = "UPDATE lease SET renewals = 0 FROM leader WHERE leader.epoch = ?"
 _READ = Statement("SELECT epoch, coordinator, renewals, renewed::text FROM leader CROSS JOIN lease")
 
 
 class LeaseState(NamedTuple):
-    """The leader's row, and its lease. renewals: counts up. renewed: by the server's clock, for people."""
+    """The leader's row, and its lease. renewals: counts up; 0: none is held. renewed: by the server's clock, for
+    people."""
 
     epoch: int
     coordinator: str
@@ -47,6 +49,16 @@ class LeaseRenewal:
         local = [Statement("SET LOCAL synchronous_commit TO local")] if self._is_copy_missing() else []
         statements = [Statement("BEGIN"), *local, Statement(_RENEW, (epoch,)), Statement("COMMIT")]
         return bool(self._session.run_again(statements)[-2])
+
+    def release(self, epoch: int) -> None:
+        """Give it back, unless that epoch is over. Raises `JournalError`."""
+        self._session.run_again([Statement("BEGIN"), Statement(_RELEASE, (epoch,)), Statement("COMMIT")])
+
+    def read_turn(self) -> tuple[int, int] | None:
+        """The epoch of the leader, and how often it has renewed the lease; None: none is held. Raises
+        `JournalError`."""
+        state = self.read_state()
+        return (state.epoch, state.renewals) if state.renewals else None
 
     def read_state(self) -> LeaseState:
         """The leader, and how often it has renewed its lease. Raises `JournalError`."""
