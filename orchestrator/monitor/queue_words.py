@@ -14,6 +14,8 @@ from orchestrator.monitor.times import format_time, localize_times
 def describe_queue(state: QueueState) -> str:
     """Whether jobs begin and how many wait: one line."""
     jobs = "1 job waits" if state.waiting == 1 else f"{state.waiting} jobs wait"
+    if state.journal is not None:
+        jobs += f"; journal: {state.journal}"
     if state.stopped is None:
         return f"the queue is running; {jobs}"
     stop_time = format_time(state.stopped.utc)

@@ -85,7 +85,8 @@ async def _print_queue(tutti: "Tutti", *, as_json: bool, preview: "StartPreview 
     if as_json:
         stop = None if state.stopped is None else state.stopped.to_plain()
         motions = {} if preview is None else {key: preview.to_plain()[key] for key in ("motions", "lasting")}
-        print_json({"stopped": stop, "waiting": state.waiting, **motions})
+        journal = {} if state.journal is None else {"journal": state.journal}
+        print_json({"stopped": stop, "waiting": state.waiting, **journal, **motions})
     else:
         console.print(describe_queue(state), highlight=False, markup=False)
 
@@ -101,8 +102,11 @@ async def load_queue(tutti: "Tutti") -> "QueueState | None":
 
 
 def print_queue_stop(queue: "QueueState | None") -> None:
-    """Print why no job begins, if the queue is stopped."""
+    """Print why no job begins, if the queue is stopped; and on how many machines its journal is, if it is in a
+    database."""
     from orchestrator.monitor.queue_words import describe_queue
 
     if queue is not None and queue.stopped is not None:
         console.print(describe_queue(queue), style="bold yellow", highlight=False, markup=False)
+    elif queue is not None and queue.journal is not None:
+        console.print(f"journal: {queue.journal}", highlight=False, markup=False)

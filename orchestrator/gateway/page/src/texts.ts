@@ -503,6 +503,7 @@ export const queue = {
   stop: "Stop queue",
   add: "New job",
   stopped: (reason: string, actor: string, utc: string) => `Stopped by ${actor} at ${utc} UTC: ${reason}`,
+  journal: (mode: string) => `Journal: ${mode}`,
   next: "next",
   hold: "Hold",
   holdOf: (name: string) => `Hold ${name}`,

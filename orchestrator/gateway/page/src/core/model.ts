@@ -152,6 +152,7 @@ export interface QueueStop {
 
 export interface QueueState {
   stopped?: QueueStop | null;
+  journal?: string;
   waiting?: number;
   total?: number;
   jobs?: QueueEntry[];

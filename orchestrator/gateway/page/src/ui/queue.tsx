@@ -21,7 +21,7 @@ import { NewJob } from "./submit.tsx";
 const drag = signal<{ id: string; to: number } | null>(null);
 
 export function QueuePanel(): JSX.Element {
-  const { stopped, jobs: list = [], total = 0 } = queue.value;
+  const { stopped, journal, jobs: list = [], total = 0 } = queue.value;
   // A job's progress is newer than the list in which it waited.
   const waiting = list.filter((job) => job.state === "queued" && (jobs.value[job.id]?.state ?? "queued") === "queued");
   const listed = waiting.length;
@@ -52,6 +52,7 @@ export function QueuePanel(): JSX.Element {
           <span aria-hidden="true">■</span> {T.queue.stopped(stopped.reason, stopped.actor, dayAndTime(stopped.utc))}
         </p>
       ) : null}
+      {journal ? <p class={journal.startsWith("waits") ? "reason warn" : "hint"}>{T.queue.journal(journal)}</p> : null}
       {listed === 0 ? <Empty text={T.queue.none} /> : null}
       <ol class="cards" aria-label={T.queue.list}>
         {waiting.map((job, index) => (
